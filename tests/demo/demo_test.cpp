@@ -1,8 +1,9 @@
 // SPDX-License-Identifier: Apache-2.0
 //
-// Goal: the demo passes when everything is right, fails when one byte of one message is wrong, and leaves neither a process nor a file behind,
-// however it ends. Method: run its main job against the built tree with a temporary directory of its own. This program adopts whatever the
-// demo leaves (PR_SET_CHILD_SUBREAPER), so that nothing can hide.
+// Goal: the demo passes when everything is right, fails when one byte of one message is wrong, and
+// leaves neither a process nor a file behind, however it ends. Method: run its main job against
+// the built tree with a temporary directory of its own. This program adopts all processes that the
+// demo leaves (PR_SET_CHILD_SUBREAPER), so that none can hide.
 
 #include <gmock/gmock.h>
 #include <gtest/gtest.h>
@@ -64,7 +65,7 @@ class Demo : public testing::Test {
     output_ = ends[0];
   }
 
-  /// Adds what the demo printed to text_; false at its end.
+  /// Appends the demo's output to text_; returns false at its end.
   bool read_some() {
     char bytes[4096];
     const ssize_t count = ::read(output_, bytes, sizeof bytes);
@@ -79,7 +80,7 @@ class Demo : public testing::Test {
     return true;
   }
 
-  /// Its exit status, 128 + N after signal N; text_ holds all that it printed.
+  /// Returns its exit status, 128 + N after signal N; text_ holds its whole output.
   int finish() {
     while (read_some()) continue;
     int status = 0;
@@ -88,7 +89,7 @@ class Demo : public testing::Test {
     return WIFEXITED(status) ? WEXITSTATUS(status) : 128 + WTERMSIG(status);
   }
 
-  /// In characters of UTF-8.
+  /// Returns the length in characters of UTF-8.
   std::size_t longest_line() const {
     std::size_t longest = 0, columns = 0;
     for (const char c : text_) {
@@ -152,7 +153,7 @@ TEST_F(Demo, LeavesNoProcessWhenItIsKilled) {
   EXPECT_TRUE(all_processes_end());
 }
 
-TEST_F(Demo, SaysWhatTheDaemonSaysWhenItDoesNotStart) {
+TEST_F(Demo, PrintsTheDaemonsErrorWhenItDoesNotStart) {
   start({"--quick"}, "/bin/false");
   EXPECT_EQ(finish(), 1);
   EXPECT_THAT(text_, HasSubstr("agnocastd does not serve"));

@@ -1,10 +1,10 @@
 // SPDX-License-Identifier: Apache-2.0
 //
-// Goal: whoever looks at a system (agnocast-ctl) is not harmed by what it finds there: packets of a
-// daemon of any shape, and regions in which hostile processes have stored any words.
-// Method: a real Observer on a real socket. The other end says what the input says: a dump that is
-// nearly whole, or not, with memfds as regions. Then one audit of it.
-//   look      a system whose indexes are in their tables, or a problem in words
+// Goal: a program that looks at a system (agnocast-ctl) survives whatever it finds there: packets
+// of a daemon of any shape, and regions in which hostile processes have stored any words. Method:
+// a real Observer on a real socket. The other end sends what the input says: a dump that is more
+// or less complete, with memfds as regions. Then one audit of it.
+//   look      returns a system whose indexes are inside their tables, or a problem as text
 //   audit     ends; every invariant that it names exists, and every place has a name
 
 #include <ctl/snapshot/audit.hpp>
@@ -48,7 +48,7 @@ UniqueFd memory(std::uint64_t bytes) {
   return fd;
 }
 
-/// What the daemon says, and what the regions hold.
+/// The daemon's messages, and the content of the regions.
 class Script {
  public:
   explicit Script(FuzzedDataProvider& input) : input_(input) {}
@@ -97,7 +97,7 @@ class Script {
   }
 
  private:
-  /// Mostly what is usual, sometimes anything.
+  /// Returns mostly the usual value, sometimes any.
   std::uint64_t some(std::uint64_t usual) {
     return input_.ConsumeIntegralInRange(0, 15) == 0 ? input_.ConsumeIntegral<std::uint64_t>()
                                                      : usual;
@@ -185,7 +185,7 @@ class Script {
     std::memcpy(bytes.data(), &body, sizeof body);
     if (input_.ConsumeIntegralInRange(0, 63) == 0)  // another shape
       bytes.resize(input_.ConsumeIntegralInRange<std::size_t>(1, wire::packet_bytes_max));
-    // In the packet of the one before, as the daemon does, or in one of its own.
+    // In the previous packet, as the daemon does, or in a separate one.
     if (messages_.empty() ||
         messages_.back().bytes.size() + bytes.size() > wire::answer_bytes_max ||
         input_.ConsumeIntegralInRange(0, 3) == 0)

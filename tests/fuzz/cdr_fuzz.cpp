@@ -1,12 +1,12 @@
 // SPDX-License-Identifier: Apache-2.0
 //
-// Goal: whatever another host sends as a message, reading it ends in a message or in a reason with its
-// place, within the input.
-// Method: the input is a type, the lengths of pieces, and bytes. What was read
-//   is the same however it was cut, also into a message that held something else
-//   can be written, into memory of exactly its length, and is read back equal from that
+// Goal: reading any message from another host ends, within the input, in a message or in a reason
+// with its position. Method: the input is a type, the lengths of pieces, and bytes. A message that
+// was read
+//   is the same however it was cut, also when read into a message with other content
+//   can be written into memory of exactly its length, and reads back equal from there
 //   is written to the same bytes again
-// Each piece is memory of its own, so AddressSanitizer sees who reads past one.
+// Each piece is a separate allocation, so AddressSanitizer sees reads past its end.
 
 #include <bridge/cdr/cdr.hpp>
 
@@ -30,7 +30,7 @@ void require(bool condition) {
   if (!condition) std::abort();
 }
 
-// One for each way in which members lie; the corpus counts on the order.
+// One for each way in which members may be laid out; the corpus relies on the order.
 const std::array<Schema, 8>& schemas() {
   static const std::array<Schema, 8> all = {{
       {{"Root",
@@ -118,19 +118,19 @@ struct Message {
   }
 };
 
-/// A message that holds something, the same for each input of the type.
+/// Returns a message with content, the same for each input of the type.
 const Message& something(const Schema& schema, const MessageMembers& members) {
   static std::map<const Schema*, Message> all;
   const auto [at, is_new] = all.try_emplace(&schema, members);
-  // Of few elements: as one that is nested.
+  // With few elements, as if nested.
   if (is_new) test::RandomMessages(1, {}).fill(members, at->second.memory.get(), 1);
   return at->second;
 }
 
 }  // namespace
 
-// Of the first byte, the low bits are the type and the highest says whether it has a service header;
-// then the number of pieces, as many lengths, and the payload.
+// The low bits of the first byte are the type, its highest bit says whether there is a service
+// header; then the number of pieces, as many lengths, and the payload.
 extern "C" int LLVMFuzzerTestOneInput(const std::uint8_t* data, std::size_t size) {
   if (size < 2) return 0;
   const Schema& schema = schemas()[data[0] % schemas().size()];
@@ -158,7 +158,7 @@ extern "C" int LLVMFuzzerTestOneInput(const std::uint8_t* data, std::size_t size
   require(headers[0] == headers[1] && message.is_same_as(other));
 
   const std::vector<std::byte> bytes = message.write(header(0));
-  // An empty string may come without its zero, and is written with it.
+  // An empty string may arrive without its zero, but is written with it.
   require(bytes.size() >= *read);
   const auto again = other.read(Pieces(bytes, lengths), header(1));
   require(again && *again == bytes.size());

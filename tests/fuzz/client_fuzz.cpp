@@ -1,12 +1,12 @@
 // SPDX-License-Identifier: Apache-2.0
 //
-// Goal: whatever agnocastd says, and whatever other processes have stored in the memory that comes with
-// it, a process that uses the library stays whole: no crash, nothing handed out that cannot be read.
-// Method: the whole client, its control thread included, with one subscription; this test is its
-// daemon, on a real socket. An input is a few packets of any kind and shape, whose descriptors are
-// as long as they say (only a daemon makes them), and words stored into the regions. Then the
-// subscription takes what it finds. A process keeps what earlier inputs have left in it.
-// Not reached: publishers (there is no heap hook in a sanitized process), and what ends a membership.
+// Goal: whatever agnocastd sends, and whatever other processes have stored in the memory that
+// comes with it, a process that uses the library survives: no crash, and no unreadable message
+// handed out. Method: the whole client, with its control thread and one subscription; this test is
+// its daemon, on a real socket. An input is a few packets of any kind and shape, whose descriptors
+// are as long as the packets say (only a daemon makes them), and words stored into the regions.
+// Then the subscription takes what it finds. State from earlier inputs remains in the process. Not
+// reached: publishers (a sanitized process has no heap hook), and whatever ends a session.
 
 #include <client/session/context.hpp>
 
@@ -56,7 +56,7 @@ void wait_for(int fd) {
   int found = -1;
   do {
     found = ::poll(&readable, 1, 20'000);
-  } while (found < 0 && errno == EINTR);  // libFuzzer's clock
+  } while (found < 0 && errno == EINTR);  // interrupted by libFuzzer's clock
   require(found == 1);
 }
 
@@ -102,7 +102,7 @@ class Daemon {
   void say_bytes(const std::vector<std::byte>& bytes, std::span<const int> fds) {
     if (!bytes.empty()) (void)socket_.send(bytes, fds, Wait::yes);
   }
-  /// Returns when everything said before was handled; the client may have come back meanwhile.
+  /// Returns when the client has handled all earlier packets; it may have reconnected meanwhile.
   void await() {
     wire::Reference mark{};
     mark.kind = wire::Kind::subscription;
@@ -133,7 +133,7 @@ class Daemon {
     require(next.has_value());
     socket_ = std::move(**next);
   }
-  /// False: the client has ended this connection, and another one has begun.
+  /// Returns false when the client has closed this connection and opened another.
   bool receive() {
     wait_for(socket_.fd());
     auto received = socket_.receive(packet_.bytes);
@@ -221,7 +221,7 @@ class Script {
       const Received& received = one.received;
       const auto* const message = reinterpret_cast<const std::byte*>(received.taken.address);
       std::byte copy[message_bytes];
-      std::memcpy(copy, message, sizeof copy);  // what is handed out can be read
+      std::memcpy(copy, message, sizeof copy);  // a message that is handed out must be readable
       if (input_.ConsumeBool()) {
         Context::instance().release(received);
       } else {
@@ -300,7 +300,7 @@ class Script {
         body.active = input_.ConsumeBool();
         return finish(Opcode::own, body);
       }
-      case 8: {  // an answer that nobody waits for, or not any more
+      case 8: {  // an answer to no request, or to a past one
         wire::Refused body{};
         body.code = input_.ConsumeIntegral<std::uint32_t>();
         fill(body.text);
@@ -329,7 +329,7 @@ class Script {
     body.generation = few();
     body.client = few();
     body.client_generation = few();
-    // The daemon gives out extents.
+    // Extents come from the daemon.
     body.extent = abi::page_bytes * input_.ConsumeIntegralInRange<std::uint64_t>(1, 16);
     body.qos = input_.ConsumeBool() ? input_.ConsumeIntegral<std::uint64_t>()
                                     : abi::pack_qos({10, false, true, false, false});
@@ -356,7 +356,7 @@ class Script {
   std::uint64_t base(std::uint64_t client, std::uint64_t window) {
     return some(arena_base + (client % 8 * 8 + window % 8) * window_bytes);
   }
-  /// Of another process: header, queue, whatever it wants.
+  /// The region of another process: header, queue, with any content.
   UniqueFd region(const wire::Announcement& body) {
     UniqueFd fd = memory(region_bytes);
     const auto store = [&](std::uint64_t at, std::uint64_t value) {
@@ -401,7 +401,7 @@ class Script {
   }
   void finish_bytes(Opcode opcode, std::uint64_t request, std::vector<std::byte> bytes,
                     const std::vector<int>& fds) {
-    // A wrong length ends the connection, and the next one takes its time.
+    // A wrong length ends the connection, and reconnecting takes time.
     const bool is_wrong = input_.ConsumeIntegralInRange(0, 255) == 255;
     const wire::Header header{opcode, static_cast<std::uint32_t>(bytes.size() + is_wrong), request};
     std::memcpy(bytes.data(), &header, sizeof header);
@@ -417,7 +417,7 @@ class Script {
 }  // namespace
 
 extern "C" int LLVMFuzzerTestOneInput(const std::uint8_t* data, std::size_t size) {
-  static Daemon* const daemon = new Daemon;  // immortal, as the context
+  static Daemon* const daemon = new Daemon;  // immortal, like the context
   FuzzedDataProvider input(data, size);
   Script(input, *daemon).play();
   return 0;

@@ -1,7 +1,7 @@
 // SPDX-License-Identifier: Apache-2.0
 //
-// Goal: any text is a configuration or a list of mistakes with places, never a crash; what is taken
-// can be printed and read back to the same.
+// Goal: any text is a configuration or a list of mistakes with positions, never a crash; an
+// accepted one can be printed and reads back equal.
 
 #include <daemon/config/config.hpp>
 

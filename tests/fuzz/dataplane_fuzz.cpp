@@ -1,11 +1,12 @@
 // SPDX-License-Identifier: Apache-2.0
 //
-// Goal: everything of the data plane that reads what another process wrote is safe on any bytes.
-// Method: one publisher and two subscriptions in plain memory. The input says what happens next:
-// honest operations of one side, and stores of any word into what the other side may write.
-//   take        hands out only what lies in the window, whatever the queue says; what it loses is bounded
-//   publish     frees each message once, and only what nobody honest holds; a liar takes no slot beyond its quota
-//   recovery    decides by its table and touches only the slot and the ring entry that it may
+// Goal: all code of the data plane that reads another process's memory is safe on any bytes.
+// Method: one publisher and two subscriptions in plain memory. The input decides what happens:
+// honest operations of one side, and stores of any word into memory that the other may write.
+//   take        returns only memory inside the window, whatever the queue says; losses are bounded
+//   publish     frees each message once, and none that an honest reader holds; a liar takes no
+//               slot beyond its quota
+//   recovery    decides by its table and touches only the slot and ring entry that it may
 //   verify      ends with an answer
 
 #include <dataplane/frontier.hpp>
@@ -40,8 +41,8 @@ constexpr int step_count_max = 300;
 constexpr std::uint64_t extent = abi::page_bytes, slots = 128, quota = 4, generation = 7;
 constexpr std::uint64_t window_base = 0x200000000000, window_bytes = 1 << 20, message_bytes = 16;
 
-// Memory of a process: a header page and one extent. Words behind the extent are nobody's: a store
-// there is seen by the sanitizer.
+// Memory of a process: a header page and one extent. Nobody owns words behind the extent: the
+// sanitizer sees a store there.
 class Memory {
  public:
   explicit Memory(std::uint64_t bytes) : words_(bytes / 8 + 1) {}
@@ -101,7 +102,7 @@ std::uint64_t interesting(FuzzedDataProvider& input) {
 const abi::Qos offered{3, false, true, false, false};
 const abi::Qos requested{5, false, true, false, false};
 
-// A hostile publisher: its region holds anything.
+// A hostile publisher, with any content in its region.
 void read_from_a_liar(FuzzedDataProvider& input) {
   const std::uint64_t first = abi::first_sequence_of(generation);
   static Memory board(abi::topic_offset(1));
@@ -138,7 +139,7 @@ void read_from_a_liar(FuzzedDataProvider& input) {
         M::word(queue.base(), at).store(interesting(input));
         break;
       }
-      case 2: {  // one that is right, wherever it says it lies
+      case 2: {  // a valid entry, whatever its address
         const std::uint64_t sequence = abi::sequence_of(words.head().load()) + 1;
         const std::uint64_t slot = sequence % slots;
         words.slot_address(slot).store(interesting(input));
@@ -182,7 +183,7 @@ void read_from_a_liar(FuzzedDataProvider& input) {
       }
     }
   }
-  // Its death: one slot and one ring entry at most are wiped.
+  // Its death: recovery wipes at most one slot and one ring entry.
   const std::vector<std::uint64_t> before(
       reinterpret_cast<std::uint64_t*>(queue.base()),
       reinterpret_cast<std::uint64_t*>(queue.base()) + queue.word_count());
@@ -257,7 +258,7 @@ void publish_to_a_liar(FuzzedDataProvider& input) {
       case 4: {
         const std::uint64_t address = window_base + ++number % 60000 * message_bytes;
         live.insert(address);
-        // A window of 5, 4 held by the honest one, 4 and one more by the liar, three passes: never 128.
+        // Depth 5, 4 held by the honest reader, 4 and one more by the liar, three scans: never 128.
         require(publisher->publish({address, message_bytes, number}, environment) ==
                 PublishOutcome::published);
         break;

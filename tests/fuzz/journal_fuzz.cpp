@@ -1,10 +1,10 @@
 // SPDX-License-Identifier: Apache-2.0
 //
-// Goal: what an earlier life of the daemon left is taken over or refused, whatever it holds; never a
-// crash, never a loop, and what has another layout was not touched.
-// Method: a life over plain memory does what the input says, is cut off in the middle of a change,
-// and then the input changes bytes of its log and of its tables. What is taken over is asked
-// everything that the daemon asks, goes on with further changes, and is taken over once more.
+// Goal: a daemon accepts or refuses the memory of its predecessor, whatever it contains; it never
+// crashes or loops, and never touches memory of another layout. Method: a daemon over plain memory
+// does what the input says, is cut off in the middle of a change, and then the input changes bytes
+// of its log and of its tables. Accepted memory must answer everything that the daemon asks, take
+// further changes, and be accepted once more.
 
 #include <daemon/observers/dump.hpp>
 #include <daemon/state/registry.hpp>
@@ -30,7 +30,7 @@ using namespace agnocast::daemon;
        : (std::fprintf(stderr, "fuzz_journal: not true: %s (line %d)\n", #condition, __LINE__), \
           std::abort()))
 
-/// Made once, emptied for each input. Behind the last byte lies a page that nobody may touch.
+/// Made once, emptied for each input. The page behind the last byte is inaccessible.
 class Memory {
  public:
   Memory() {
@@ -119,7 +119,7 @@ void damage(std::byte* at, std::uint64_t bytes, FuzzedDataProvider& input) {
   std::memcpy(at + offset, &value, sizeof value);
 }
 
-/// Everything that a daemon asks.
+/// Asks everything that a daemon asks.
 void ask(const Registry& registry) {
   for (std::uint32_t uid = 0; uid < 3; ++uid) static_cast<void>(registry.usage_of(uid));
   DumpFacts facts;
@@ -199,12 +199,12 @@ extern "C" int LLVMFuzzerTestOneInput(const std::uint8_t* data, std::size_t size
   const auto opened = second.open();
   if (opened) {
     ask(second);
-    // It goes on, and leaves what another one can take over.
+    // It continues, and leaves memory that another daemon can accept.
     static_cast<void>(second.repair_board());
     const std::uint64_t before = second.log().committed_lsn();
     second.note_recovered({1, 0, 0});
     REQUIRE(second.log().committed_lsn() == before + 1);
-    // What was damaged where open() does not look must not be built upon: the first change is tried.
+    // Damage where open() does not look must not be relied on: the first change is tried.
     if (damaged) {
       static_cast<void>(second.add_client({1, 1, 1, 0, "newcomer"}));
     } else {
@@ -212,7 +212,7 @@ extern "C" int LLVMFuzzerTestOneInput(const std::uint8_t* data, std::size_t size
     }
     Registry third(parts);
     if (const auto again = third.open(); !again) {
-      // What a change has brought into use may be damaged as well; then it is said.
+      // Memory that a change has brought into use may be damaged too; then that is reported.
       REQUIRE(damaged && again.error().code == Errc::store_damaged);
       return 0;
     }
@@ -221,7 +221,7 @@ extern "C" int LLVMFuzzerTestOneInput(const std::uint8_t* data, std::size_t size
     return 0;
   }
   REQUIRE(damaged);
-  // What is damaged is found out with the change under way carried out; another layout before.
+  // Damage is found after the change under way is completed; another layout is found before.
   if (opened.error().code == Errc::layout_mismatch)
     REQUIRE(std::memcmp(log_before.data(), parts.log, log_before.size()) == 0);
   return 0;

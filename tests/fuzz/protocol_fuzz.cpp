@@ -1,26 +1,25 @@
 // SPDX-License-Identifier: Apache-2.0
 //
 // Goal: no sequence of packets, deaths and stores of clients into their own regions brings the
-// daemon's state machine into a state that is wrong.
-// Method: the input is a list of steps of five processes of two users. Each packet goes through
-// decode() and on to registry, membership and reaper over real regions; only sockets are missing.
-// An oracle beside it knows nothing but the packets: what each process was told and has not let go
-// of.
-//   rule RU   no place, extent, process index or window is given out while somebody who was told of
-//             the former one has not let go of it
-//   board     says of every endpoint what the tables say
-//   restart   a registry opened on the memory finds the same as the one that wrote it
-//   rejoin    a process that lost its connection and has come back is told what it was told before;
-//             nobody gets the place of another, nor one that was revoked its own
-//   revoke    the place and the windows of one that was revoked stay its own until its process ends
-//   observers are answered whole, whatever there is
-// Invariants of the daemon's own abort in it.
+// daemon's state machine into a wrong state. Method: the input is a list of steps of five
+// processes of two users. Each packet goes through decode() to registry, endpoint manager and
+// reaper over real regions; only sockets are missing. An oracle beside it knows only the packets:
+// what each process was notified of and has not acknowledged.
+//   rule RU   no place, extent, process index or window is reused while a process that was
+//             notified of the previous one has not acknowledged its end
+//   board     agrees with the tables about every endpoint
+//   restart   a registry opened on the memory finds the same state as the one that wrote it
+//   rejoin    a process that reconnects after a lost connection is notified of the same as before;
+//             no process gets the place of another, and a revoked one does not get its own
+//   revoke    a revoked process keeps its place and its windows until it ends
+//   observers always get complete answers
+// The daemon's own invariants abort it.
 //
-// Here is the entry point alone. In protocol/:
-//   scenario      the input as steps: what is said, stored, ended
+// This file is only the entry point. In protocol/:
+//   scenario      the input as steps: packets, stores, ends
 //   fake_broker   the daemon without sockets, which serves it
-//   processes     what each of the five has and was told
-//   oracle        what the daemon may say and give: rules RU, rejoin, revoke, and whole answers
+//   processes     what each of the five has and was notified of
+//   oracle        what the daemon may send and assign: RU, rejoin, revoke, complete answers
 //   table_checks  board, restart, and that nothing is left when all are dead
 
 #include <tests/fuzz/protocol/fake_broker.hpp>

@@ -1,12 +1,12 @@
 #!/usr/bin/env python3
 # SPDX-License-Identifier: Apache-2.0
-"""CDR (XCDR1) of the values in golden samples, from their own schemas: written apart from bridge/, to judge it.
+"""CDR (XCDR1) of the values in golden samples, from their own schemas: independent of bridge/, to test it.
 
-  encode.py --check FILE…        each file's bytes are what its value makes
-  encode.py --big-endian FILE…   a line for each: its name, and the value's bytes in big-endian order
+  encode.py --check FILE…        checks that each file's bytes encode its value
+  encode.py --big-endian FILE…   prints a line for each: its name, and its value as big-endian bytes
   encode.py --fill FILE…         writes length and cdr_hex into files that have schema and value
 
-A name stands for each *.json in it that has a schema, if it is a folder. Format: docs/bridge.md.
+A folder stands for each *.json in it that has a schema. Format: docs/bridge.md.
 """
 import json
 import pathlib
@@ -64,7 +64,7 @@ def encode(sample, is_big_endian=False):
 
 
 def as_text(sample):
-    """A line for each key, and for each type of the schema."""
+    """Returns a line for each key, and for each type of the schema."""
     lines = []
     for key, value in sample.items():
         if key == "schema":

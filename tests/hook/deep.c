@@ -1,6 +1,6 @@
 // SPDX-License-Identifier: Apache-2.0
 //
-// A library for RTLD_DEEPBIND: what it calls is found in its own dependencies, libc, before the hook.
+// A library for RTLD_DEEPBIND: its calls bind to its own dependencies, libc, before the hook.
 
 #include <stdlib.h>
 

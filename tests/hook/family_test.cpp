@@ -1,7 +1,8 @@
 // SPDX-License-Identifier: Apache-2.0
 //
-// Goal: every function of the malloc family, in and out of scope, in any thread and across the two heaps; errors as libc's.
-// Method: addresses and contents; for odd arguments the answer and errno of libc's own function, asked directly.
+// Goal: every function of the malloc family works in and out of scope, in any thread and across
+// the two heaps, with libc's errors.
+// Method: addresses and contents; for odd arguments the result and errno of libc's own function.
 
 #include "support.hpp"
 
@@ -17,14 +18,7 @@
 
 namespace {
 
-using hook_test::attach;
-using hook_test::hook;
-using hook_test::is_shared;
-using hook_test::libc_function;
-using hook_test::MiB;
-using hook_test::opaque;
-using hook_test::Scope;
-using hook_test::WindowFile;
+using namespace hook_test;
 
 struct Maker {
   const char* name;
@@ -144,7 +138,8 @@ HOOKED_TEST(HookFamily, FreeKeepsErrno) {
   EXPECT_EQ(errno, 4711);
 }
 
-// Content of realloc over all sizes, both ways, for a block made inside (shared) or outside of a scope.
+// Checks realloc's content over all sizes, growing and shrinking, for a block made inside (shared)
+// or outside a scope.
 void realloc_walk(bool made_in_scope, bool changed_in_scope, bool expect_shared_after) {
   for (std::size_t from : {1ul, 100ul, 5000ul, 2 * MiB}) {
     for (std::size_t to : {1ul, 90ul, 6000ul, 3 * MiB}) {
@@ -161,7 +156,8 @@ void realloc_walk(bool made_in_scope, bool changed_in_scope, bool expect_shared_
       }).join();
       ASSERT_NE(block, nullptr);
       EXPECT_EQ(is_shared(block), expect_shared_after);
-      for (std::size_t i = 0; i < (from < to ? from : to); ++i) ASSERT_EQ(block[i], static_cast<unsigned char>(i * 7));
+      for (std::size_t i = 0; i < (from < to ? from : to); ++i)
+        ASSERT_EQ(block[i], static_cast<unsigned char>(i * 7));
       std::memset(block, 1, to);
       free(block);
     }
@@ -235,14 +231,16 @@ constexpr std::size_t largest = PTRDIFF_MAX;
 const std::size_t odd_sizes[] = {0, largest, largest + 1, SIZE_MAX - page, SIZE_MAX - 15, SIZE_MAX};
 const std::size_t odd_alignments[] = {0, 1, 2, 4, 8, 24, 48, largest, largest + 1};
 
-// Answers of our functions beside libc's for arguments that are errors or borders; in scope and out of it.
-HOOKED_TEST(HookFamily, OddArgumentsAnswerAsLibc) {
+// Compares our functions with libc's for invalid and boundary arguments, in scope and out of it.
+HOOKED_TEST(HookFamily, OddArgumentsGiveTheResultsOfLibc) {
   WindowFile file(64 * MiB);
   attach(file);
   const auto libc_malloc = libc_function<void* (*)(std::size_t)>("malloc");
   const auto libc_calloc = libc_function<void* (*)(std::size_t, std::size_t)>("calloc");
-  const auto libc_posix_memalign = libc_function<int (*)(void**, std::size_t, std::size_t)>("posix_memalign");
-  const auto libc_aligned_alloc = libc_function<void* (*)(std::size_t, std::size_t)>("aligned_alloc");
+  const auto libc_posix_memalign =
+      libc_function<int (*)(void**, std::size_t, std::size_t)>("posix_memalign");
+  const auto libc_aligned_alloc =
+      libc_function<void* (*)(std::size_t, std::size_t)>("aligned_alloc");
   const auto libc_memalign = libc_function<void* (*)(std::size_t, std::size_t)>("memalign");
   const auto libc_valloc = libc_function<void* (*)(std::size_t)>("valloc");
   const auto libc_pvalloc = libc_function<void* (*)(std::size_t)>("pvalloc");
@@ -265,15 +263,25 @@ HOOKED_TEST(HookFamily, OddArgumentsAnswerAsLibc) {
     if (in_scope) hook().enter();
     for (std::size_t size : odd_sizes) {
       SCOPED_TRACE(size);
-      compare("malloc", [&] { return malloc(size); }, [&] { return libc_malloc(size); });
-      compare("calloc", [&] { return calloc(1, size); }, [&] { return libc_calloc(1, size); });
-      compare("aligned_alloc", [&] { return aligned_alloc(64, size); }, [&] { return libc_aligned_alloc(64, size); });
-      compare("memalign", [&] { return memalign(64, size); }, [&] { return libc_memalign(64, size); });
-      compare("valloc", [&] { return valloc(size); }, [&] { return libc_valloc(size); });
-      compare("pvalloc", [&] { return pvalloc(size); }, [&] { return libc_pvalloc(size); });
+      compare(
+          "malloc", [&] { return malloc(size); }, [&] { return libc_malloc(size); });
+      compare(
+          "calloc", [&] { return calloc(1, size); }, [&] { return libc_calloc(1, size); });
+      compare(
+          "aligned_alloc", [&] { return aligned_alloc(64, size); },
+          [&] { return libc_aligned_alloc(64, size); });
+      compare(
+          "memalign", [&] { return memalign(64, size); }, [&] { return libc_memalign(64, size); });
+      compare(
+          "valloc", [&] { return valloc(size); }, [&] { return libc_valloc(size); });
+      compare(
+          "pvalloc", [&] { return pvalloc(size); }, [&] { return libc_pvalloc(size); });
     }
-    compare("calloc overflow", [] { return calloc(SIZE_MAX / 2, 3); }, [&] { return libc_calloc(SIZE_MAX / 2, 3); });
-    compare("calloc 0 * 8", [] { return calloc(0, 8); }, [&] { return libc_calloc(0, 8); });
+    compare(
+        "calloc overflow", [] { return calloc(SIZE_MAX / 2, 3); },
+        [&] { return libc_calloc(SIZE_MAX / 2, 3); });
+    compare(
+        "calloc 0 * 8", [] { return calloc(0, 8); }, [&] { return libc_calloc(0, 8); });
     for (std::size_t alignment : odd_alignments) {
       SCOPED_TRACE(alignment);
       void* mine = &mine;
@@ -290,9 +298,12 @@ HOOKED_TEST(HookFamily, OddArgumentsAnswerAsLibc) {
       } else {
         EXPECT_EQ(mine, &mine) << "untouched on failure";
       }
-      compare("aligned_alloc", [&] { return aligned_alloc(alignment, 100); },
-              [&] { return libc_aligned_alloc(alignment, 100); });
-      compare("memalign", [&] { return memalign(alignment, 100); }, [&] { return libc_memalign(alignment, 100); });
+      compare(
+          "aligned_alloc", [&] { return aligned_alloc(alignment, 100); },
+          [&] { return libc_aligned_alloc(alignment, 100); });
+      compare(
+          "memalign", [&] { return memalign(alignment, 100); },
+          [&] { return libc_memalign(alignment, 100); });
     }
     EXPECT_EQ(malloc_usable_size(nullptr), libc_usable(nullptr));
     if (in_scope) hook().leave();
@@ -300,12 +311,13 @@ HOOKED_TEST(HookFamily, OddArgumentsAnswerAsLibc) {
   EXPECT_EQ(hook_test::usage().internal_error_count, 0u);
 }
 
-HOOKED_TEST(HookFamily, SizedFreeOfC23IsServed) {
+HOOKED_TEST(HookFamily, SizedFreeOfC23Works) {
   WindowFile file(64 * MiB);
   attach(file);
-  const auto free_sized = reinterpret_cast<void (*)(void*, std::size_t)>(dlsym(RTLD_DEFAULT, "free_sized"));
-  const auto free_aligned_sized =
-      reinterpret_cast<void (*)(void*, std::size_t, std::size_t)>(dlsym(RTLD_DEFAULT, "free_aligned_sized"));
+  const auto free_sized =
+      reinterpret_cast<void (*)(void*, std::size_t)>(dlsym(RTLD_DEFAULT, "free_sized"));
+  const auto free_aligned_sized = reinterpret_cast<void (*)(void*, std::size_t, std::size_t)>(
+      dlsym(RTLD_DEFAULT, "free_aligned_sized"));
   ASSERT_NE(free_sized, nullptr);
   ASSERT_NE(free_aligned_sized, nullptr);
   Scope scope;

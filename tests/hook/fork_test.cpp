@@ -1,8 +1,9 @@
 // SPDX-License-Identifier: Apache-2.0
 //
-// Goal: a forked child sees the parent's messages, cannot change them, and goes on with libc; nothing deadlocks, whoever is
-// allocating while somebody forks; vfork, posix_spawn and exec are ordinary. Method: children that report by exit status, and
-// a second mapping of the memfd as the eyes of a reader.
+// Goal: a forked child reads the parent's messages, cannot change them, and allocates from libc;
+// fork never deadlocks, whichever threads allocate meanwhile; vfork, posix_spawn and exec are
+// unaffected. Method: children report by exit status, and a second mapping of the memfd acts as a
+// reader.
 
 #include "support.hpp"
 
@@ -27,17 +28,7 @@ extern char** environ;
 
 namespace {
 
-using hook_test::attach;
-using hook_test::hook;
-using hook_test::in_forked_child;
-using hook_test::is_shared;
-using hook_test::MiB;
-using hook_test::opaque;
-using hook_test::options_for;
-using hook_test::Scope;
-using hook_test::wait_for;
-using hook_test::window_address;
-using hook_test::WindowFile;
+using namespace hook_test;
 
 struct Message {
   std::vector<int> numbers;
@@ -73,14 +64,17 @@ HOOKED_TEST(HookFork, TheChildReadsTheMessageAndKeepsItsWritesToItself) {
   WindowFile file(256 * MiB);
   attach(file);
   Message* const message = make_message();
-  const std::size_t offset = reinterpret_cast<std::uintptr_t>(message->numbers.data()) - window_address;
-  const auto* const reader = static_cast<const char*>(mmap(nullptr, 64 * MiB, PROT_READ, MAP_SHARED, file.window.read_fd, 0));
+  const std::size_t offset =
+      reinterpret_cast<std::uintptr_t>(message->numbers.data()) - window_address;
+  const auto* const reader = static_cast<const char*>(
+      mmap(nullptr, 64 * MiB, PROT_READ, MAP_SHARED, file.window.read_fd, 0));
   EXPECT_EQ(in_forked_child([&] {
-    if (!intact(*message) || !is_shared(message)) return false;
-    for (int& number : message->numbers) number = -1;
-    message->name = "changed by the child";
-    return message->numbers[5] == -1;
-  }), 0);
+              if (!intact(*message) || !is_shared(message)) return false;
+              for (int& number : message->numbers) number = -1;
+              message->name = "changed by the child";
+              return message->numbers[5] == -1;
+            }),
+            0);
   EXPECT_TRUE(intact(*message));
   EXPECT_EQ(std::memcmp(reader + offset, message->numbers.data(), 400000), 0);
   delete message;
@@ -92,17 +86,20 @@ HOOKED_TEST(HookFork, TheChildUsesLibcAndLeavesSharedBlocksAlone) {
   Message* const message = make_message();
   const std::uint64_t used = hook_test::usage().used_bytes;
   hook().enter();  // the child inherits an open scope
-  EXPECT_EQ(in_forked_child([&] {
-    if (hook().active() != 0) return false;
-    if (!libc_block(10) || !libc_block(5000000)) return false;
-    if (malloc_usable_size(message->numbers.data()) < 400000) return false;
-    delete message;  // nothing
-    char* text = static_cast<char*>(nullptr);
-    text = static_cast<char*>(realloc(message->name.data(), 4000));
-    if (text == nullptr || is_shared(text) || std::string(text, 100) != std::string(100, 'm')) return false;
-    free(text);
-    return hook_test::usage().internal_error_count == 0;
-  }), 0);
+  EXPECT_EQ(
+      in_forked_child([&] {
+        if (hook().active() != 0) return false;
+        if (!libc_block(10) || !libc_block(5000000)) return false;
+        if (malloc_usable_size(message->numbers.data()) < 400000) return false;
+        delete message;  // nothing
+        char* text = static_cast<char*>(nullptr);
+        text = static_cast<char*>(realloc(message->name.data(), 4000));
+        if (text == nullptr || is_shared(text) || std::string(text, 100) != std::string(100, 'm'))
+          return false;
+        free(text);
+        return hook_test::usage().internal_error_count == 0;
+      }),
+      0);
   hook().leave();
   EXPECT_TRUE(intact(*message));
   EXPECT_EQ(hook_test::usage().used_bytes, used);
@@ -114,20 +111,23 @@ HOOKED_TEST(HookFork, TheChildIsDetachedForGood) {
   WindowFile second(64 * MiB, window_address + (std::uintptr_t{1} << 30));
   attach(file);
   EXPECT_EQ(in_forked_child([&] {
-    const agnocast_heaphook_options options = options_for(AGNOCAST_HEAPHOOK_SCOPE_LOAN);
-    return hook().attach(&second.window, &options) == AGNOCAST_HEAPHOOK_FORKED &&
-           hook().add_window(&second.window) == AGNOCAST_HEAPHOOK_FORKED && hook().purge() == 0;
-  }), 0);
+              const agnocast_heaphook_options options = options_for(AGNOCAST_HEAPHOOK_SCOPE_LOAN);
+              return hook().attach(&second.window, &options) == AGNOCAST_HEAPHOOK_FORKED &&
+                     hook().add_window(&second.window) == AGNOCAST_HEAPHOOK_FORKED &&
+                     hook().purge() == 0;
+            }),
+            0);
 }
 
-HOOKED_TEST(HookFork, AForkBeforeAttachIsNothingSpecial) {
+HOOKED_TEST(HookFork, AForkBeforeAttachHasNoEffect) {
   WindowFile file(64 * MiB);
   EXPECT_EQ(in_forked_child([&] {
-    const agnocast_heaphook_options options = options_for(AGNOCAST_HEAPHOOK_SCOPE_LOAN);
-    if (hook().attach(&file.window, &options) != AGNOCAST_HEAPHOOK_OK) return false;
-    Scope scope;
-    return is_shared(opaque(malloc(100)));
-  }), 0);
+              const agnocast_heaphook_options options = options_for(AGNOCAST_HEAPHOOK_SCOPE_LOAN);
+              if (hook().attach(&file.window, &options) != AGNOCAST_HEAPHOOK_OK) return false;
+              Scope scope;
+              return is_shared(opaque(malloc(100)));
+            }),
+            0);
 }
 
 HOOKED_TEST(HookFork, AChildOfAChildInheritsTheChildsView) {
@@ -135,32 +135,35 @@ HOOKED_TEST(HookFork, AChildOfAChildInheritsTheChildsView) {
   attach(file);
   Message* const message = make_message();
   EXPECT_EQ(in_forked_child([&] {
-    message->numbers[7] = 1234567;
-    const int grandchild = in_forked_child([&] {
-      if (message->numbers[7] != 1234567 || message->numbers[8] != 8 || !libc_block(1000)) return false;
-      message->numbers[7] = 7654321;
-      delete message;
-      return true;
-    });
-    return grandchild == 0 && message->numbers[7] == 1234567;
-  }), 0);
+              message->numbers[7] = 1234567;
+              const int grandchild = in_forked_child([&] {
+                if (message->numbers[7] != 1234567 || message->numbers[8] != 8 || !libc_block(1000))
+                  return false;
+                message->numbers[7] = 7654321;
+                delete message;
+                return true;
+              });
+              return grandchild == 0 && message->numbers[7] == 1234567;
+            }),
+            0);
   EXPECT_TRUE(intact(*message));
   delete message;
 }
 
-HOOKED_TEST(HookFork, ScopeAllForksLikewise) {
+HOOKED_TEST(HookFork, ScopeAllForksTheSameWay) {
   WindowFile file(256 * MiB);
   attach(file, AGNOCAST_HEAPHOOK_SCOPE_ALL);
   const std::string before(500, 'b');
   ASSERT_TRUE(is_shared(before.data()));
   EXPECT_EQ(in_forked_child([&] {
-    const std::string after(500, 'a');
-    return before == std::string(500, 'b') && !is_shared(after.data());
-  }), 0);
+              const std::string after(500, 'a');
+              return before == std::string(500, 'b') && !is_shared(after.data());
+            }),
+            0);
 }
 
-// The hook's fork handlers are registered at attach. These come before it, so their prepare half runs when the allocator is
-// already locked and their parent half before it is unlocked.
+// The hook registers its fork handlers at attach. These are registered before, so their prepare
+// half runs when the allocator is already locked and their parent half before it is unlocked.
 void* early_block = nullptr;
 int early_runs = 0;
 bool early_wrong = false;
@@ -187,7 +190,7 @@ HOOKED_TEST(HookFork, HandlersOfOthersMayAllocateAndFreeWhileTheHeapIsLocked) {
   }
   EXPECT_EQ(early_runs, 40);
   EXPECT_FALSE(early_wrong);
-  EXPECT_EQ(hook_test::usage().live_bytes, before) << "what the handlers freed was freed";
+  EXPECT_EQ(hook_test::usage().live_bytes, before) << "the handlers' frees took effect";
 }
 
 HOOKED_TEST(HookFork, ForkWhileOthersAllocateNeverDeadlocks) {
@@ -242,21 +245,34 @@ HOOKED_TEST(HookFork, EveryEntryPointWorksAsTheFirstActOfAChild) {
   EXPECT_EQ(in_forked_child([&] { return good(calloc(10, 10)); }), 0);
   EXPECT_EQ(in_forked_child([&] { return good(realloc(nullptr, 100)); }), 0);
   EXPECT_EQ(in_forked_child([&] {
-    auto* const moved = static_cast<char*>(realloc(shared, 2000));
-    return good(moved) && moved[999] == 9;
-  }), 0);
+              auto* const moved = static_cast<char*>(realloc(shared, 2000));
+              return good(moved) && moved[999] == 9;
+            }),
+            0);
   EXPECT_EQ(in_forked_child([&] { return good(reallocarray(shared, 20, 100)); }), 0);
   EXPECT_EQ(in_forked_child([&] { return realloc(shared, 0) == nullptr; }), 0);
-  EXPECT_EQ(in_forked_child([&] { free(shared); return true; }), 0);
-  EXPECT_EQ(in_forked_child([&] { operator delete(shared); return true; }), 0);
+  EXPECT_EQ(in_forked_child([&] {
+              free(shared);
+              return true;
+            }),
+            0);
+  EXPECT_EQ(in_forked_child([&] {
+              operator delete(shared);
+              return true;
+            }),
+            0);
   EXPECT_EQ(in_forked_child([&] { return malloc_usable_size(shared) >= 1000; }), 0);
-  EXPECT_EQ(in_forked_child([&] { void* block = nullptr; return posix_memalign(&block, 64, 100) == 0 && good(block); }), 0);
+  EXPECT_EQ(in_forked_child([&] {
+              void* block = nullptr;
+              return posix_memalign(&block, 64, 100) == 0 && good(block);
+            }),
+            0);
   EXPECT_EQ(in_forked_child([&] { return good(aligned_alloc(64, 128)); }), 0);
   EXPECT_EQ(in_forked_child([&] { return good(memalign(64, 100)); }), 0);
   EXPECT_EQ(in_forked_child([&] { return good(valloc(100)); }), 0);
   EXPECT_EQ(in_forked_child([&] { return good(pvalloc(100)); }), 0);
   EXPECT_EQ(in_forked_child([&] { return good(operator new(100)); }), 0);
-  EXPECT_EQ(in_forked_child([&] { return good(operator new(100, std::align_val_t{64})); }), 0);
+  EXPECT_EQ(in_forked_child([&] { return good(operator new (100, std::align_val_t{64})); }), 0);
   EXPECT_EQ(in_forked_child([&] { return hook().owns(shared) == 1; }), 0);
   EXPECT_EQ(in_forked_child([&] { return hook().purge() == 0; }), 0);
   EXPECT_EQ(in_forked_child([&] { return hook_test::usage().window_count == 1; }), 0);
@@ -270,9 +286,10 @@ HOOKED_TEST(HookFork, AChildWhoseDescriptorsWereClosedStillRunsOnLibc) {
   Message* const message = make_message();
   for (int fd = 3; fd < 100; ++fd) close(fd);
   EXPECT_EQ(in_forked_child([&] {
-    free(message);  // ignored without looking at it
-    return libc_block(1000) && hook_test::usage().mapping_refused_count == 1;
-  }), 0);
+              free(message);  // ignored without reading it
+              return libc_block(1000) && hook_test::usage().mapping_refused_count == 1;
+            }),
+            0);
   EXPECT_TRUE(intact(*message));
 }
 
@@ -310,7 +327,7 @@ HOOKED_TEST(HookFork, ARawCloneOwnsNothing) {
   return child;
 }
 
-HOOKED_TEST(HookFork, VforkSpawnAndExecAreOrdinary) {
+HOOKED_TEST(HookFork, VforkSpawnAndExecAreUnaffected) {
   WindowFile file(64 * MiB);
   attach(file);
   Message* const message = make_message();
@@ -326,7 +343,8 @@ HOOKED_TEST(HookFork, VforkSpawnAndExecAreOrdinary) {
     char* arguments[] = {path.data(), flag, script, nullptr};
     ASSERT_EQ(posix_spawn(&spawned, path.c_str(), nullptr, nullptr, arguments, environ), 0);
     EXPECT_EQ(wait_for(spawned), 7);
-    EXPECT_TRUE(is_shared(std::unique_ptr<char[]>(new char[100]).get())) << "the scope is as it was";
+    EXPECT_TRUE(is_shared(std::unique_ptr<char[]>(new char[100]).get()))
+        << "the scope is unchanged";
     hook().leave();
 
     EXPECT_EQ(in_forked_child([] { return execl("/bin/true", "true", nullptr) == 0; }), 0);
@@ -341,7 +359,7 @@ HOOKED_TEST(HookFork, VforkSpawnAndExecAreOrdinary) {
   EXPECT_EQ(hook_test::usage().internal_error_count, errors);
 }
 
-HOOKED_TEST(HookFork, ExecFindsNoDescriptorsOfOurs) {
+HOOKED_TEST(HookFork, ExecInheritsNoDescriptorsOfTheHook) {
   WindowFile file(64 * MiB);
   attach(file);
   FILE* const pipe = popen("readlink /proc/self/fd/* | grep -c memfd", "r");

@@ -1,7 +1,8 @@
 // SPDX-License-Identifier: Apache-2.0
 //
-// Says what is in its process, in a form that two runs can be compared by: descriptors, tasks, mappings (path and rights,
-// without addresses; the sum of what has no path) after ordinary work with malloc, new, threads, exceptions and fork.
+// Prints the contents of its process in a form that two runs can be compared by: descriptors,
+// tasks, mappings (path and rights without addresses; the sum of those without a path) after work
+// with malloc, new, threads, exceptions and fork.
 
 #include <cstdio>
 #include <cstdlib>
@@ -45,7 +46,8 @@ void work() {
   std::cout << "child " << status << '\n';
 }
 
-// Takes the hook's zero-initialised data, which is part of the library's own mapping, out of the sum.
+// Subtracts the hook's zero-initialised data, which is part of the library's own mapping, from the
+// sum.
 int own_zero_pages(dl_phdr_info* info, std::size_t, void* sum) {
   if (std::strstr(info->dlpi_name, "libagnocast_heaphook.so") == nullptr) return 0;
   const auto page = static_cast<std::size_t>(sysconf(_SC_PAGESIZE));
@@ -76,7 +78,8 @@ int main() {
     const std::uintptr_t last = std::stoul(line.substr(dash + 1), nullptr, 16);
     const std::size_t slash = line.find_first_of("/[");
     if (slash == std::string::npos) {
-      anonymous_bytes += last - first;  // the kernel joins neighbours as chance has it: only the sum can be compared
+      // the kernel merges neighbours unpredictably: only the sum can be compared
+      anonymous_bytes += last - first;
     } else {
       ++mappings[line.substr(slash) + " " + line.substr(line.find(' ') + 1, 4)];
     }

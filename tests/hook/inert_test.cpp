@@ -1,7 +1,7 @@
 // SPDX-License-Identifier: Apache-2.0
 //
-// Goal: a process that merely has the hook is the process it would be without. Method: the same programs with and without
-// LD_PRELOAD, compared by what they print and by what /proc says; the library itself read with binutils.
+// Goal: a process that merely loads the hook behaves as without it. Method: the same programs with
+// and without LD_PRELOAD, compared by their output and /proc; binutils read the library itself.
 
 #include "support.hpp"
 
@@ -19,11 +19,7 @@
 
 namespace {
 
-using hook_test::Directory;
-using hook_test::hook_path;
-using hook_test::Outcome;
-using hook_test::run;
-using hook_test::RunOptions;
+using namespace hook_test;
 
 const std::string programs = AGNOCAST_TEST_PROGRAMS;
 
@@ -39,7 +35,8 @@ TEST(HookInert, AddsNoDescriptorNoThreadAndNoMappingButItself) {
   RunOptions options;
   const Outcome without = run({programs + "/hook_test_report"}, options);
   options.preload = !linked;
-  const Outcome with = run({programs + (linked ? "/hook_test_report_linked" : "/hook_test_report")}, options);
+  const Outcome with =
+      run({programs + (linked ? "/hook_test_report_linked" : "/hook_test_report")}, options);
   ASSERT_EQ(without.exit_status, 0) << without.error;
   ASSERT_EQ(with.exit_status, 0) << with.error;
   EXPECT_EQ(with.error, "");
@@ -57,14 +54,15 @@ TEST(HookInert, AddsNoDescriptorNoThreadAndNoMappingButItself) {
       continue;
     }
     std::string same = line;
-    if (const std::size_t name = same.find("_report_linked"); name != std::string::npos) same.erase(name + 7, 7);
+    if (const std::size_t name = same.find("_report_linked"); name != std::string::npos)
+      same.erase(name + 7, 7);
     rest += same + "\n";
   }
-  EXPECT_GE(own, 3) << "the hook was there";
+  EXPECT_GE(own, 3) << "the hook is not loaded";
   std::string expected;
   for (const std::string& line : lines_of(without.output)) {
     if (line.rfind("anonymous_kib ", 0) == 0) {
-      // The loader keeps thread-local storage of libraries in pages of its own: room for the hook's.
+      // The loader keeps thread-local storage of libraries in its own pages: room for the hook's.
       EXPECT_NEAR(static_cast<double>(anonymous_kib), std::stod(line.substr(14)), 16);
     } else {
       expected += line + "\n";
@@ -88,22 +86,25 @@ TEST(HookInert, LibraryNeedsOnlyLibc) {
 }
 
 TEST(HookInert, LibraryCannotReadTheEnvironmentOrEndTheProcessPolitely) {
-  const Outcome outcome = run({"nm", "-D", "--undefined-only", "--without-symbol-versions", hook_path()});
+  const Outcome outcome =
+      run({"nm", "-D", "--undefined-only", "--without-symbol-versions", hook_path()});
   ASSERT_EQ(outcome.exit_status, 0) << outcome.error;
   std::set<std::string> used;
   for (const std::string& line : lines_of(outcome.output)) {
     std::istringstream words(line);
     for (std::string word; words >> word;) used.insert(word);
   }
-  EXPECT_EQ(used.count("mmap"), 1u) << "the list is one";
-  for (const char* name : {"getenv", "secure_getenv", "environ", "__environ", "exit", "printf", "fprintf", "stderr", "syslog",
-                           "__cxa_throw", "__gxx_personality_v0", "_Znwm"}) {
+  EXPECT_EQ(used.count("mmap"), 1u) << "the list of functions is incomplete";
+  for (const char* name :
+       {"getenv", "secure_getenv", "environ", "__environ", "exit", "printf", "fprintf", "stderr",
+        "syslog", "__cxa_throw", "__gxx_personality_v0", "_Znwm"}) {
     EXPECT_EQ(used.count(name), 0u) << name;
   }
 }
 
-TEST(HookInert, LibraryExportsTheFamilyAndItsTableOnly) {
-  const Outcome outcome = run({"nm", "-D", "--defined-only", "--without-symbol-versions", hook_path()});
+TEST(HookInert, LibraryExportsOnlyTheMallocFamilyAndItsTable) {
+  const Outcome outcome =
+      run({"nm", "-D", "--defined-only", "--without-symbol-versions", hook_path()});
   ASSERT_EQ(outcome.exit_status, 0) << outcome.error;
   int operators = 0;
   std::set<std::string> others;
@@ -116,9 +117,10 @@ TEST(HookInert, LibraryExportsTheFamilyAndItsTableOnly) {
     }
   }
   EXPECT_EQ(operators, 20);
-  EXPECT_EQ(others, (std::set<std::string>{"agnocast_heaphook", "aligned_alloc", "calloc", "free", "free_aligned_sized",
-                                           "free_sized", "malloc", "malloc_usable_size", "memalign", "posix_memalign", "pvalloc",
-                                           "realloc", "reallocarray", "valloc"}));
+  EXPECT_EQ(others, (std::set<std::string>{"agnocast_heaphook", "aligned_alloc", "calloc", "free",
+                                           "free_aligned_sized", "free_sized", "malloc",
+                                           "malloc_usable_size", "memalign", "posix_memalign",
+                                           "pvalloc", "realloc", "reallocarray", "valloc"}));
 }
 
 TEST(HookInert, ConfigurationOfAnotherJemallocIsNotOurs) {
@@ -128,12 +130,13 @@ TEST(HookInert, ConfigurationOfAnotherJemallocIsNotOurs) {
   options.preload = !hook_test::hook_is_linked();
   options.environment = {"MALLOC_CONF=nonsense:1,confirm_conf:true,narenas:17,stats_print:true"};
   const Outcome outcome =
-      run({self, "--in-own-process", "--gtest_filter=HookInert.AttachedBody", "--gtest_brief=1"}, options);
+      run({self, "--in-own-process", "--gtest_filter=HookInert.AttachedBody", "--gtest_brief=1"},
+          options);
   EXPECT_EQ(outcome.exit_status, 0) << outcome.output;
   EXPECT_EQ(outcome.error, "") << "jemalloc would complain here";
 }
 
-// Body for the tests around it: attaches and shares something.
+// Body for the tests around it: attaches and shares a block.
 HOOKED_TEST(HookInert, AttachedBody) {
   hook_test::WindowFile file(64 * hook_test::MiB);
   hook_test::attach(file);
@@ -150,12 +153,13 @@ TEST(HookInert, TwoCopiesOfTheHookFormAChain) {
   RunOptions options;
   options.environment = {"LD_PRELOAD=" + hook_path() + ":" + other};
   const Outcome outcome =
-      run({self, "--in-own-process", "--gtest_filter=HookInert.AttachedBody", "--gtest_brief=1"}, options);
+      run({self, "--in-own-process", "--gtest_filter=HookInert.AttachedBody", "--gtest_brief=1"},
+          options);
   EXPECT_EQ(outcome.exit_status, 0) << outcome.output << outcome.error;
   EXPECT_NE(outcome.output.find("[  PASSED  ] 1 test"), std::string::npos) << outcome.output;
 }
 
-// Body of the setuid copy; nothing runs it otherwise.
+// Body of the setuid copy; nothing else runs it.
 HOOKED_TEST(HookInert, DISABLED_SecureBody) {
   ASSERT_NE(getauxval(AT_SECURE), 0u);
   hook_test::WindowFile file(64 * hook_test::MiB);
@@ -182,8 +186,10 @@ TEST(HookInert, SetuidProgramsStayWithLibc) {
     GTEST_SKIP() << "another user cannot run programs of the build directory: " << probe.error;
   }
   if (linked) {
-    const Outcome outcome = run({copy, "--in-own-process", "--gtest_filter=HookInert.DISABLED_SecureBody",
-                                 "--gtest_also_run_disabled_tests", "--gtest_brief=1"}, options);
+    const Outcome outcome =
+        run({copy, "--in-own-process", "--gtest_filter=HookInert.DISABLED_SecureBody",
+             "--gtest_also_run_disabled_tests", "--gtest_brief=1"},
+            options);
     EXPECT_EQ(outcome.exit_status, 0) << outcome.output << outcome.error;
     EXPECT_NE(outcome.output.find("[  PASSED  ] 1 test"), std::string::npos) << outcome.output;
   } else {

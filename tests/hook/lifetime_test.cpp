@@ -1,7 +1,8 @@
 // SPDX-License-Identifier: Apache-2.0
 //
-// Goal: the hook works at every moment of a process and of a thread: before main, as a thread's first act, while libraries
-// come and go, at thread exit, after exit began. Method: bodies that end in exit handlers report through the exit status.
+// Goal: the hook works at every moment of a process and of a thread: before main, as a thread's
+// first call, while libraries are loaded and unloaded, at thread exit, after exit began. Method:
+// bodies that end in exit handlers report through the exit status.
 
 #include "support.hpp"
 
@@ -24,15 +25,9 @@
 
 namespace {
 
-using hook_test::attach;
-using hook_test::hook;
-using hook_test::is_shared;
-using hook_test::MiB;
-using hook_test::opaque;
-using hook_test::Scope;
-using hook_test::WindowFile;
+using namespace hook_test;
 
-// --- before main -----------------------------------------------------------------------------------------------------------
+// --- before main --------------------------------------------------------------------------------
 
 int early_thread_blocks = 0;
 
@@ -66,9 +61,9 @@ HOOKED_TEST(HookLifetime, ThreadsBeforeMainAllocate) {
   free(block);
 }
 
-// --- the first act of a thread -----------------------------------------------------------------------------------------------
+// --- the first call of a thread -----------------------------------------------------------------
 
-HOOKED_TEST(HookLifetime, EveryEntryPointWorksAsTheFirstActOfAThread) {
+HOOKED_TEST(HookLifetime, EveryEntryPointWorksAsTheFirstCallOfAThread) {
   WindowFile file(512 * MiB);
   attach(file);
   const std::function<void*(void*)> acts[] = {
@@ -78,10 +73,19 @@ HOOKED_TEST(HookLifetime, EveryEntryPointWorksAsTheFirstActOfAThread) {
       [](void* block) { return realloc(block, 5000); },
       [](void* block) { return reallocarray(block, 50, 100); },
       [](void* block) { return realloc(block, 0); },
-      [](void* block) { free(block); return block; },
-      [](void* block) { operator delete(block); return block; },
+      [](void* block) {
+        free(block);
+        return block;
+      },
+      [](void* block) {
+        operator delete(block);
+        return block;
+      },
       [](void* block) { return malloc_usable_size(block) >= 1000 ? block : nullptr; },
-      [](void*) { void* made = nullptr; return posix_memalign(&made, 64, 100) == 0 ? made : nullptr; },
+      [](void*) {
+        void* made = nullptr;
+        return posix_memalign(&made, 64, 100) == 0 ? made : nullptr;
+      },
       [](void*) { return aligned_alloc(64, 128); },
       [](void*) { return memalign(64, 100); },
       [](void*) { return valloc(100); },
@@ -104,12 +108,16 @@ HOOKED_TEST(HookLifetime, EveryEntryPointWorksAsTheFirstActOfAThread) {
         Start start{&acts[i], malloc(1000), nullptr, in_scope};
         if (shared_block) hook().leave();
         pthread_t thread;
-        ASSERT_EQ(pthread_create(&thread, nullptr, [](void* argument) -> void* {
-          auto& it = *static_cast<Start*>(argument);
-          if (it.in_scope) hook().enter();
-          it.result = (*it.act)(it.block);
-          return nullptr;
-        }, &start), 0);
+        ASSERT_EQ(pthread_create(
+                      &thread, nullptr,
+                      [](void* argument) -> void* {
+                        auto& it = *static_cast<Start*>(argument);
+                        if (it.in_scope) hook().enter();
+                        it.result = (*it.act)(it.block);
+                        return nullptr;
+                      },
+                      &start),
+                  0);
         pthread_join(thread, nullptr);
         const bool makes = i < 5 || (i >= 9 && i < 16);
         if (makes) {
@@ -127,7 +135,7 @@ HOOKED_TEST(HookLifetime, EveryEntryPointWorksAsTheFirstActOfAThread) {
   EXPECT_EQ(hook_test::usage().internal_error_count, 0u);
 }
 
-// --- thread exit -------------------------------------------------------------------------------------------------------------
+// --- thread exit --------------------------------------------------------------------------------
 
 HOOKED_TEST(HookLifetime, AnEndingThreadGivesItsCacheBack) {
   WindowFile file(512 * MiB);
@@ -141,7 +149,8 @@ HOOKED_TEST(HookLifetime, AnEndingThreadGivesItsCacheBack) {
   }
   const agnocast_heaphook_usage usage = hook_test::usage();
   EXPECT_EQ(usage.live_bytes, 0u);
-  EXPECT_LT(usage.used_bytes, 40 * MiB) << "fifty threads one after the other need the memory of one";
+  EXPECT_LT(usage.used_bytes, 40 * MiB)
+      << "fifty threads one after the other need the memory of one";
   hook().purge();
   EXPECT_LT(file.resident_bytes(), MiB);
 }
@@ -151,18 +160,21 @@ pthread_key_t late_key;
 HOOKED_TEST(HookLifetime, DestructorsOfThreadDataMayFreeAndAllocate) {
   WindowFile file(64 * MiB);
   attach(file);
-  // Runs at thread exit, after and between the allocator's own clean-up (glibc repeats up to four times).
+  // Runs at thread exit, after and between the allocator's own clean-up (glibc repeats up to four
+  // times).
   static int runs = 0;
-  ASSERT_EQ(pthread_key_create(&late_key, [](void* block) {
-    free(block);
-    Scope scope;
-    void* const again = malloc(3000);
-    if (++runs % 3 != 0) {
-      pthread_setspecific(late_key, again);
-    } else {
-      free(again);
-    }
-  }), 0);
+  ASSERT_EQ(pthread_key_create(&late_key,
+                               [](void* block) {
+                                 free(block);
+                                 Scope scope;
+                                 void* const again = malloc(3000);
+                                 if (++runs % 3 != 0) {
+                                   pthread_setspecific(late_key, again);
+                                 } else {
+                                   free(again);
+                                 }
+                               }),
+            0);
   for (int i = 0; i < 10; ++i) {
     std::thread([] {
       Scope scope;
@@ -173,8 +185,9 @@ HOOKED_TEST(HookLifetime, DestructorsOfThreadDataMayFreeAndAllocate) {
   EXPECT_EQ(hook_test::usage().live_bytes, 0u);
 }
 
-HOOKED_TEST(HookLifetime, ManyThreadKeysOfTheProgramAreNoProblem) {
-  // From the 33rd key on glibc allocates when a thread first sets it, also for the allocator's own key.
+HOOKED_TEST(HookLifetime, ManyThreadKeysOfTheProgramDoNoHarm) {
+  // From the 33rd key on glibc allocates when a thread first sets it, also for the allocator's own
+  // key.
   for (int i = 0; i < 100; ++i) {
     pthread_key_t key;
     ASSERT_EQ(pthread_key_create(&key, nullptr), 0);
@@ -193,11 +206,11 @@ HOOKED_TEST(HookLifetime, ManyThreadKeysOfTheProgramAreNoProblem) {
   thread.join();
   hook().resume();
   EXPECT_TRUE(shared);
-  EXPECT_LE(live, 112u) << "what libc allocates for its own needs inside the allocator is not shared";
+  EXPECT_LE(live, 112u) << "libc's own allocations inside the allocator are not shared";
   EXPECT_EQ(hook_test::usage().internal_error_count, 0u);
 }
 
-// --- libraries that come and go ----------------------------------------------------------------------------------------------
+// --- libraries that are loaded and unloaded -----------------------------------------------------
 
 HOOKED_TEST(HookLifetime, LibrariesWithThreadLocalDataComeAndGo) {
   WindowFile file(256 * MiB);
@@ -234,10 +247,11 @@ HOOKED_TEST(HookLifetime, LoadingWhileThreadsAllocateNeverDeadlocks) {
   for (int t = 0; t < 2; ++t) {
     threads.emplace_back([&] {
       while (!stop) {
-        std::thread([] {  // new threads meet the loader's TLS bookkeeping
+        std::thread([] {  // new threads use the loader's TLS bookkeeping
           Scope scope;
           for (std::size_t i = 1; i < 100; ++i) free(opaque(malloc(i * 50)));
-        }).join();
+        })
+            .join();
       }
     });
   }
@@ -250,7 +264,7 @@ HOOKED_TEST(HookLifetime, LoadingWhileThreadsAllocateNeverDeadlocks) {
   for (std::thread& thread : threads) thread.join();
 }
 
-// A block in the window, and before it memory of the caller's that is zero.
+// A block in the window, preceded by zeroed memory of the caller's.
 struct BehindZeros {
   static constexpr std::size_t bytes = 1024;
   char* blocks[8];
@@ -261,7 +275,8 @@ struct BehindZeros {
     for (char*& each : blocks) each = static_cast<char*>(malloc(bytes));
     hook().leave();
     for (char* const each : blocks) {
-      if (std::find(std::begin(blocks), std::end(blocks), each - bytes) != std::end(blocks)) block = each;
+      if (std::find(std::begin(blocks), std::end(blocks), each - bytes) != std::end(blocks))
+        block = each;
     }
     if (block != nullptr) memset(block - bytes, 0, bytes);
   }
@@ -275,7 +290,7 @@ struct BehindZeros {
 sigjmp_buf after_abort;
 
 // docs/heaphook.md says which calls of such a library are safe, and how the others end.
-HOOKED_TEST(HookLifetime, ALibraryThatIsBoundDeeplyHasAMallocOfItsOwn) {
+HOOKED_TEST(HookLifetime, ALibraryWithDeepBindingUsesLibcsMalloc) {
   WindowFile file(256 * MiB);
   attach(file);
   const std::string path = std::string(AGNOCAST_TEST_PROGRAMS) + "/libhook_test_deep.so";
@@ -293,7 +308,8 @@ HOOKED_TEST(HookLifetime, ALibraryThatIsBoundDeeplyHasAMallocOfItsOwn) {
   free(its_own);
   release(malloc(1000));
 
-  // libc believes what lies before the block: with zeros there it sees that the block is not its own.
+  // libc trusts the bytes before the block: with zeros there it sees that the block is not its
+  // own.
   const BehindZeros shared;
   ASSERT_NE(shared.block, nullptr);
   ASSERT_TRUE(is_shared(shared.block));
@@ -301,10 +317,11 @@ HOOKED_TEST(HookLifetime, ALibraryThatIsBoundDeeplyHasAMallocOfItsOwn) {
   testing::internal::CaptureStderr();
   if (sigsetjmp(after_abort, 1) == 0) {
     release(shared.block);
-    ADD_FAILURE() << "libc takes it";
+    ADD_FAILURE() << "libc accepts the block";
   }
   signal(SIGABRT, SIG_DFL);
-  EXPECT_NE(testing::internal::GetCapturedStderr().find("free(): invalid pointer"), std::string::npos);
+  EXPECT_NE(testing::internal::GetCapturedStderr().find("free(): invalid pointer"),
+            std::string::npos);
   EXPECT_EQ(hook_test::usage().internal_error_count, 0u);
 }
 
@@ -318,7 +335,7 @@ HOOKED_TEST(HookLifetime, TheHookItselfCannotBeUnloaded) {
   free(block);
 }
 
-// --- the end -----------------------------------------------------------------------------------------------------------------
+// --- the end ------------------------------------------------------------------------------------
 
 void check_at_exit(bool good, int code) {
   if (!good) _exit(code);

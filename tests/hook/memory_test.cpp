@@ -1,7 +1,8 @@
 // SPDX-License-Identifier: Apache-2.0
 //
-// Goal: pages go back to the system when purge says so and never before; locked memory is what is used; contents survive
-// everything at once. Method: st_blocks of the memfd, /proc/self/status, and a soak with patterns in every block.
+// Goal: pages go back to the system when purge frees them and never before; locked memory is the
+// memory in use; contents survive all of it together. Method: st_blocks of the memfd,
+// /proc/self/status, and a soak with patterns in every block.
 
 #include "support.hpp"
 
@@ -24,17 +25,9 @@
 
 namespace {
 
-using hook_test::attach;
-using hook_test::hook;
-using hook_test::is_shared;
-using hook_test::MiB;
-using hook_test::opaque;
-using hook_test::options_for;
-using hook_test::Scope;
-using hook_test::self_status_kib;
-using hook_test::WindowFile;
+using namespace hook_test;
 
-HOOKED_TEST(HookMemory, PurgeReturnsWhatMessagesUsed) {
+HOOKED_TEST(HookMemory, PurgeReturnsTheMemoryOfFreedMessages) {
   WindowFile file(1024 * MiB);
   attach(file);
   std::vector<char*> messages(200);
@@ -61,8 +54,8 @@ HOOKED_TEST(HookMemory, PurgeReturnsWhatMessagesUsed) {
   EXPECT_EQ(hook_test::usage().internal_error_count, 0u);
 }
 
-// A reader has a descriptor of the window, and makes pages by touching what was given back.
-HOOKED_TEST(HookMemory, WhatAReaderBringsBackIsGivenBackAgain) {
+// A reader has a descriptor of the window, and allocates pages by touching purged memory.
+HOOKED_TEST(HookMemory, PagesThatAReaderTouchesAreReturnedAgain) {
   WindowFile file(256 * MiB);
   attach(file);
   std::vector<char*> messages(64);
@@ -79,7 +72,8 @@ HOOKED_TEST(HookMemory, WhatAReaderBringsBackIsGivenBackAgain) {
     void* const mapping = mmap(nullptr, length, PROT_READ, MAP_SHARED, file.window.read_fd, 0);
     ASSERT_NE(mapping, MAP_FAILED);
     unsigned sum = 0;
-    for (std::size_t at = 0; at < length; at += 4096) sum += static_cast<const unsigned char*>(mapping)[at];
+    for (std::size_t at = 0; at < length; at += 4096)
+      sum += static_cast<const unsigned char*>(mapping)[at];
     opaque(&sum);
     munmap(mapping, length);
   };
@@ -91,13 +85,13 @@ HOOKED_TEST(HookMemory, WhatAReaderBringsBackIsGivenBackAgain) {
   for (int round = 0; round < 3; ++round) {
     read_all();
     EXPECT_GE(file.resident_bytes(), 64 * MiB);
-    EXPECT_GE(hook().idle(), 40 * MiB) << "and nobody has wanted it";
+    EXPECT_GE(hook().idle(), 40 * MiB) << "the memory is idle";
     EXPECT_GE(hook().purge(), 40 * MiB);
     EXPECT_LT(file.resident_bytes(), 9 * MiB);
     EXPECT_LT(hook().idle(), MiB);
   }
-  for (std::size_t i = 0; i < 8; ++i) EXPECT_EQ(messages[i][MiB - 1], 1) << "what is in use stays";
-  // It is used again, and is not taken away under its user.
+  for (std::size_t i = 0; i < 8; ++i) EXPECT_EQ(messages[i][MiB - 1], 1) << "memory in use stays";
+  // The memory is used again, and is not taken away while in use.
   for (std::size_t i = 0; i < 8; ++i) free(messages[i]);
   fill(2);
   read_all();
@@ -160,7 +154,7 @@ HOOKED_TEST(HookMemory, IdleMemoryOfSmallMessagesServesLargeOnes) {
   EXPECT_LT(hook_test::usage().used_bytes, 140 * MiB) << "never more than 100 MiB were live";
 }
 
-HOOKED_TEST(HookMemory, IdleIsWhatNobodyHasWantedSinceTheLastLook) {
+HOOKED_TEST(HookMemory, IdleIsTheMemoryUnusedSinceTheLastLook) {
   WindowFile file(1024 * MiB);
   attach(file);
   EXPECT_EQ(hook().idle(), 0u);
@@ -176,11 +170,11 @@ HOOKED_TEST(HookMemory, IdleIsWhatNobodyHasWantedSinceTheLastLook) {
     for (char* message : messages) free(message);
   };
   use(100, MiB);
-  EXPECT_LT(hook().idle(), MiB) << "all of it was wanted just now";
+  EXPECT_LT(hook().idle(), MiB) << "all of it was in use since the last look";
   EXPECT_GE(hook().idle(), 100 * MiB);
   use(40, MiB);
   std::uint64_t idle = hook().idle();
-  EXPECT_GE(idle, 59 * MiB) << "what was not touched meanwhile";
+  EXPECT_GE(idle, 59 * MiB) << "the memory not touched since the last look";
   EXPECT_LE(idle, 61 * MiB);
   EXPECT_GE(hook().idle(), 100 * MiB);
   {
@@ -193,7 +187,8 @@ HOOKED_TEST(HookMemory, IdleIsWhatNobodyHasWantedSinceTheLastLook) {
     free(block);
   }
   (void)hook().idle();
-  EXPECT_GE(hook().idle(), 100 * MiB) << "blocks that grow and shrink are counted as they are";
+  EXPECT_GE(hook().idle(), 100 * MiB)
+      << "blocks that grow and shrink are counted by their current size";
   EXPECT_GE(hook().purge(), 100 * MiB);
   EXPECT_LT(hook().idle(), MiB);
   for (const std::size_t size : {std::size_t{200}, std::size_t{20} << 10, std::size_t{60} << 10}) {
@@ -201,24 +196,27 @@ HOOKED_TEST(HookMemory, IdleIsWhatNobodyHasWantedSinceTheLastLook) {
     (void)hook().idle();
     for (int i = 0; i < 3; ++i) {
       use((20 * MiB) / size, size);
-      EXPECT_LT(hook().idle(), 4 * MiB) << "blocks of " << size << " were wanted just now";
+      EXPECT_LT(hook().idle(), 4 * MiB)
+          << "blocks of " << size << " were in use since the last look";
     }
-    EXPECT_GE(hook().idle(), 15 * MiB) << "and not any more";
+    EXPECT_GE(hook().idle(), 15 * MiB) << "idle since then";
   }
   EXPECT_EQ(hook_test::usage().internal_error_count, 0u);
 }
 
 HOOKED_TEST(HookMemory, AsksForHugePages) {
-  if (access("/sys/kernel/mm/transparent_hugepage/shmem_enabled", F_OK) != 0) GTEST_SKIP() << "this kernel has none";
+  if (access("/sys/kernel/mm/transparent_hugepage/shmem_enabled", F_OK) != 0)
+    GTEST_SKIP() << "this kernel has no huge pages of shared memory";
   WindowFile file(512 * MiB);
   attach(file);
   char begin[20];
-  std::snprintf(begin, sizeof begin, "%lx-", static_cast<unsigned long>(reinterpret_cast<std::uintptr_t>(file.window.base)));
+  std::snprintf(begin, sizeof begin, "%lx-",
+                static_cast<unsigned long>(reinterpret_cast<std::uintptr_t>(file.window.base)));
   std::ifstream maps("/proc/self/smaps");
   std::string line;
   while (std::getline(maps, line) && line.rfind(begin, 0) != 0) {
   }
-  ASSERT_TRUE(maps) << "the window is mapped";
+  ASSERT_TRUE(maps) << "the window is not mapped";
   while (std::getline(maps, line) && line.rfind("VmFlags:", 0) != 0) {
   }
   EXPECT_NE((line + " ").find(" hg "), std::string::npos) << line;
@@ -238,9 +236,10 @@ HOOKED_TEST(HookMemory, SteadyStateReusesWarmPages) {
   EXPECT_EQ(hook_test::usage().punch_count, 0u);
 }
 
-// --- mlockall ----------------------------------------------------------------------------------------------------------------
+// --- mlockall -----------------------------------------------------------------------------------
 
-constexpr std::size_t locked_overhead_kib = 26 * 1024;  // private metadata of the allocator, and one step of the frontier
+constexpr std::size_t locked_overhead_kib =
+    26 * 1024;  // private metadata of the allocator, and one step of the frontier
 
 void use_ten_mib() {
   Scope scope;
@@ -251,8 +250,9 @@ void use_ten_mib() {
   }
 }
 
-HOOKED_TEST(HookMemory, MlockallBeforeAttachLocksWhatIsUsed) {
-  if (mlockall(MCL_CURRENT | MCL_FUTURE) != 0) GTEST_SKIP() << "this process may not lock its memory";
+HOOKED_TEST(HookMemory, MlockallBeforeAttachLocksOnlyUsedMemory) {
+  if (mlockall(MCL_CURRENT | MCL_FUTURE) != 0)
+    GTEST_SKIP() << "this process may not lock its memory";
   const std::size_t locked = self_status_kib("VmLck");
   WindowFile file(4096 * MiB);
   attach(file);
@@ -262,11 +262,12 @@ HOOKED_TEST(HookMemory, MlockallBeforeAttachLocksWhatIsUsed) {
   EXPECT_LE(file.resident_bytes(), 14 * MiB);
 }
 
-HOOKED_TEST(HookMemory, MlockallAfterAttachLocksWhatIsUsed) {
+HOOKED_TEST(HookMemory, MlockallAfterAttachLocksOnlyUsedMemory) {
   WindowFile file(4096 * MiB);
   attach(file);
   use_ten_mib();
-  if (mlockall(MCL_CURRENT | MCL_FUTURE) != 0) GTEST_SKIP() << "this process may not lock its memory";
+  if (mlockall(MCL_CURRENT | MCL_FUTURE) != 0)
+    GTEST_SKIP() << "this process may not lock its memory";
   EXPECT_LE(file.resident_bytes(), 14 * MiB);
   use_ten_mib();
   EXPECT_LE(file.resident_bytes(), 26 * MiB);
@@ -276,7 +277,8 @@ HOOKED_TEST(HookMemory, MlockallAfterAttachLocksWhatIsUsed) {
 HOOKED_TEST(HookMemory, PurgeWorksOnLockedMemory) {
   WindowFile file(1024 * MiB);
   attach(file);
-  if (mlockall(MCL_CURRENT | MCL_FUTURE) != 0) GTEST_SKIP() << "this process may not lock its memory";
+  if (mlockall(MCL_CURRENT | MCL_FUTURE) != 0)
+    GTEST_SKIP() << "this process may not lock its memory";
   char* kept = nullptr;
   {
     Scope scope;
@@ -287,7 +289,8 @@ HOOKED_TEST(HookMemory, PurgeWorksOnLockedMemory) {
     free(idle);
   }
   EXPECT_GE(hook().purge(), 50 * MiB);
-  EXPECT_LE(file.resident_bytes(), 15 * MiB) << "the kept message and what lies between use and frontier";
+  EXPECT_LE(file.resident_bytes(), 15 * MiB)
+      << "the kept message and the memory between use and frontier";
   for (std::size_t i = 0; i < MiB; ++i) ASSERT_EQ(kept[i], 0x33);
   Scope scope;
   auto* const again = static_cast<char*>(calloc(1, 20 * MiB));
@@ -295,14 +298,14 @@ HOOKED_TEST(HookMemory, PurgeWorksOnLockedMemory) {
   for (std::size_t i = 0; i < 20 * MiB; ++i) ASSERT_EQ(again[i], 0);
 }
 
-// Limits bind only without CAP_IPC_LOCK.
+// Limits apply only without CAP_IPC_LOCK.
 bool become_ordinary_with_lock_limit(std::size_t bytes) {
   const rlimit limit{bytes, bytes};
   if (setrlimit(RLIMIT_MEMLOCK, &limit) != 0) return false;
   return geteuid() != 0 || setresuid(65534, 65534, 65534) == 0;
 }
 
-HOOKED_TEST(HookMemory, ATooSmallLockLimitIsNamedAndLeavesNothing) {
+HOOKED_TEST(HookMemory, ATooSmallLockLimitIsNamedAndLeavesNothingBehind) {
   WindowFile file(1024 * MiB);
   const std::size_t addresses = self_status_kib("VmSize");
   if (!become_ordinary_with_lock_limit(8 * MiB) || mlockall(MCL_FUTURE) != 0) {
@@ -315,11 +318,12 @@ HOOKED_TEST(HookMemory, ATooSmallLockLimitIsNamedAndLeavesNothing) {
   Scope scope;
   EXPECT_FALSE(is_shared(opaque(malloc(100))));
   munlockall();
-  EXPECT_EQ(hook().attach(&file.window, &options), AGNOCAST_HEAPHOOK_OK) << "may be tried again";
+  EXPECT_EQ(hook().attach(&file.window, &options), AGNOCAST_HEAPHOOK_OK)
+      << "attach may be tried again";
   EXPECT_TRUE(is_shared(opaque(malloc(100))));
 }
 
-HOOKED_TEST(HookMemory, TooFewAddressesAreARefusalThatMayBeTriedAgain) {
+HOOKED_TEST(HookMemory, AttachMayBeTriedAgainAfterTooFewAddresses) {
   WindowFile file(64 * MiB);
   rlimit before{};
   ASSERT_EQ(getrlimit(RLIMIT_AS, &before), 0);
@@ -327,11 +331,13 @@ HOOKED_TEST(HookMemory, TooFewAddressesAreARefusalThatMayBeTriedAgain) {
   for (const std::size_t room : {4u, 12u, 16u, 20u}) {
     const rlimit tight{self_status_kib("VmSize") * 1024 + room * MiB, before.rlim_max};
     ASSERT_EQ(setrlimit(RLIMIT_AS, &tight), 0);
-    EXPECT_EQ(hook().attach(&file.window, &options), AGNOCAST_HEAPHOOK_OS) << room << " MiB of room";
+    EXPECT_EQ(hook().attach(&file.window, &options), AGNOCAST_HEAPHOOK_OS)
+        << room << " MiB of room";
     EXPECT_EQ(errno, ENOMEM);
     ASSERT_EQ(setrlimit(RLIMIT_AS, &before), 0);
   }
-  EXPECT_EQ(hook().attach(&file.window, &options), AGNOCAST_HEAPHOOK_OK) << "may be tried again";
+  EXPECT_EQ(hook().attach(&file.window, &options), AGNOCAST_HEAPHOOK_OK)
+      << "attach may be tried again";
   Scope scope;
   EXPECT_TRUE(is_shared(opaque(malloc(100))));
 }
@@ -354,7 +360,7 @@ HOOKED_TEST(HookMemory, GrowthIntoTheLockLimitFallsBackToLibc) {
   EXPECT_EQ(hook_test::usage().internal_error_count, 0u);
 }
 
-// --- soak --------------------------------------------------------------------------------------------------------------------
+// --- soak ---------------------------------------------------------------------------------------
 
 struct Slot {
   std::mutex mutex;
@@ -364,7 +370,7 @@ struct Slot {
 };
 
 bool intact(const Slot& slot) {
-  for (std::size_t i = 0; i < slot.size; i += slot.size > 4096 ? 509 : 1) {
+  for (std::size_t i = 0; i<slot.size; i += slot.size> 4096 ? 509 : 1) {
     if (slot.block[i] != slot.pattern) return false;
   }
   return slot.size == 0 || slot.block[slot.size - 1] == slot.pattern;
@@ -415,7 +421,8 @@ HOOKED_TEST(HookMemory, SoakOfRandomOperationsByFourThreads) {
           case 2:
             free(block);
             block = calloc(size, 1);
-            for (std::size_t i = 0; i < size; i += 127) wrong += static_cast<unsigned char*>(block)[i] != 0;
+            for (std::size_t i = 0; i < size; i += 127)
+              wrong += static_cast<unsigned char*>(block)[i] != 0;
             break;
           case 3:
             free(block);

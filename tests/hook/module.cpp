@@ -46,7 +46,8 @@ int count_bad_allocs() {
 }
 }  // namespace
 
-// Every form of new that fails, and a new-handler that gives up at its second call: 4 * 100 + 2 when all is as it should be.
+// Tries every form of new that fails, with a new-handler that gives up at its second call. Returns
+// 4 * 100 + 2 on success.
 extern "C" __attribute__((visibility("default"))) int module_out_of_memory() {
   handler_calls = 0;
   const int without_handler = count_bad_allocs();

@@ -1,7 +1,8 @@
 // SPDX-License-Identifier: Apache-2.0
 //
-// Goal: all replaceable forms of operator new and delete share in scope, and keep the standard's behaviour everywhere:
-// bad_alloc, nothrow, new-handlers, over-aligned and sized forms, mixed scopes.
+// Goal: all replaceable forms of operator new and delete share in scope, and keep the standard's
+// behaviour everywhere: bad_alloc, nothrow, new-handlers, over-aligned and sized forms, mixed
+// scopes.
 
 #include "support.hpp"
 
@@ -15,13 +16,7 @@
 
 namespace {
 
-using hook_test::attach;
-using hook_test::hook;
-using hook_test::is_shared;
-using hook_test::MiB;
-using hook_test::opaque;
-using hook_test::Scope;
-using hook_test::WindowFile;
+using namespace hook_test;
 
 constexpr std::align_val_t aligned{128};
 
@@ -33,7 +28,8 @@ struct Form {
 };
 
 const Form forms[] = {
-    {"new / delete", [](std::size_t n) { return operator new(n); }, [](void* p, std::size_t) { operator delete(p); }, 16},
+    {"new / delete", [](std::size_t n) { return operator new(n); },
+     [](void* p, std::size_t) { operator delete(p); }, 16},
     {"new[] / delete[]", [](std::size_t n) { return operator new[](n); },
      [](void* p, std::size_t) { operator delete[](p); }, 16},
     {"new / sized delete", [](std::size_t n) { return operator new(n); },
@@ -52,9 +48,11 @@ const Form forms[] = {
      [](void* p, std::size_t n) { operator delete(p, n, aligned); }, 128},
     {"aligned new[] / sized delete[]", [](std::size_t n) { return operator new[](n, aligned); },
      [](void* p, std::size_t n) { operator delete[](p, n, aligned); }, 128},
-    {"aligned nothrow new / delete", [](std::size_t n) { return operator new(n, aligned, std::nothrow); },
+    {"aligned nothrow new / delete",
+     [](std::size_t n) { return operator new(n, aligned, std::nothrow); },
      [](void* p, std::size_t) { operator delete(p, aligned, std::nothrow); }, 128},
-    {"aligned nothrow new[] / delete[]", [](std::size_t n) { return operator new[](n, aligned, std::nothrow); },
+    {"aligned nothrow new[] / delete[]",
+     [](std::size_t n) { return operator new[](n, aligned, std::nothrow); },
      [](void* p, std::size_t) { operator delete[](p, aligned, std::nothrow); }, 128},
 };
 
@@ -87,7 +85,7 @@ HOOKED_TEST(HookOperators, EveryFormSharesInScopeAndFreesAnywhere) {
   EXPECT_EQ(hook_test::usage().internal_error_count, 0u);
 }
 
-HOOKED_TEST(HookOperators, ImpossibleSizesThrowOrAnswerNull) {
+HOOKED_TEST(HookOperators, ImpossibleSizesThrowOrReturnNull) {
   WindowFile file(64 * MiB);
   attach(file);
   const std::size_t huge = static_cast<std::size_t>(std::numeric_limits<std::ptrdiff_t>::max());
@@ -160,7 +158,7 @@ struct alignas(256) Wide {
 struct NoRoom {};
 [[noreturn]] void throw_no_room() { throw NoRoom(); }
 
-HOOKED_TEST(HookOperators, SayThatThereIsNoRoomWhereThatIsWanted) {
+HOOKED_TEST(HookOperators, CallTheNoRoomHandlerWhereOneIsSet) {
   WindowFile file(8 * MiB);
   attach(file);
   constexpr std::size_t large = 16 * MiB;
@@ -189,16 +187,16 @@ HOOKED_TEST(HookOperators, SayThatThereIsNoRoomWhereThatIsWanted) {
     hook().pause();
     expect_libc(operator new(large), plain);
     hook().resume();
-    hook().pause();  // the thread itself is not of this scope
+    hook().pause();  // the thread object itself stays out of this scope
     std::thread([&] {
       Scope another;
-      expect_libc(operator new(large), plain);  // it has not said so
+      expect_libc(operator new(large), plain);  // it has not set on_no_room
     }).join();
     hook().resume();
     EXPECT_EQ(hook().on_no_room(nullptr), throw_no_room);
     expect_libc(operator new(large), plain);
   }
-  EXPECT_EQ(hook().active(), 0) << "nothing was left open";
+  EXPECT_EQ(hook().active(), 0) << "no scope was left open";
   EXPECT_EQ(hook_test::usage().live_bytes, 0u);
   EXPECT_EQ(hook_test::usage().internal_error_count, 0u);
 }

@@ -1,7 +1,8 @@
 // SPDX-License-Identifier: Apache-2.0
 //
-// A program with its own malloc linked in: a bump allocator that refuses to free what it did not make. Definitions in the
-// program come before every library, so C++'s operators, libc and the hook must all end up here.
+// A program with its own malloc linked in: a bump allocator that refuses to free blocks of others.
+// Definitions in the program precede every library, so C++'s operators, libc and the hook must all
+// call them.
 
 #include <cstdio>
 #include <cstdlib>

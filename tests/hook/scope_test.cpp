@@ -1,6 +1,6 @@
 // SPDX-License-Identifier: Apache-2.0
 //
-// Goal: which allocations are shared. Method: one attached window, addresses asked with owns().
+// Goal: which allocations are shared. Method: one attached window; owns() judges the addresses.
 
 #include "support.hpp"
 
@@ -11,13 +11,7 @@
 
 namespace {
 
-using hook_test::attach;
-using hook_test::hook;
-using hook_test::is_shared;
-using hook_test::MiB;
-using hook_test::opaque;
-using hook_test::Scope;
-using hook_test::WindowFile;
+using namespace hook_test;
 
 bool malloc_is_shared() {
   void* const block = opaque(malloc(100));
@@ -56,8 +50,8 @@ HOOKED_TEST(HookScope, LoanSharesOnlyInsideScopes) {
   EXPECT_FALSE(malloc_is_shared());
 }
 
-HOOKED_TEST(HookScope, TheTableAllocatesWhateverTheScopeIs) {
-  EXPECT_EQ(hook().allocate(16, 100), nullptr) << "inert";
+HOOKED_TEST(HookScope, TheTableAllocatesInAnyScope) {
+  EXPECT_EQ(hook().allocate(16, 100), nullptr) << "the hook is inert";
   WindowFile file(4 * MiB);
   attach(file);
   void* const block = hook().allocate(16, 100);
@@ -70,7 +64,7 @@ HOOKED_TEST(HookScope, TheTableAllocatesWhateverTheScopeIs) {
   free(aligned);
 
   void* const of_libc = opaque(malloc(100));
-  EXPECT_EQ(hook().deallocate(of_libc), 0) << "not its own: left alone";
+  EXPECT_EQ(hook().deallocate(of_libc), 0) << "a block of libc is left alone";
   free(of_libc);
   EXPECT_EQ(hook().deallocate(nullptr), 0);
 
@@ -78,7 +72,7 @@ HOOKED_TEST(HookScope, TheTableAllocatesWhateverTheScopeIs) {
   EXPECT_EQ(hook().allocate(16, 100), nullptr);
   hook().resume();
   const std::uint64_t spilled = hook().spilled();
-  EXPECT_EQ(hook().allocate(16, 64 * MiB), nullptr) << "no room, and never libc's";
+  EXPECT_EQ(hook().allocate(16, 64 * MiB), nullptr) << "no room, and never memory of libc";
   EXPECT_EQ(hook().spilled(), spilled + 1);
   EXPECT_EQ(hook_test::usage().live_bytes, 0u);
   EXPECT_EQ(hook_test::usage().internal_error_count, 0u);
@@ -165,7 +159,8 @@ HOOKED_TEST(HookScope, ContainersOfAMessageAreShared) {
   std::vector<std::string> message;
   {
     Scope scope;
-    for (int i = 0; i < 1000; ++i) message.push_back(std::string(static_cast<std::size_t>(i + 32), 'a'));
+    for (int i = 0; i < 1000; ++i)
+      message.push_back(std::string(static_cast<std::size_t>(i + 32), 'a'));
   }
   EXPECT_TRUE(is_shared(message.data()));
   for (const std::string& text : message) ASSERT_TRUE(is_shared(text.data()));
@@ -174,7 +169,7 @@ HOOKED_TEST(HookScope, ContainersOfAMessageAreShared) {
   EXPECT_EQ(hook_test::usage().internal_error_count, 0u);
 }
 
-HOOKED_TEST(HookScope, OwnsKnowsItsBorders) {
+HOOKED_TEST(HookScope, OwnsIsExactAtTheBoundaries) {
   WindowFile file(64 * MiB);
   attach(file);
   char* const base = static_cast<char*>(file.window.base);

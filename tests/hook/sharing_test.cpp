@@ -1,8 +1,9 @@
 // SPDX-License-Identifier: Apache-2.0
 //
-// Goal: what the hook is for. A publisher builds a message of vectors and strings in a loan scope; another process maps the
-// memfd read-only at the same address up to the frontier and follows the publisher's own pointers to equal content, also
-// after growth and in a second window's absence. Method: reader.c as the other process, talked to through pipes.
+// Goal: the hook's purpose. A publisher builds a message of vectors and strings in a loan scope;
+// another process maps the memfd read-only at the same address up to the frontier and follows the
+// publisher's own pointers to equal content, also after growth and without a second window.
+// Method: reader.c as the other process, steered through pipes.
 
 #include "support.hpp"
 
@@ -19,13 +20,7 @@
 
 namespace {
 
-using hook_test::announced;
-using hook_test::attach;
-using hook_test::hook;
-using hook_test::MiB;
-using hook_test::Scope;
-using hook_test::window_address;
-using hook_test::WindowFile;
+using namespace hook_test;
 
 struct Field {
   std::string name;
@@ -65,9 +60,10 @@ class Reader {
     answers_ = fdopen(answers[0], "r");
   }
 
-  // What the reader sees at the address when it knows the frontier that was announced so far.
+  // Returns the reader's view of the address, given the frontier announced so far.
   std::string look_at(const PointCloud* message) {
-    std::fprintf(commands_, "%" PRIu64 " %" PRIxPTR "\n", announced.frontier[0].load(std::memory_order_acquire),
+    std::fprintf(commands_, "%" PRIu64 " %" PRIxPTR "\n",
+                 announced.frontier[0].load(std::memory_order_acquire),
                  reinterpret_cast<std::uintptr_t>(message));
     std::fflush(commands_);
     char line[4096] = {};
@@ -91,8 +87,10 @@ class Reader {
 std::string described(const PointCloud& message) {
   std::uint64_t sum = 1469598103934665603u;
   for (std::uint8_t byte : message.data) sum = (sum ^ byte) * 1099511628211u;
-  std::string text = std::to_string(message.height) + " " + std::to_string(message.width) + " " + message.frame_id;
-  for (const Field& field : message.fields) text += " " + field.name + ":" + std::to_string(field.offset);
+  std::string text =
+      std::to_string(message.height) + " " + std::to_string(message.width) + " " + message.frame_id;
+  for (const Field& field : message.fields)
+    text += " " + field.name + ":" + std::to_string(field.offset);
   return text + " " + std::to_string(sum) + "\n";
 }
 
@@ -105,7 +103,8 @@ PointCloud* make_cloud(std::size_t points, unsigned seed) {
     cloud->fields.push_back(Field{name, static_cast<std::uint32_t>(cloud->fields.size() * 4)});
   }
   // Grown step by step, as drivers do.
-  for (std::size_t i = 0; i < points * 16; ++i) cloud->data.push_back(static_cast<std::uint8_t>(i * 31 + seed));
+  for (std::size_t i = 0; i < points * 16; ++i)
+    cloud->data.push_back(static_cast<std::uint8_t>(i * 31 + seed));
   return cloud;
 }
 
@@ -133,7 +132,8 @@ HOOKED_TEST(HookSharing, MessagesBeyondAGrownFrontierAreReadTheSameWay) {
   for (const PointCloud* cloud : clouds) EXPECT_EQ(reader.look_at(cloud), described(*cloud));
   for (const PointCloud* cloud : clouds) delete cloud;
   const PointCloud* const again = make_cloud(40000, 99);
-  EXPECT_EQ(reader.look_at(again), described(*again)) << "in memory that held other messages before";
+  EXPECT_EQ(reader.look_at(again), described(*again))
+      << "in memory that held other messages before";
   delete again;
   EXPECT_EQ(reader.finish(), 0);
 }

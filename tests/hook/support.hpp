@@ -2,10 +2,11 @@
 //
 // Support for tests of the heap hook: processes with the hook, windows without a daemon.
 //
-// The hook is one per process and attaches once, so every HOOKED_TEST body runs in a process of its own: the test program
-// starts itself again with LD_PRELOAD (or, in the build that links the hook, without) and a filter for that one test. The
-// outer process has a timeout for it and reports what it printed. Inside, all of GoogleTest works; its own allocations come
-// from libc because they are outside every scope.
+// A process has one hook, which attaches once, so every HOOKED_TEST body runs in its own process:
+// the test program starts itself again with LD_PRELOAD (or, in the build that links the hook,
+// without) and a filter for that one test. The outer process has a timeout for it and reports its
+// output. Inside, all of GoogleTest works; its own allocations come from libc because they are
+// outside every scope.
 #pragma once
 
 #include <agnocast/abi/heaphook.h>
@@ -21,7 +22,7 @@
 
 namespace hook_test {
 
-// What a finished process left.
+// The result of a finished process.
 struct Outcome {
   int exit_status = -1;  // exit code, 128 + signal, or -1 when it ran out of time and was killed
   std::string output;    // stdout
@@ -36,12 +37,12 @@ struct RunOptions {
   std::string directory;
 };
 
-// Runs a program to its end and collects both streams.
+// Runs a program to its end and returns its exit status and both streams.
 Outcome run(const std::vector<std::string>& arguments, const RunOptions& options = {});
 
-// Path of libagnocast_heaphook.so.
+// Returns the path of libagnocast_heaphook.so.
 std::string hook_path();
-// Asked outside of bodies: whether this program is the variant that links the hook.
+// Returns whether this program is the variant that links the hook. Call it outside of bodies.
 bool hook_is_linked();
 
 // Bodies: HOOKED_TEST(Suite, Claim) { … }
@@ -59,7 +60,7 @@ bool in_own_process();
   }                                                                          \
   static void body_of_##suite##_##name()
 
-// The hook of this process.
+// Returns the hook of this process.
 const agnocast_heaphook_table& hook();
 
 inline constexpr std::size_t MiB = std::size_t{1} << 20;
@@ -77,7 +78,7 @@ struct WindowFile {
   agnocast_heaphook_window window{};
 };
 
-// What the hook announced, written by the callback (which may not allocate).
+// The frontiers that the hook announced, written by the callback (which may not allocate).
 struct Announced {
   std::atomic<std::uint64_t> frontier[AGNOCAST_HEAPHOOK_WINDOWS_MAX];
   std::atomic<int> calls;
@@ -100,7 +101,7 @@ bool is_shared(const void* address);
 agnocast_heaphook_usage usage();
 std::size_t self_status_kib(const char* field);  // a line of /proc/self/status
 
-// A new directory that everybody may enter, removed with its content at the end.
+// A new directory that all users may enter, removed with its content at the end.
 class Directory {
  public:
   Directory();
@@ -110,14 +111,14 @@ class Directory {
   std::string path;
 };
 
-// The compiler may otherwise remove a malloc whose block nobody looks at.
+// Keeps the compiler from removing a malloc whose block is never used.
 template <typename T>
 T* opaque(T* pointer) {
   asm volatile("" : "+r"(pointer) : : "memory");
   return pointer;
 }
 
-// The definition that the hook stands in front of, to compare with.
+// Returns the definition that the hook interposes, for comparison.
 template <typename F>
 F libc_function(const char* name);
 void* libc_symbol(const char* name);
@@ -126,7 +127,8 @@ F libc_function(const char* name) {
   return reinterpret_cast<F>(libc_symbol(name));
 }
 
-// Runs a function in a forked child; 0 when it returned true, as waitpid otherwise says (128 + signal, 99 = timeout).
+// Runs a function in a forked child. Returns 0 when it returned true, else as wait_for (128 +
+// signal, 99 = timeout).
 template <typename F>
 int in_forked_child(F body);
 int wait_for(int pid);

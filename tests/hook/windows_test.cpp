@@ -1,7 +1,9 @@
 // SPDX-License-Identifier: Apache-2.0
 //
-// Goal: windows open by frontier, in the promised order; a full window means libc; more windows; refusals of attach.
-// Method: memfds of this test; the callback's record compared with every address that malloc returns.
+// Goal: windows open by frontier, in the promised order; a full window falls back to libc; more
+// windows; refusals of attach.
+// Method: memfds of this test; the callback's record compared with every address that malloc
+// returns.
 
 #include "support.hpp"
 
@@ -19,24 +21,15 @@
 
 namespace {
 
-using hook_test::announced;
-using hook_test::attach;
-using hook_test::hook;
-using hook_test::is_shared;
-using hook_test::MiB;
-using hook_test::opaque;
-using hook_test::options_for;
-using hook_test::Scope;
-using hook_test::window_address;
-using hook_test::WindowFile;
+using namespace hook_test;
 
-// Whether all of the block lies below the frontier that was announced by now.
+// Returns whether the whole block lies below the frontier announced so far.
 bool announced_covers(const void* block, std::size_t size) {
   const std::uintptr_t offset = reinterpret_cast<std::uintptr_t>(block) - window_address;
   return offset + size <= announced.frontier[0].load(std::memory_order_acquire);
 }
 
-// Bytes of addresses in [window, window + length) that are mapped.
+// Returns how many bytes of addresses in [window, window + length) are mapped.
 std::size_t mapped_bytes(std::uintptr_t base, std::size_t length) {
   std::ifstream maps("/proc/self/maps");
   std::string line;
@@ -45,7 +38,8 @@ std::size_t mapped_bytes(std::uintptr_t base, std::size_t length) {
     std::size_t dash = 0;
     const std::uintptr_t first = std::stoul(line, &dash, 16);
     const std::uintptr_t last = std::stoul(line.substr(dash + 1), nullptr, 16);
-    if (first >= base && last <= base + length && line.find(" rw-s ") != std::string::npos) bytes += last - first;
+    if (first >= base && last <= base + length && line.find(" rw-s ") != std::string::npos)
+      bytes += last - first;
   }
   return bytes;
 }
@@ -72,7 +66,8 @@ HOOKED_TEST(HookWindows, TheFrontierIsAnnouncedBeforeAnAddressBeyondItIsReturned
   EXPECT_GT(announced.calls.load(), 5);
   EXPECT_EQ(announced.frontier[0].load(), hook().frontier(0));
   hook().pause();
-  EXPECT_EQ(mapped_bytes(window_address, file.window.length), hook().frontier(0)) << "mapped is exactly what is announced";
+  EXPECT_EQ(mapped_bytes(window_address, file.window.length), hook().frontier(0))
+      << "exactly the announced memory is mapped";
   hook().resume();
 }
 
@@ -98,11 +93,13 @@ HOOKED_TEST(HookWindows, ManyThreadsNeverSeeAnAddressBeyondTheAnnouncedFrontier)
 
 HOOKED_TEST(HookWindows, AReservedRangeIsUsedInPlace) {
   WindowFile file(256 * MiB);
-  void* const reserved = mmap(file.window.base, file.window.length, PROT_NONE,
-                              MAP_PRIVATE | MAP_ANONYMOUS | MAP_NORESERVE | MAP_FIXED_NOREPLACE, -1, 0);
+  void* const reserved =
+      mmap(file.window.base, file.window.length, PROT_NONE,
+           MAP_PRIVATE | MAP_ANONYMOUS | MAP_NORESERVE | MAP_FIXED_NOREPLACE, -1, 0);
   ASSERT_EQ(reserved, file.window.base);
   const agnocast_heaphook_options options = options_for(AGNOCAST_HEAPHOOK_SCOPE_LOAN);
-  EXPECT_EQ(hook().attach(&file.window, &options), AGNOCAST_HEAPHOOK_OCCUPIED) << "not ours unless the caller says so";
+  EXPECT_EQ(hook().attach(&file.window, &options), AGNOCAST_HEAPHOOK_OCCUPIED)
+      << "occupied unless the caller reserved it";
   file.window.flags = AGNOCAST_HEAPHOOK_WINDOW_RESERVED;
   attach(file);
   Scope scope;
@@ -115,7 +112,7 @@ HOOKED_TEST(HookWindows, AReservedRangeIsUsedInPlace) {
   free(block);
 }
 
-HOOKED_TEST(HookWindows, AnExhaustedWindowMeansLibc) {
+HOOKED_TEST(HookWindows, AnExhaustedWindowFallsBackToLibc) {
   WindowFile file(8 * MiB);
   attach(file);
   Scope scope;
@@ -131,25 +128,25 @@ HOOKED_TEST(HookWindows, AnExhaustedWindowMeansLibc) {
     shared += is_shared(block) ? 1u : 0u;
     blocks.push_back(block);
   }
-  EXPECT_GE(shared, 20u) << "a good part of 8 MiB is payload";
+  EXPECT_GE(shared, 20u) << "payload fills most of 8 MiB";
   EXPECT_LE(shared, 41u);
   EXPECT_FALSE(is_shared(blocks.back()));
   const agnocast_heaphook_usage full = hook_test::usage();
   EXPECT_EQ(full.refused_count, 100 - shared);
-  EXPECT_EQ(hook().spilled(), 100 - shared) << "this thread knows what it did not get";
-  std::thread([] { EXPECT_EQ(hook().spilled(), 0u) << "of another thread"; }).join();
+  EXPECT_EQ(hook().spilled(), 100 - shared) << "this thread's spilled blocks";
+  std::thread([] { EXPECT_EQ(hook().spilled(), 0u) << "another thread's spilled blocks"; }).join();
   EXPECT_EQ(full.refused_bytes_max, 200000u);
   EXPECT_EQ(full.next_window_wanted, 1u);
   EXPECT_LE(full.used_bytes, full.frontier_bytes);
   EXPECT_LE(full.frontier_bytes, full.length_bytes);
   for (void* block : blocks) free(block);
   void* const again = opaque(malloc(200000));
-  EXPECT_TRUE(is_shared(again)) << "what was freed is used again";
+  EXPECT_TRUE(is_shared(again)) << "freed memory is used again";
   free(again);
   EXPECT_EQ(hook_test::usage().internal_error_count, 0u);
 }
 
-HOOKED_TEST(HookWindows, IsNotFullBecauseMoreThanAWindowWasAskedFor) {
+HOOKED_TEST(HookWindows, ARequestLargerThanAWindowDoesNotMakeItFull) {
   WindowFile file(8 * MiB);
   attach(file);
   Scope scope;
@@ -189,7 +186,7 @@ HOOKED_TEST(HookWindows, ThreeQuartersUsedAsksForTheNextWindow) {
     ASSERT_LE(taken, 64 * MiB);
   }
   EXPECT_EQ(hook_test::usage().next_window_wanted, 1u);
-  EXPECT_GE(taken, 40 * MiB) << "used means payload, nearly";
+  EXPECT_GE(taken, 40 * MiB) << "used memory is nearly all payload";
 
   WindowFile second(64 * MiB, window_address + (std::uintptr_t{1} << 30));
   ASSERT_EQ(hook().add_window(&second.window), AGNOCAST_HEAPHOOK_OK);
@@ -206,12 +203,14 @@ HOOKED_TEST(HookWindows, ThreeQuartersUsedAsksForTheNextWindow) {
   EXPECT_TRUE(in_second);
 }
 
-HOOKED_TEST(HookWindows, AFreshWindowGivesUpThoseBeforeIt) {
+HOOKED_TEST(HookWindows, AFreshWindowReplacesThoseBeforeIt) {
   WindowFile first(64 * MiB);
   WindowFile second(64 * MiB, window_address + (std::uintptr_t{1} << 30));
   attach(first);
   const auto in = [](const WindowFile& file, const void* block) {
-    return reinterpret_cast<std::uintptr_t>(block) - reinterpret_cast<std::uintptr_t>(file.window.base) < file.window.length;
+    return reinterpret_cast<std::uintptr_t>(block) -
+               reinterpret_cast<std::uintptr_t>(file.window.base) <
+           file.window.length;
   };
   void* before[64];
   for (std::size_t i = 0; i < 64; ++i) {
@@ -219,7 +218,7 @@ HOOKED_TEST(HookWindows, AFreshWindowGivesUpThoseBeforeIt) {
     before[i] = opaque(malloc(64u << i % 4));
     ASSERT_TRUE(in(first, before[i]));
   }
-  // Half of them into the cache of this thread, from where the next block of their size would come.
+  // Half of them go into the cache of this thread, which would serve the next block of their size.
   for (std::size_t i = 0; i < 32; ++i) free(before[i]);
   EXPECT_EQ(hook().first_window(), 0u);
   second.window.flags = AGNOCAST_HEAPHOOK_WINDOW_FRESH;
@@ -238,18 +237,19 @@ HOOKED_TEST(HookWindows, AFreshWindowGivesUpThoseBeforeIt) {
     for (void* block : blocks) free(block);
     return elsewhere == 0;
   };
-  EXPECT_TRUE(allocates_in_second()) << "a thread that had blocks of the first one in its cache";
+  EXPECT_TRUE(allocates_in_second()) << "a thread with blocks of the first window in its cache";
   for (std::size_t i = 48; i < 64; ++i) free(before[i]);
-  EXPECT_TRUE(allocates_in_second()) << "a thread that has freed blocks of the first one since";
+  EXPECT_TRUE(allocates_in_second()) << "a thread that has freed blocks of the first window since";
   bool elsewhere = false;
   std::thread([&] { elsewhere = !allocates_in_second(); }).join();
   EXPECT_FALSE(elsewhere) << "a new thread";
 
   EXPECT_EQ(hook_test::usage().internal_error_count, 0u);
-  EXPECT_GT(hook().purge(), 0u) << "idle memory of the first one goes back to the kernel as well";
+  EXPECT_GT(hook().purge(), 0u)
+      << "idle memory of the first window goes back to the kernel as well";
 }
 
-HOOKED_TEST(HookWindows, ABlockOfAWindowThatWasGivenUpMovesWhenItGrows) {
+HOOKED_TEST(HookWindows, ABlockOfAReplacedWindowMovesWhenItGrows) {
   WindowFile first(64 * MiB);
   WindowFile second(64 * MiB, window_address + (std::uintptr_t{1} << 30));
   attach(first);
@@ -263,20 +263,23 @@ HOOKED_TEST(HookWindows, ABlockOfAWindowThatWasGivenUpMovesWhenItGrows) {
   ASSERT_EQ(hook().add_window(&second.window), AGNOCAST_HEAPHOOK_OK);
   EXPECT_EQ(hook_test::usage().live_bytes, MiB);
   Scope scope;
-  EXPECT_EQ(opaque(realloc(block, MiB / 2 + 1)), block) << "what shrinks may stay";
+  EXPECT_EQ(opaque(realloc(block, MiB / 2 + 1)), block) << "a shrinking block may stay";
   auto* const moved = static_cast<char*>(opaque(realloc(block, 2 * MiB)));
-  EXPECT_GE(reinterpret_cast<std::uintptr_t>(moved), reinterpret_cast<std::uintptr_t>(second.window.base));
+  EXPECT_GE(reinterpret_cast<std::uintptr_t>(moved),
+            reinterpret_cast<std::uintptr_t>(second.window.base));
   EXPECT_EQ(moved[0], 7);
   EXPECT_EQ(moved[MiB / 2], 7);
   free(moved);
   EXPECT_EQ(hook_test::usage().internal_error_count, 0u);
 }
 
-HOOKED_TEST(HookWindows, EightWindowsAndNoMore) {
+HOOKED_TEST(HookWindows, EightWindowsAreTheMaximum) {
   std::vector<std::unique_ptr<WindowFile>> files;
-  for (std::uintptr_t i = 0; i < 9; ++i) files.push_back(std::make_unique<WindowFile>(4 * MiB, window_address + i * 4 * MiB));
+  for (std::uintptr_t i = 0; i < 9; ++i)
+    files.push_back(std::make_unique<WindowFile>(4 * MiB, window_address + i * 4 * MiB));
   attach(*files[0]);
-  for (std::size_t i = 1; i < 8; ++i) ASSERT_EQ(hook().add_window(&files[i]->window), AGNOCAST_HEAPHOOK_OK) << i;
+  for (std::size_t i = 1; i < 8; ++i)
+    ASSERT_EQ(hook().add_window(&files[i]->window), AGNOCAST_HEAPHOOK_OK) << i;
   EXPECT_EQ(hook().add_window(&files[8]->window), AGNOCAST_HEAPHOOK_FULL);
   // Neighbouring windows are different files: a block must never span two of them.
   Scope scope;
@@ -299,7 +302,7 @@ HOOKED_TEST(HookWindows, EightWindowsAndNoMore) {
   free(wide);
 }
 
-HOOKED_TEST(HookWindows, AttachRefusesWhatItCannotUse) {
+HOOKED_TEST(HookWindows, AttachRefusesUnusableWindows) {
   const agnocast_heaphook_options good = options_for(AGNOCAST_HEAPHOOK_SCOPE_LOAN);
   WindowFile file(16 * MiB);
   const auto attach_with = [&](auto change) {
@@ -315,28 +318,38 @@ HOOKED_TEST(HookWindows, AttachRefusesWhatItCannotUse) {
   EXPECT_EQ(attach_with([](Window&, Options& o) { o.grown = nullptr; }), AGNOCAST_HEAPHOOK_INVALID);
   EXPECT_EQ(attach_with([](Window&, Options& o) { o.scope = 7; }), AGNOCAST_HEAPHOOK_INVALID);
   EXPECT_EQ(attach_with([](Window& w, Options&) { w.base = nullptr; }), AGNOCAST_HEAPHOOK_INVALID);
-  EXPECT_EQ(attach_with([](Window& w, Options&) { w.base = static_cast<char*>(w.base) + 4096; }), AGNOCAST_HEAPHOOK_INVALID);
+  EXPECT_EQ(attach_with([](Window& w, Options&) { w.base = static_cast<char*>(w.base) + 4096; }),
+            AGNOCAST_HEAPHOOK_INVALID);
   EXPECT_EQ(attach_with([](Window& w, Options&) { w.length = 0; }), AGNOCAST_HEAPHOOK_INVALID);
   EXPECT_EQ(attach_with([](Window& w, Options&) { w.length += 4096; }), AGNOCAST_HEAPHOOK_INVALID);
-  EXPECT_EQ(attach_with([](Window& w, Options&) { w.length *= 2; }), AGNOCAST_HEAPHOOK_INVALID) << "longer than the file";
+  EXPECT_EQ(attach_with([](Window& w, Options&) { w.length *= 2; }), AGNOCAST_HEAPHOOK_INVALID)
+      << "longer than the file";
   EXPECT_EQ(attach_with([](Window& w, Options&) { w.flags = 4; }), AGNOCAST_HEAPHOOK_INVALID);
-  EXPECT_EQ(attach_with([](Window& w, Options&) { w.flags = AGNOCAST_HEAPHOOK_WINDOW_FRESH; }), AGNOCAST_HEAPHOOK_INVALID)
+  EXPECT_EQ(attach_with([](Window& w, Options&) { w.flags = AGNOCAST_HEAPHOOK_WINDOW_FRESH; }),
+            AGNOCAST_HEAPHOOK_INVALID)
       << "there is none before the first";
-  EXPECT_EQ(attach_with([](Window& w, Options&) { w.read_fd = w.write_fd; }), AGNOCAST_HEAPHOOK_INVALID) << "not read-only";
-  EXPECT_EQ(attach_with([](Window& w, Options&) { w.write_fd = w.read_fd; }), AGNOCAST_HEAPHOOK_INVALID) << "not writable";
+  EXPECT_EQ(attach_with([](Window& w, Options&) { w.read_fd = w.write_fd; }),
+            AGNOCAST_HEAPHOOK_INVALID)
+      << "not read-only";
+  EXPECT_EQ(attach_with([](Window& w, Options&) { w.write_fd = w.read_fd; }),
+            AGNOCAST_HEAPHOOK_INVALID)
+      << "not writable";
   EXPECT_EQ(attach_with([](Window& w, Options&) { w.write_fd = -1; }), AGNOCAST_HEAPHOOK_OS);
   WindowFile other(16 * MiB);
-  EXPECT_EQ(attach_with([&](Window& w, Options&) { w.read_fd = other.window.read_fd; }), AGNOCAST_HEAPHOOK_INVALID);
+  EXPECT_EQ(attach_with([&](Window& w, Options&) { w.read_fd = other.window.read_fd; }),
+            AGNOCAST_HEAPHOOK_INVALID);
   EXPECT_EQ(hook().add_window(&file.window), AGNOCAST_HEAPHOOK_STATE) << "attach comes first";
 
-  void* const in_the_way = mmap(file.window.base, 4096, PROT_READ, MAP_PRIVATE | MAP_ANONYMOUS | MAP_FIXED_NOREPLACE, -1, 0);
+  void* const in_the_way = mmap(file.window.base, 4096, PROT_READ,
+                                MAP_PRIVATE | MAP_ANONYMOUS | MAP_FIXED_NOREPLACE, -1, 0);
   ASSERT_NE(in_the_way, MAP_FAILED);
   EXPECT_EQ(hook().attach(&file.window, &good), AGNOCAST_HEAPHOOK_OCCUPIED);
   munmap(in_the_way, 4096);
   EXPECT_EQ(mapped_bytes(window_address, file.window.length), 0u);
   EXPECT_EQ(hook_test::usage().window_count, 0u);
 
-  EXPECT_EQ(hook().attach(&file.window, &good), AGNOCAST_HEAPHOOK_OK) << "refusals leave nothing behind";
+  EXPECT_EQ(hook().attach(&file.window, &good), AGNOCAST_HEAPHOOK_OK)
+      << "refusals leave nothing behind";
   EXPECT_EQ(hook().attach(&other.window, &good), AGNOCAST_HEAPHOOK_STATE);
   EXPECT_EQ(hook().add_window(&other.window), AGNOCAST_HEAPHOOK_INVALID) << "overlaps the first";
 }
@@ -345,7 +358,7 @@ HOOKED_TEST(HookWindows, GrowthSurvivesAProgramThatClosesAllDescriptors) {
   WindowFile file(256 * MiB);
   attach(file);
   for (int fd = 3; fd < 100; ++fd) close(fd);
-  for (int i = 0; i < 20; ++i) open("/dev/zero", O_RDWR);  // the numbers now mean something else
+  for (int i = 0; i < 20; ++i) open("/dev/zero", O_RDWR);  // the numbers now name other files
   Scope scope;
   auto* const block = static_cast<char*>(malloc(50 * MiB));
   ASSERT_NE(block, nullptr);
@@ -353,15 +366,16 @@ HOOKED_TEST(HookWindows, GrowthSurvivesAProgramThatClosesAllDescriptors) {
   std::memset(block, 1, 50 * MiB);
   EXPECT_GE(hook_test::usage().mapping_refused_count, 1u);
   void* const small = opaque(malloc(100));
-  EXPECT_TRUE(is_shared(small)) << "what was mapped stays usable";
+  EXPECT_TRUE(is_shared(small)) << "mapped memory stays usable";
   std::memset(small, 1, 100);
 }
 
-HOOKED_TEST(HookWindows, SomethingMappedIntoTheWindowStopsGrowthOnly) {
+HOOKED_TEST(HookWindows, AMappingInsideTheWindowStopsOnlyItsGrowth) {
   WindowFile file(256 * MiB);
   attach(file);
-  void* const intruder = mmap(static_cast<char*>(file.window.base) + 16 * MiB, 4096, PROT_READ | PROT_WRITE,
-                              MAP_PRIVATE | MAP_ANONYMOUS | MAP_FIXED_NOREPLACE, -1, 0);
+  void* const intruder =
+      mmap(static_cast<char*>(file.window.base) + 16 * MiB, 4096, PROT_READ | PROT_WRITE,
+           MAP_PRIVATE | MAP_ANONYMOUS | MAP_FIXED_NOREPLACE, -1, 0);
   ASSERT_NE(intruder, MAP_FAILED);
   std::memset(intruder, 0x55, 4096);
   Scope scope;

@@ -1,9 +1,9 @@
 // SPDX-License-Identifier: Apache-2.0
 //
-// Goal: who claims that it has something where the honest publisher's heap lies, and has nothing
-// there, neither ends the stream nor uses up what a process of the honest user needs that really has.
-// Method: an attacker of another user claims every window that it is told of, as soon as it is told.
-// When the heap does not move for it any more a process of the honest user joins that has mapped a
+// Goal: a process that falsely claims the addresses of the honest publisher's heap neither ends
+// the stream nor uses up the moves and windows that a real collision within the honest user needs.
+// Method: an attacker of another user claims every window as soon as the daemon announces it. When
+// the heap no longer moves for the attacker, a process of the honest user joins that has mapped a
 // page in the newest window: it has to get the stream.
 
 #include <tests/hostile/hostile_node.hpp>
@@ -23,10 +23,10 @@ namespace {
 using wire::Kind;
 using wire::Opcode;
 
-// Words of the attack.
+// Indices of the attack's shared words.
 constexpr std::size_t moves = 0, newest_base = 1, claims = 2;
 
-/// Claims the windows of the honest publisher, one after the other, for as long as it may.
+/// Claims each new window of the honest publisher until the attack ends.
 void claims_every_window(Stage& stage, Attack& attack) {
   HostileNode node(stage.socket_path());
   node.join(Kind::subscription, stream_topic);
@@ -79,32 +79,32 @@ void a_real_collision_is_served_beside(Stage& stage, std::uint64_t moves_for_str
     std::istringstream words(collider->ask("state"));
     for (std::uint64_t& word : state) words >> word;
     return state[2] >= 100;
-  })) << "it got "
+  })) << "the process received "
       << state[2] << " messages\n"
       << stage.daemon().log();
   EXPECT_EQ(state[3], 0u);
   EXPECT_TRUE(eventually([&] { return attacker.word(claims) == moves_for_strangers + 2; }))
-      << "the window it has moved to was claimed as well";
+      << "the publisher moved to another window and the attacker could not claim it";
   stage.honest_goes_on();
   stage.honest_is_served();
   attacker.kill();
   stage.honest_goes_on();
 }
 
-TEST(HostileAddresses, FalseClaimsLeaveAMoveForTheOwnUsersCollision) {
+TEST(HostileAddresses, FalseClaimsLeaveAMoveForACollisionWithinTheUser) {
   AGNOCAST_NEEDS_TWO_USERS();
   Stage stage({.quota = "held_messages = 600\n"});
   a_real_collision_is_served_beside(stage, abi::heap_move_max - 1);
 }
 
-TEST(HostileAddresses, FalseClaimsLeaveAWindowOfTheQuotaForTheOwnUsersCollision) {
+TEST(HostileAddresses, FalseClaimsLeaveAWindowOfTheUsersQuotaForARealCollision) {
   AGNOCAST_NEEDS_TWO_USERS();
-  // Both processes of the honest user have one; another one is left.
+  // Both processes of the honest user have one window; one more is left.
   Stage stage({.quota = "held_messages = 600\nheap_bytes = \"192MiB\"\n"});
   a_real_collision_is_served_beside(stage, 0);
 }
 
-TEST(HostileAddresses, FalseClaimsLeaveAWindowOfTheProcessForTheOwnUsersCollision) {
+TEST(HostileAddresses, FalseClaimsLeaveAWindowOfTheProcessForARealCollision) {
   AGNOCAST_NEEDS_TWO_USERS();
   Stage stage({.quota = "held_messages = 600\n", .heap = "windows_per_process = 2\n"});
   a_real_collision_is_served_beside(stage, 0);

@@ -33,7 +33,7 @@ std::string name_of(const testing::TestInfo& test) {
 
 const char* table_path() { return std::getenv("AGNOCAST_ATTACK_TABLE"); }
 
-// One write of one line: tests that run side by side append to the same file.
+// One write per line: tests that run side by side append to the same file.
 void append(const nlohmann::json& row) {
   const std::string line = row.dump() + "\n";
   const int file = ::open(table_path(), O_WRONLY | O_APPEND | O_CREAT | O_CLOEXEC, 0644);
@@ -41,7 +41,7 @@ void append(const nlohmann::json& row) {
   ::close(file);
 }
 
-bool has_row = false;  // the test that is running
+bool has_row = false;  // of the running test
 
 class RowsWithoutFigures : public testing::EmptyTestEventListener {
   void OnTestStart(const testing::TestInfo&) override { has_row = false; }

@@ -1,14 +1,15 @@
 // SPDX-License-Identifier: Apache-2.0
 //
-// AttackRow: what one attack cost its victims and the daemon, as one row of the table that
+// AttackRow: the cost of one attack to its victims and the daemon, as one row of the table that
 // scripts/attack-table prints.
 //
-// A Stage writes a row for its test by itself: figures of the daemon before the attack and after the
-// attackers have gone, and what the honest pair saw. A test of a program with this file that writes none gets one
-// at its end without figures, and a test that was skipped one that says why.
+// A Stage writes a row for its test by itself: the daemon's figures before the attack and after
+// the attackers have gone, and the honest pair's losses. A test without a row gets one without
+// figures at its end; a skipped test gets one that states the reason.
 //
-// Rows are appended, a line of JSON each, to the file that AGNOCAST_ATTACK_TABLE names; without it nothing
-// is written. The figures are for people: no test judges by them, for they depend on the machine.
+// Rows are appended, one line of JSON each, to the file that AGNOCAST_ATTACK_TABLE names; without
+// the variable nothing is written. The figures are for people: they depend on the machine, so no
+// test judges them.
 #pragma once
 
 #include <sys/types.h>
@@ -17,12 +18,12 @@
 
 namespace agnocast::test {
 
-/// What a process uses; all 0 when it is gone.
+/// Resources of a process; all 0 when it is gone.
 struct ProcessUse {
   std::uint64_t descriptors = 0;
   std::uint64_t mappings = 0;        ///< lines of /proc/PID/maps
   std::uint64_t resident_bytes = 0;  ///< shared memory included
-  std::uint64_t cpu_ns = 0;          ///< since it began
+  std::uint64_t cpu_ns = 0;          /// since the process began
 };
 ProcessUse use_of(pid_t pid);
 
@@ -35,10 +36,10 @@ class AttackRow {
     double largest_gap_ms = 0;  ///< between two messages at the receiver
   };
 
-  /// Looks at the daemon as it is before the attack.
+  /// Records the daemon's figures before the attack.
   explicit AttackRow(pid_t daemon);
-  /// Writes the row of the test that is running; `daemon` is another one than before when it was
-  /// restarted, and its time on the CPU then counts from its own start. Once; later calls do nothing.
+  /// Writes the row of the running test. When `daemon` is not the process from before (a restart),
+  /// its CPU time counts from its own start. Only the first call writes.
   void write(pid_t daemon, const Victim& victim);
 
  private:

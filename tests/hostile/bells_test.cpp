@@ -1,9 +1,10 @@
 // SPDX-License-Identifier: Apache-2.0
 //
-// Goal: doorbells that are flooded, full, shut, closed, or belong to somebody who is stopped, neither
-// stop a publisher that rings them nor a subscriber that is rung.
-// Method: attackers of another user with the bells that the daemon gives them. That they get no
-// eventfd is checked in hostile_memory, what one user can do with one in unit_doorbell.
+// Goal: doorbells that are flooded, full, shut, closed, or belong to a stopped process neither
+// stop the publisher that rings them nor the subscriber that is rung.
+// Method: attackers of another user with the doorbells that the daemon gives them. hostile_memory
+// checks that they get no eventfd; unit_doorbell checks what a process of the same user can do
+// with one.
 
 #include <tests/hostile/hostile_node.hpp>
 
@@ -31,7 +32,7 @@ void honest_goes_on_for_a_while(Stage& stage) {
   } while (std::chrono::steady_clock::now() < end && !testing::Test::HasFailure());
 }
 
-TEST(HostileBells, AFloodOfRingsKeepsNobodyFromItsMessages) {
+TEST(HostileDoorbells, AFloodOfRingsCostsNoSubscriberAMessage) {
   AGNOCAST_NEEDS_TWO_USERS();
   Stage stage;
   Attacker attacker([&](Attack& attack) {
@@ -40,7 +41,7 @@ TEST(HostileBells, AFloodOfRingsKeepsNobodyFromItsMessages) {
     const auto about = node.announced();
     ASSERT_EQ(about.fds.size(), 2u);
     const int bell = about.fds[1].get();
-    // Datagrams of every length, with descriptors, and then its own sender shut for good.
+    // Sends datagrams of every length, with descriptors, and finally shuts down its own sender.
     std::vector<char> bytes(16384, 'x');
     const UniqueFd null(::open("/dev/null", O_RDONLY | O_CLOEXEC));
     attack.ready();
@@ -73,7 +74,7 @@ TEST(HostileBells, AFloodOfRingsKeepsNobodyFromItsMessages) {
 
 constexpr const char* own_topic = "/bells_of_attackers";
 
-/// A process of the attacker's user that may ring the attacker: with a sender of its own, as every
+/// A process of the attacker's user that may ring the attacker, with a sender of its own as every
 /// publisher has one.
 class Ringer {
  public:
@@ -82,13 +83,13 @@ class Ringer {
     auto about = node_.announced();
     EXPECT_EQ(about.body.kind, Kind::subscription);
     if (about.fds.size() == 3) bell_ = std::move(about.fds[2]);
-    EXPECT_TRUE(bell_) << "region, eventfd and datagram socket, as the user is the same";
+    EXPECT_TRUE(bell_) << "region, eventfd and datagram socket, since the user is the same";
   }
-  /// 0 or errno.
+  /// Returns 0 or errno.
   int ring() const {
     return ::send(bell_.get(), "", 1, MSG_DONTWAIT | MSG_NOSIGNAL) == 1 ? 0 : errno;
   }
-  /// Whether a ring would find a place, without ringing.
+  /// Returns whether a ring would find a free place, without ringing.
   bool finds_place() const {
     pollfd bell{bell_.get(), POLLOUT, 0};
     return ::poll(&bell, 1, 0) == 1;
@@ -99,8 +100,8 @@ class Ringer {
   UniqueFd bell_;
 };
 
-// A sender has a limit of its own, below 512 datagrams. So there are several, and the queue is full
-// when one that has never rung is turned away.
+// The kernel limits each sender, below 512 datagrams. So several senders fill the queue; it is
+// full when a sender that has never rung is turned away.
 void fill_bell(const std::string& path) {
   for (int senders = 0; senders < 20; ++senders) {
     const Ringer ringer(path);
@@ -109,11 +110,11 @@ void fill_bell(const std::string& path) {
     while (error == 0) error = ringer.ring();
     EXPECT_EQ(error, EAGAIN);
   }
-  ADD_FAILURE() << "the bell is never full";
+  ADD_FAILURE() << "the doorbell never became full";
 }
 
-// The attacker asks for a ring at each message, in ways that make it as dear as it can. `last` is
-// done while it asks, and the attack is under way when that is over.
+// The attacker asks for a ring at each message, in the most expensive way. The attacker calls
+// `last` while it asks; the attack is under way when `last` returns true.
 void asks_for_rings(Stage& stage, const std::function<void(HostileNode&)>& prepare,
                     const std::function<bool(HostileNode&)>& last = {}, bool stops_itself = false) {
   Attacker attacker([&](Attack& attack) {
@@ -130,7 +131,7 @@ void asks_for_rings(Stage& stage, const std::function<void(HostileNode&)>& prepa
     node.armed().store(armed);
     const auto end = std::chrono::steady_clock::now() + std::chrono::seconds(60);
     for (; last && !last(node); node.armed().store(armed += 2)) {
-      ASSERT_LT(std::chrono::steady_clock::now(), end) << "nobody rings";
+      ASSERT_LT(std::chrono::steady_clock::now(), end) << "the publisher did not ring";
     }
     if (testing::Test::HasFailure()) return;
     attack.ready();
@@ -143,10 +144,10 @@ void asks_for_rings(Stage& stage, const std::function<void(HostileNode&)>& prepa
   stage.honest_goes_on();
 }
 
-TEST(HostileBells, AQueueThatIsNeverReadFillsAndDelaysNobody) {
+TEST(HostileDoorbells, AQueueThatIsNeverReadFillsAndDelaysNobody) {
   AGNOCAST_NEEDS_TWO_USERS();
   Stage stage;
-  // The last places are left to the honest publisher, which has to take them all, and goes on to ring.
+  // The honest publisher has to take all the places that are left, and continues to ring.
   constexpr int places = 8;  // net.unix.max_dgram_qlen is 10 where nobody has raised it
   std::unique_ptr<Ringer> witness;
   asks_for_rings(
@@ -167,7 +168,7 @@ TEST(HostileBells, AQueueThatIsNeverReadFillsAndDelaysNobody) {
       });
 }
 
-TEST(HostileBells, AReceiverThatIsShutOrSmallDelaysNobody) {
+TEST(HostileDoorbells, AReceiverThatIsShutOrSmallDelaysNobody) {
   AGNOCAST_NEEDS_TWO_USERS();
   Stage stage;
   asks_for_rings(stage, [](HostileNode& node) {
@@ -179,14 +180,14 @@ TEST(HostileBells, AReceiverThatIsShutOrSmallDelaysNobody) {
   });
 }
 
-TEST(HostileBells, AStoppedSubscriberWithAFullBellDelaysNobody) {
+TEST(HostileDoorbells, AStoppedSubscriberWithAFullDoorbellDelaysNobody) {
   AGNOCAST_NEEDS_TWO_USERS();
   Stage stage;
   asks_for_rings(
       stage, [&](HostileNode&) { fill_bell(stage.socket_path()); }, {}, true);
 }
 
-TEST(HostileBells, AReceiverThatIsClosedDelaysNobody) {
+TEST(HostileDoorbells, AReceiverThatIsClosedDelaysNobody) {
   AGNOCAST_NEEDS_TWO_USERS();
   Stage stage;
   asks_for_rings(stage, [](HostileNode& node) {

@@ -1,9 +1,10 @@
 // SPDX-License-Identifier: Apache-2.0
 //
-// Goal: processes that come and go, endpoints of other types and names full of control characters cost
-// the honest pair nothing, and nothing of them is left.
-// Method: an attacker of another user for each, for seconds, beside the honest pair; in the end the
-// daemon's tables hold as many processes and endpoints as before, and `verify` finds every invariant.
+// Goal: processes that come and go, endpoints of other types, and names full of control characters
+// cost the honest pair nothing, and leave nothing behind.
+// Method: for each, an attacker of another user runs for seconds beside the honest pair; in the
+// end the daemon's tables hold as many processes and endpoints as before, and `verify` finds every
+// invariant.
 
 #include <tests/hostile/hostile_node.hpp>
 #include <tests/support/ctl.hpp>
@@ -20,13 +21,13 @@ using wire::Opcode;
 
 constexpr const char* escapes = "no\x1b]0;owned\x07\n\r\x9b" "2J\x1b[2J\x7f";
 
-/// How many processes, endpoints and windows the daemon's tables hold.
+/// Returns how many processes, endpoints and windows the daemon's tables hold.
 nlohmann::json counts_of(Stage& stage) {
   return run_ctl(stage.socket_path(), {"status", "-j"}).json()["in_use"];
 }
 
-/// The honest pair goes on and is served while the attack lasts; then the attacker ends, and nothing
-/// of it is left.
+/// The honest pair goes on and is served during the attack; then the attacker ends and leaves
+/// nothing.
 void nothing_is_left_of(Stage& stage, Attacker& attacker, const char* what) {
   if (!attacker.wait_until_ready()) return;
   const auto end = std::chrono::steady_clock::now() + attack_time();
@@ -102,7 +103,7 @@ TEST(HostileChurn, NamesFullOfControlCharactersReachNoTerminal) {
     auto body = WireClient::endpoint(open_topic, {}, escapes);
     body.node = wire_name(escapes);
     for (int field = 0; field < 3; ++field) {
-      // Refused or not: it is in the log, among the refusals or in the tables.
+      // Refused or not, the name appears in the log, among the refusals or in the tables.
       wire.ask(Opcode::create_subscription, body);
       if (field == 0) body.type = wire_name("test/msg/Type");
       if (field == 1) body.topic = wire_name(std::string("/escapes") + escapes);
@@ -137,8 +138,8 @@ TEST(HostileChurn, NamesFullOfControlCharactersReachNoTerminal) {
       }
     }
   }
-  EXPECT_GE(escaped, 5u) << "the names did not come as far as the commands";
-  // The log is read on terminals, too.
+  EXPECT_GE(escaped, 5u) << "the names did not reach the commands";
+  // People read the log on terminals, too.
   EXPECT_EQ(stage.daemon().log().find('\x1b'), std::string::npos);
   stage.honest_goes_on();
   attacker.end();

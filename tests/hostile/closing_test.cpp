@@ -1,11 +1,12 @@
 // SPDX-License-Identifier: Apache-2.0
 //
-// Goal: what another user sends may take for ever to close; nobody else waits for that, and the daemon does
-// not run out of descriptors.
-// Method: an attacker sends TCP sockets that linger for years over a peer that reads nothing, in every
-// place where the daemon closes what a client sent; an honest pair's requests are answered meanwhile. Once
-// as the kernel is, and once as one before Linux 6.16 is, where nothing keeps descriptors from being sent.
-// The same with a file of a FUSE server that never answers, whose close not even a signal ends.
+// Goal: a descriptor from another user may take for ever to close; no other process waits for
+// that, and the daemon does not run out of descriptors.
+// Method: an attacker sends TCP sockets that linger for years over a peer that reads nothing, in
+// every place where the daemon closes a client's descriptors; meanwhile the daemon answers the
+// honest pair. Once on the kernel as it is, and once as before Linux 6.16, where nothing keeps
+// descriptors from being sent. The same with a file of a FUSE server that never answers, whose
+// close not even a signal ends.
 
 #include <tests/hostile/hostile_node.hpp>
 #include <tests/support/deaf_peer.hpp>
@@ -52,17 +53,17 @@ wire::Hello some_hello() {
 }
 
 enum Place : unsigned {
-  with_hello,        // a request that carries what it may not
+  with_hello,        // a request that may not carry one
   before_hello,      // a packet that ends the connection
-  behind_the_end,    // in the queue of a connection that ends
-  unread,            // sent, and the sender is gone
+  behind_the_end,    // queued on a connection that ends
+  unread,            // sent, and the sender exits before it is read
   with_observe,
   as_window,         // the request that may carry a descriptor
-  as_window_number,  // the same, with more than the daemon has numbers in a packet for
+  as_window_number,  // the same, with more descriptors than the daemon receives per packet
   place_count
 };
 
-/// Sends `fd` once. False: the kernel does not let it through.
+/// Sends `fd` once. Returns false if the kernel refuses to send it.
 bool send_at(Place place, const std::string& path, int fd) {
   auto connected = PacketSocket::connect(path, std::chrono::milliseconds(200));
   if (!connected) return true;
@@ -71,9 +72,9 @@ bool send_at(Place place, const std::string& path, int fd) {
   const std::array<std::byte, 3> nonsense{};
   const auto send_nonsense = [&](std::span<const int> fds) {
     const auto sent = socket.send(nonsense, fds);
-    return sent.has_value();  // a connection that has ended is no refusal
+    return sent.has_value();  // an ended connection is no refusal
   };
-  // Waits for the daemon's word, so that the order of things is this one. There may be none.
+  // Waits for the daemon's answer to fix the order of events. There may be none.
   const timeval patience{0, 300'000};
   ::setsockopt(socket.fd(), SOL_SOCKET, SO_RCVTIMEO, &patience, sizeof patience);
   const auto wait_for_answer = [&] {
@@ -124,7 +125,8 @@ bool kernel_refuses_descriptors() {
   return ends && refuse_descriptors(ends->first.fd());
 }
 
-/// `after`: what is done when the attackers are gone, before the daemon has to have its descriptors back.
+/// Calls `after` when the attackers are gone, before it expects the daemon to have its descriptors
+/// back.
 void honest_goes_on_beside(Stage& stage, const std::function<void(Attack&)>& body,
                            const std::function<void()>& after = [] {}) {
   const std::size_t before = stage.daemon().descriptor_count();
@@ -143,13 +145,14 @@ void honest_goes_on_beside(Stage& stage, const std::function<void(Attack&)>& bod
   attacker.kill();
   stage.honest_goes_on();
   after();
-  // Every user's connections are bounded by its quota, and by Disposal::waiting_max where they wait.
+  // The quota bounds each user's connections; Disposal::waiting_max bounds the waiting
+  // descriptors.
   EXPECT_LT(most, before + 4'096);
   EXPECT_TRUE(eventually([&] { return stage.daemon().descriptor_count() <= before; }))
-      << stage.daemon().descriptor_count() << " descriptors, before the attack " << before;
+      << stage.daemon().descriptor_count() << " descriptors; before the attack " << before;
 }
 
-/// Whether a thread of it is in a wait that no signal ends.
+/// Returns whether one of its threads is in a wait that no signal ends.
 bool is_waiting_in_kernel(pid_t process) {
   for (const auto& task : std::filesystem::directory_iterator("/proc/" + std::to_string(process) + "/task")) {
     std::ifstream file(task.path() / "stat");
@@ -162,7 +165,7 @@ bool is_waiting_in_kernel(pid_t process) {
 
 class HostileClosing : public testing::TestWithParam<bool> {};
 
-TEST_P(HostileClosing, SocketsThatLingerHoldUpNobody) {
+TEST_P(HostileClosing, SocketsThatLingerDelayNobody) {
   AGNOCAST_NEEDS_TWO_USERS();
   const bool fallback = GetParam();
   Stage stage({.without_passrights = fallback});
@@ -171,21 +174,22 @@ TEST_P(HostileClosing, SocketsThatLingerHoldUpNobody) {
   honest_goes_on_beside(stage, [&](Attack& attack) {
     DeafPeer peer;
     {
-      // What the attack lives on: such a close does wait.
+      // The premise of the attack: closing such a socket waits.
       UniqueFd one = peer.lingering_socket(1);
       const auto begin = std::chrono::steady_clock::now();
       one.reset();
       EXPECT_GE(std::chrono::steady_clock::now() - begin, std::chrono::milliseconds(900));
     }
     std::array<bool, place_count> sent{};
-    constexpr unsigned rounds_max = 300;  // what waits in the peer's queue is memory of TCP
+    // data in the peer's queue uses the kernel's memory for TCP
+    constexpr unsigned rounds_max = 300;
     for (unsigned round = 0; attack.goes_on(); ++round) {
       if (round >= rounds_max) {
         std::this_thread::sleep_for(std::chrono::milliseconds(10));
         continue;
       }
       const auto place = static_cast<Place>(round % place_count);
-      // Whoever sends ends, so the last one who has the socket is the daemon.
+      // The sender exits, so the daemon holds the last reference to the socket.
       Child sender([&] {
         return send_at(place, path, peer.lingering_socket(1'000'000).release()) ? 0 : 1;
       });
@@ -200,8 +204,9 @@ TEST_P(HostileClosing, SocketsThatLingerHoldUpNobody) {
   });
 }
 
-// Two files whose servers never answer: whoever closes a number of the first waits, and whoever lets go of the
-// second last, which has been written to. Ends before everybody who may wait for it.
+// Two files whose servers never answer: closing any descriptor of the first waits, and so does
+// closing the last one of the second, which has dirty pages. Destroy it before the processes that
+// may wait for it.
 class SilentFiles {
  public:
   SilentFiles()
@@ -220,7 +225,7 @@ class SilentFiles {
     dirty_.end();
   }
 
-  /// Body of an attacker: sends one or the other to every place.
+  /// Body of an attacker: sends one of the files to every place in turn.
   void send_all(Attack& attack, const std::string& path) const {
     for (unsigned round = 0; attack.goes_on(); ++round) {
       if (round >= 8 * place_count) {
@@ -234,7 +239,7 @@ class SilentFiles {
         const bool is_dirty = round / place_count % 2 != 0;
         const int silent = ::open((directory_ + (is_dirty ? "/dirty" : "/clean")).c_str(), O_RDWR | O_CLOEXEC);
         if (silent < 0 ||
-            // A page of its own: one that is being written back cannot be written to.
+            // Each round has its own page: a page under writeback cannot be written to.
             (is_dirty && ::pwrite(silent, "x", 1, off_t{4096} * round) != 1))
           ::_exit(2);
         send_at(static_cast<Place>(round % place_count), path, silent);
@@ -260,7 +265,7 @@ class SilentFiles {
   SilentFuse clean_, dirty_;
 };
 
-TEST_P(HostileClosing, AFileWhoseServerNeverAnswersHoldsUpNobody) {
+TEST_P(HostileClosing, AFileWhoseServerNeverAnswersDelaysNobody) {
   AGNOCAST_NEEDS_TWO_USERS();
   Stage stage({.without_passrights = GetParam()});
   SilentFiles files;
@@ -269,8 +274,8 @@ TEST_P(HostileClosing, AFileWhoseServerNeverAnswersHoldsUpNobody) {
     files.send_all(attack, stage.socket_path());
   };
   honest_goes_on_beside(stage, send_silent_files, [&] {
-    EXPECT_GT(files.unanswered(), 0u) << "somebody waits for a close";
-    // A thread that nothing ends does not keep the daemon from being restarted.
+    EXPECT_GT(files.unanswered(), 0u) << "no process waits for a close";
+    // A thread that nothing can end does not keep the daemon from being restarted.
     const pid_t old = stage.daemon().pid();
     ::kill(stage.daemon().supervisor_pid(), SIGHUP);
     EXPECT_TRUE(stage.daemon().wait_for_next(old));
@@ -280,7 +285,7 @@ TEST_P(HostileClosing, AFileWhoseServerNeverAnswersHoldsUpNobody) {
   });
 }
 
-// Nobody is told of the end of a process that has a thread in the kernel.
+// The kernel reports no end of a process that has a thread in an uninterruptible wait.
 TEST_P(HostileClosing, AWorkerThatDiesBesideSuchFilesIsReplaced) {
   AGNOCAST_NEEDS_TWO_USERS();
   Stage stage({.without_passrights = GetParam()});
@@ -295,7 +300,7 @@ TEST_P(HostileClosing, AWorkerThatDiesBesideSuchFilesIsReplaced) {
   stage.honest_goes_on();
   stage.honest_is_served();
   const auto another = stage.another_honest_process();
-  EXPECT_EQ(another->ask(std::string("watch ") + open_topic), "ok") << "the next one is welcomed";
+  EXPECT_EQ(another->ask(std::string("watch ") + open_topic), "ok") << "the next process is welcomed";
   attacker.kill();
   files.end();
 }
@@ -326,9 +331,9 @@ TEST_P(HostileClosing, ADaemonThatDiesBesideSuchFilesKeepsNothingOpen) {
   attacker.kill();
 }
 
-// What the daemon reads of a process there may wait for a lock that the process holds. Here it is a server
-// that answers nothing, in a mount namespace of this test.
-TEST(HostileLooking, ALookAtAProcessThatDoesNotEndHoldsUpNobody) {
+// When the daemon reads a process's entries there, it may wait for a lock that the process holds.
+// A FUSE server that never answers stands in for /proc/PID, in a mount namespace of this test.
+TEST(HostileLooking, LookingAtAProcessThatDoesNotEndDelaysNobody) {
   AGNOCAST_NEEDS_TWO_USERS();
   ASSERT_EQ(::unshare(CLONE_NEWNS), 0);
   ASSERT_EQ(::mount("none", "/", nullptr, MS_REC | MS_PRIVATE, nullptr), 0);
@@ -340,7 +345,7 @@ TEST(HostileLooking, ALookAtAProcessThatDoesNotEndHoldsUpNobody) {
       attack.ready();
       while (attack.goes_on() && attack.word(1) == 0) ::usleep(1'000);
     }
-    attack.word(0) = 1;  // it has left, and lives
+    attack.word(0) = 1;  // disconnected and still alive
     while (attack.goes_on()) ::usleep(1'000);
   });
   ASSERT_TRUE(attacker.wait_until_ready());
@@ -348,18 +353,18 @@ TEST(HostileLooking, ALookAtAProcessThatDoesNotEndHoldsUpNobody) {
   if (!process.made()) GTEST_SKIP() << "no FUSE here";
   attacker.set_word(1, 1);
   EXPECT_TRUE(eventually([&] { return attacker.word(0) == 1 && process.unanswered() > 0; }))
-      << "the daemon looks at it";
+      << "the daemon does not look at the process";
   for (int round = 0; round < 5; ++round) {
     stage.honest_goes_on();
     stage.honest_is_served();
   }
   const auto another = stage.another_honest_process();
-  EXPECT_EQ(another->ask(std::string("watch ") + open_topic), "ok") << "the next one is welcomed";
+  EXPECT_EQ(another->ask(std::string("watch ") + open_topic), "ok") << "the next process is welcomed";
   process.end();
   attacker.end();
 }
 
-// A write keeps the kernel's lock of its file while it waits for the page that it copies from.
+// A write holds the kernel's lock on its file while it waits for the page that it copies from.
 class LockedFile {
  public:
   LockedFile() : directory_(make_directory()), page_(directory_ + "/page") {
@@ -375,11 +380,12 @@ class LockedFile {
 
   bool made() const { return silent_->made(); }
   bool is_kept() const { return silent_->unanswered() > 0; }
-  /// In the attacker: by a process that is no member, and goes on when the member has died.
+  /// Called in the attacker: a child without a session locks, and outlives the attacker.
   pid_t keep(int file) const {
     const pid_t keeper = ::fork();
     if (keeper != 0) return keeper;
-    // Nothing else of the test may outlive it here, above all not the server's end of the file system.
+    // No other descriptor of the test may outlive it here, above all not the server's end of the
+    // file system.
     ::dup2(file, 3);
     ::syscall(SYS_close_range, 4U, ~0U, 0U);
     const int source = ::open(page_.c_str(), O_RDONLY | O_CLOEXEC);
@@ -389,8 +395,8 @@ class LockedFile {
     static_cast<void>(!::pwrite(3, from, abi::page_bytes, 0));
     ::_exit(0);
   }
-  /// Body of an attacker. While its region is locked one endpoint goes, and its memory with it, one comes,
-  /// and one stays, which may need more memory.
+  /// Body of an attacker. While its region is locked, one endpoint goes together with its memory,
+  /// one comes, and one stays, which may need more memory.
   void attack(Attack& attack, const std::string& path, const char* known_type) const {
     HostileNode node(path);
     const auto leaving = node.join(wire::Kind::publisher, "/leaving");
@@ -416,7 +422,7 @@ class LockedFile {
   std::optional<SilentFuse> silent_;
 };
 
-TEST(HostileLocking, AFileThatItsProcessKeepsLockedHoldsUpNobody) {
+TEST(HostileLocking, AFileThatItsProcessKeepsLockedDelaysNobody) {
   AGNOCAST_NEEDS_TWO_USERS();
   Stage stage;
   LockedFile file;
@@ -437,15 +443,16 @@ TEST(HostileLocking, AFileThatItsProcessKeepsLockedHoldsUpNobody) {
   others_go_on();
   EXPECT_TRUE(eventually([&] { return attacker.word(2) == 1; }) ||
               eventually([&] { return attacker.word(2) == 1; }))
-      << "it is not told why it waits";
-  // Nor is the next daemon, which makes the memory of everybody present that it finds.
+      << "the daemon does not explain the wait to the client";
+  // Nor does it hold up the next daemon, which creates the memory for every process that is
+  // present.
   const pid_t killed = stage.daemon().kill_worker();
   EXPECT_TRUE(stage.daemon().wait_for_next(killed)) << stage.daemon().log();
   others_go_on();
   const auto keeper = static_cast<pid_t>(attacker.word(0));
   const std::uint64_t died = stage.counters().clients_died;
   attacker.kill();
-  EXPECT_TRUE(eventually([&] { return stage.counters().clients_died > died; })) << "its death is noticed";
+  EXPECT_TRUE(eventually([&] { return stage.counters().clients_died > died; })) << "the daemon did not notice the death";
   others_go_on();
   ::kill(keeper, SIGKILL);
 }
@@ -465,7 +472,7 @@ TEST(HostileLocking, ADaemonThatDiesBesideALockedFileKeepsNothingOpen) {
   if (!attacker.wait_until_ready()) return;
   const UniqueFd lock(::open((daemon.socket_path() + ".lock").c_str(), O_RDONLY | O_CLOEXEC));
   ASSERT_TRUE(lock);
-  EXPECT_TRUE(eventually([&] { return is_waiting_in_kernel(daemon.pid()); })) << "nobody waits for the lock";
+  EXPECT_TRUE(eventually([&] { return is_waiting_in_kernel(daemon.pid()); })) << "the daemon does not wait for the lock";
   ::kill(daemon.pid(), SIGKILL);
   EXPECT_TRUE(eventually([&] { return ::flock(lock.get(), LOCK_EX | LOCK_NB) == 0; }));
   EXPECT_TRUE(eventually([&] {

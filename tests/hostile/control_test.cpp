@@ -1,10 +1,11 @@
 // SPDX-License-Identifier: Apache-2.0
 //
-// Goal: whatever another user says to the daemon, or does not say, the honest pair's own requests are
-// answered and its stream goes on; the daemon has its descriptors back when the attacker is gone.
-// Method: an attacker of another user for each abuse of the control protocol, for seconds. What one
-// user can do to the parser is in integration_daemon_protocol and in fuzz_protocol; here it is what
-// comes between two users.
+// Goal: whatever another user sends or does not send to the daemon, it answers the honest pair's
+// own requests and the stream goes on; the daemon has its descriptors back when the attacker is
+// gone.
+// Method: for each abuse of the control protocol, an attacker of another user runs for seconds.
+// The parser's part is in integration_daemon_protocol and fuzz_protocol; this file covers what one
+// user can do to another.
 
 #include <tests/hostile/hostile_node.hpp>
 
@@ -29,9 +30,9 @@ namespace {
 using wire::Kind;
 using wire::Opcode;
 
-/// The honest pair beside attacks of several processes at once; afterwards nothing of them is left.
-/// `cut_off`: the attackers count in their first word how often the daemon ended their connection, and
-/// it has to, again and again.
+/// Runs the honest pair beside attacks of several processes at once; afterwards nothing of them is
+/// left. With `cut_off` the attackers count in their first word how often the daemon ended their
+/// connection; the daemon has to do so repeatedly.
 enum class Ends : std::uint8_t { any, cut_off };
 void honest_goes_on_beside(Stage& stage, const std::function<void(Attack&)>& body,
                            unsigned attackers = 1, Ends ends = Ends::any) {
@@ -62,7 +63,7 @@ void honest_goes_on_beside(Stage& stage, const std::function<void(Attack&)>& bod
       << stage.daemon().descriptor_count() << " descriptors, before the attack " << before;
 }
 
-/// A connection on which nothing is expected; none if the daemon turns us away.
+/// Connects without a further packet. Returns an empty socket if the daemon turns us away.
 PacketSocket connect_to(const std::string& path) {
   auto socket = PacketSocket::connect(path, std::chrono::milliseconds(100));
   return socket ? std::move(*socket) : PacketSocket();
@@ -75,7 +76,7 @@ bool say(const PacketSocket& socket, Opcode opcode, Body body, std::span<const i
   return sent && *sent == Sent::sent;
 }
 
-TEST(HostileControl, GarbageOfEveryLengthIsTheConcernOfItsSender) {
+TEST(HostileControl, GarbageOfEveryLengthAffectsOnlyItsSender) {
   AGNOCAST_NEEDS_TWO_USERS();
   Stage stage;
   Chance chance(11);
@@ -105,7 +106,7 @@ TEST(HostileControl, GarbageOfEveryLengthIsTheConcernOfItsSender) {
   });
 }
 
-TEST(HostileControl, EndlessRequestsOfManyDelayNobodysOwn) {
+TEST(HostileControl, EndlessRequestsOfManyProcessesDelayNoOtherUser) {
   AGNOCAST_NEEDS_TWO_USERS();
   Stage stage;
   const std::string path = stage.socket_path();
@@ -114,7 +115,8 @@ TEST(HostileControl, EndlessRequestsOfManyDelayNobodysOwn) {
       [&](Attack& attack) {
         HostileNode node(path);
         attack.ready();
-        // What makes the most work: creations that are refused or carried out, and statements.
+        // The requests that cause the most work: creations, refused or carried out, and
+        // statements.
         while (attack.goes_on()) {
           for (int i = 0; i < 20; ++i) {
             const Incoming made = node.wire().create_publisher("/flood");
@@ -130,7 +132,7 @@ TEST(HostileControl, EndlessRequestsOfManyDelayNobodysOwn) {
       4);
 }
 
-/// A connection that the daemon has taken, and how to ask it for numbers later.
+/// Connects an accepted observer, to ask for counters later.
 std::unique_ptr<WireClient> observer_of(const std::string& path) {
   auto client = std::make_unique<WireClient>(path);
   wire::Observe observe{};
@@ -139,9 +141,9 @@ std::unique_ptr<WireClient> observer_of(const std::string& path) {
   return client;
 }
 
-// While the daemon is stopped everybody says what they have to say: several hundred connections of one
-// user a long row of requests each, and last of all two connections of another user one each. The
-// second one asks how many had been refused by then, which is all that the first user is ever told.
+// While the daemon is stopped, all clients send their requests: several hundred connections of one
+// user a long row each, and last two connections of another user one each. The second of these
+// asks how many the daemon had refused by then; the first user's requests are all refused.
 TEST(HostileControl, ManyConnectionsOfOneUserAreServedLikeOne) {
   AGNOCAST_NEEDS_TWO_USERS();
   Stage stage;
@@ -162,7 +164,8 @@ TEST(HostileControl, ManyConnectionsOfOneUserAreServedLikeOne) {
     attack.word(1) = 1;
     for (const auto& client : all) {
       for (std::uint64_t i = 0; i < requests; ++i)
-        EXPECT_EQ(client->next().opcode(), Opcode::refused) << "its own user's share is served";
+        EXPECT_EQ(client->next().opcode(), Opcode::refused)
+            << "the daemon serves its own user's share";
     }
     attack.word(2) = 1;
     while (attack.goes_on()) std::this_thread::sleep_for(std::chrono::milliseconds(5));
@@ -190,14 +193,15 @@ TEST(HostileControl, ManyConnectionsOfOneUserAreServedLikeOne) {
   std::printf("%llu of %llu requests of the other user came first\n",
               static_cast<unsigned long long>(refused),
               static_cast<unsigned long long>(connections * requests));
-  EXPECT_LT(refused, connections) << "not even one of each of its connections";
+  EXPECT_LT(refused, connections)
+      << "the daemon served more than one request of each connection first";
   EXPECT_TRUE(eventually([&] { return attacker.word(2) != 0; }));
   EXPECT_EQ(stage.counters().requests_refused, before + connections * requests);
   stage.honest_goes_on();
   attacker.end();
 }
 
-TEST(HostileControl, WhoNeverReadsItsAnswersIsCutOff) {
+TEST(HostileControl, AClientThatNeverReadsItsAnswersIsDisconnected) {
   AGNOCAST_NEEDS_TWO_USERS();
   Stage stage;
   const std::string path = stage.socket_path();
@@ -226,7 +230,7 @@ TEST(HostileControl, WhoNeverReadsItsAnswersIsCutOff) {
       1, Ends::cut_off);
 }
 
-TEST(HostileControl, WhoComesBackAgainAndAgainIsToldLaterAndItsPublishersNothing) {
+TEST(HostileControl, AProcessThatRejoinsTooOftenIsRefusedAndItsPublishersHearNothing) {
   AGNOCAST_NEEDS_TWO_USERS();
   Stage stage;
   const std::string path = stage.socket_path();
@@ -234,7 +238,7 @@ TEST(HostileControl, WhoComesBackAgainAndAgainIsToldLaterAndItsPublishersNothing
   Attacker attacker([&](Attack& attack) {
     HostileNode node(path);
     node.join(Kind::subscription, stream_topic);
-    // More than counts for others: the heap stays where it is, and collides whenever one looks.
+    // More addresses than count for others: the heap stays, and collides at each look.
     wire::Blocked range{};
     range.base = node.welcome().arena_base;
     range.bytes = node.welcome().arena_bytes;
@@ -268,7 +272,7 @@ TEST(HostileControl, WhoComesBackAgainAndAgainIsToldLaterAndItsPublishersNothing
   EXPECT_EQ(stage.publisher().ask("collisions"), "1");
 }
 
-TEST(HostileControl, ConnectionsThatNeverSpeakTakeNobodysPlace) {
+TEST(HostileControl, SilentConnectionsTakeNobodysPlace) {
   AGNOCAST_NEEDS_TWO_USERS();
   Stage stage;
   const std::string path = stage.socket_path();
@@ -283,7 +287,7 @@ TEST(HostileControl, ConnectionsThatNeverSpeakTakeNobodysPlace) {
   });
 }
 
-TEST(HostileControl, FloodsOfConnectionsDelayNobodysOwn) {
+TEST(HostileControl, FloodsOfConnectionsDelayNoOtherUser) {
   AGNOCAST_NEEDS_TWO_USERS();
   Stage stage;
   const std::string path = stage.socket_path();
@@ -303,7 +307,7 @@ TEST(HostileControl, FloodsOfConnectionsDelayNobodysOwn) {
       3);
 }
 
-/// A window of the usual length in the last place of the arena, where nobody has one.
+/// A window of the usual length in the last place of the arena, which nobody uses.
 wire::WindowOpened place_in_arena(HostileNode& node) {
   wire::WindowOpened window{};
   window.bytes = std::uint64_t{64} << 20;
@@ -311,7 +315,7 @@ wire::WindowOpened place_in_arena(HostileNode& node) {
   return window;
 }
 
-/// How that is answered.
+/// Returns the daemon's answer.
 Errc bring(HostileNode& node, const wire::WindowOpened& window, std::span<const int> fds) {
   wire::BringWindow request{};
   request.header = {Opcode::bring_window, sizeof request, 98};
@@ -321,7 +325,7 @@ Errc bring(HostileNode& node, const wire::WindowOpened& window, std::span<const 
   request.first = window.first;
   const auto sent =
       node.wire().socket().send(std::as_bytes(std::span(&request, 1)), fds, Wait::yes);
-  // The kernel itself passes no io_uring: then nothing has been asked for.
+  // The kernel itself passes no io_uring: then the daemon has received no request.
   if (!sent || *sent != Sent::sent)
     return fds.size() > 1 ? Errc::protocol_violation : Errc::permission_denied;
   for (;;) {
@@ -331,7 +335,7 @@ Errc bring(HostileNode& node, const wire::WindowOpened& window, std::span<const 
   }
 }
 
-TEST(HostileControl, DescriptorsOfStrangeKindsAreClosedUnseen) {
+TEST(HostileControl, DescriptorsOfUnexpectedKindsAreClosedUnused) {
   AGNOCAST_NEEDS_TWO_USERS();
   Stage stage;
   const std::string path = stage.socket_path();
@@ -360,28 +364,31 @@ TEST(HostileControl, DescriptorsOfStrangeKindsAreClosedUnseen) {
           HostileNode other(path);
           wire::WindowRequest request{};
           request.header = {Opcode::open_window, sizeof request, 99};
-          // The kernel itself passes no io_uring and no socket of a socket too deep.
+          // The kernel passes no io_uring, and no sockets nested too deeply.
           const auto sent = other.wire().socket().send(std::as_bytes(std::span(&request, 1)),
                                                        std::span(fds).first(count));
           if (!sent || *sent != Sent::sent) continue;
           EXPECT_EQ(other.wire().next().refused_code(), Errc::protocol_violation);
-          EXPECT_TRUE(other.wire().is_hung_up()) << "what came with it goes with the connection";
+          EXPECT_TRUE(other.wire().is_hung_up())
+              << "the descriptors go together with the connection";
         }
-        // Where one is asked for it is looked at, and none of these is a window.
+        // Where a descriptor is allowed the daemon checks it: none is a window.
         const auto window = place_in_arena(node);
         EXPECT_EQ(bring(node, window, std::span(fds).first(1)), Errc::permission_denied);
         EXPECT_EQ(bring(node, window, std::span(fds).first(4)), Errc::protocol_violation);
       }
       strange.pop_back();
-      EXPECT_EQ(node.wire().open_window(0).opcode(), Opcode::window_opened) << "it may go on";
+      EXPECT_EQ(node.wire().open_window(0).opcode(), Opcode::window_opened)
+          << "the attacker's session continues";
       ++attack.word(0);
     }
   });
 }
 
-// With every descriptor that it is given: of others, of its own, for the place they belong to and for
-// others' places. What it could bring is what a daemon made for its user there, and that is given out.
-TEST(HostileControl, WindowsThatAreMissingOrOthersAreBroughtInVain) {
+// Brings every descriptor that it received, of other processes and its own, for the right place
+// and for others' places. It could only bring windows that a daemon made for its user there, and
+// those are in use.
+TEST(HostileControl, MissingWindowsAndThoseOfOthersCannotBeBrought) {
   AGNOCAST_NEEDS_TWO_USERS();
   Stage stage;
   const std::string path = stage.socket_path();
@@ -406,13 +413,14 @@ TEST(HostileControl, WindowsThatAreMissingOrOthersAreBroughtInVain) {
         EXPECT_EQ(bring(node, place, std::span(&writer, 1)),
                   place.base == own.base ? Errc::arena_occupied : Errc::permission_denied);
       }
-      EXPECT_EQ(node.wire().open_window(0).opcode(), Opcode::window_opened) << "it may go on";
+      EXPECT_EQ(node.wire().open_window(0).opcode(), Opcode::window_opened)
+          << "the attacker's session continues";
       ++attack.word(0);
     }
   });
 }
 
-TEST(HostileControl, NothingIsSaidBeforeHelloNorHelloTwice) {
+TEST(HostileControl, RequestsBeforeHelloAndASecondHelloAreRefused) {
   AGNOCAST_NEEDS_TWO_USERS();
   Stage stage;
   Attacker attacker([&](Attack&) {
@@ -442,7 +450,7 @@ TEST(HostileControl, NothingIsSaidBeforeHelloNorHelloTwice) {
   stage.honest_goes_on();
 }
 
-// It can see every number of everybody (observers can), and claims them all.
+// Observers can see every number of every process; this one claims them all.
 TEST(HostileControl, ClaimsAboutOthersEndpointsChangeNothing) {
   AGNOCAST_NEEDS_TWO_USERS();
   Stage stage;
@@ -477,7 +485,7 @@ TEST(HostileControl, ClaimsAboutOthersEndpointsChangeNothing) {
                                    endpoint.generation)
                         .refused_code(),
                     Errc::protocol_violation);
-        // Of what it was told it may say so, and loses it; of the rest it means nothing.
+        // It may acknowledge what it was sent, and loses it; the rest has no effect.
         node.wire().unlinked(endpoint.kind, endpoint.topic, endpoint.index, endpoint.generation);
       }
       for (const auto& process : processes) {
@@ -490,12 +498,12 @@ TEST(HostileControl, ClaimsAboutOthersEndpointsChangeNothing) {
         rejoin.client = process.client;
         rejoin.client_generation = process.generation;
         EXPECT_EQ(impostor.ask(Opcode::rejoin, rejoin).opcode(), Opcode::refused)
-            << "somebody else's place";
+            << "the place belongs to another process";
         wire::Revoke revoke{};
         revoke.client = process.client;
         revoke.generation = process.generation;
         EXPECT_EQ(observer.ask(Opcode::revoke, revoke).refused_code(), Errc::permission_denied)
-            << "of another user";
+            << "the process belongs to another user";
         revoke.generation += 1;
         EXPECT_EQ(observer.ask(Opcode::revoke, revoke).refused_code(), Errc::endpoint_gone);
       }
@@ -504,7 +512,7 @@ TEST(HostileControl, ClaimsAboutOthersEndpointsChangeNothing) {
   });
 }
 
-/// A connection that the daemon takes for an observer's, or none.
+/// Returns a connection that the daemon treats as an observer's, or none.
 PacketSocket observe(const std::string& path) {
   PacketSocket socket = connect_to(path);
   wire::Observe request{};
@@ -521,7 +529,7 @@ PacketSocket observe(const std::string& path) {
   return socket;
 }
 
-TEST(HostileControl, ObserversThatAskWithoutEndAreCutOff) {
+TEST(HostileControl, ObserversThatAskWithoutEndAreDisconnected) {
   AGNOCAST_NEEDS_TWO_USERS();
   Stage stage;
   const std::string path = stage.socket_path();
@@ -541,7 +549,8 @@ TEST(HostileControl, ObserversThatAskWithoutEndAreCutOff) {
           for (auto at = observers.begin(); at != observers.end();) {
             const auto sent = at->send(std::as_bytes(std::span(&request, 1)));
             if (sent && *sent != Sent::peer_gone) {
-              ++at;  // told, or not even asked: the daemon has not read what came before
+              // answered, or the request was not sent: the daemon has not read the earlier ones
+              ++at;
             } else {
               at = observers.erase(at);
               ++attack.word(0);

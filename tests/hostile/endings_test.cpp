@@ -1,9 +1,11 @@
 // SPDX-License-Identifier: Apache-2.0
 //
-// Goal: the death of a process that had as much as it could get delays nobody, and all of it comes back.
-// Method: an attacker of another user fills the memory that it was given, or subscribes a few thousand times
-// where many publish; it is killed, and the honest pair goes on and makes requests until nothing of it is left.
-// How long they waited is in the attack table (largest gap): it depends on the machine, so nothing here judges it.
+// Goal: the death of a process that had as much as it could get delays no other process, and all
+// its resources come back.
+// Method: an attacker of another user fills its memory, or subscribes a few thousand times to
+// topics with many publishers; it is killed, and the honest pair continues and makes requests
+// until nothing of the attacker is left. The attack table (largest gap) has the honest pair's
+// waiting times: they depend on the machine, so no test judges them.
 
 #include <base/memfd.hpp>
 #include <base/populate.hpp>
@@ -38,7 +40,7 @@ std::uint64_t inode_of(int fd) {
   return ::fstat(fd, &file) == 0 ? file.st_ino : 0;
 }
 
-/// Whether this process maps a memfd with this inode or has a descriptor of one.
+/// Returns whether this process maps a memfd with this inode or has a descriptor of one.
 bool has_memory(pid_t pid, std::uint64_t inode) {
   const std::string process = "/proc/" + std::to_string(pid);
   std::ifstream maps(process + "/maps");
@@ -61,7 +63,8 @@ bool has_memory(pid_t pid, std::uint64_t inode) {
   return false;
 }
 
-/// Whether somebody on the stage keeps that memory. Without a descriptor and without a mapping the kernel frees it.
+/// Returns whether a process on the stage keeps that memory. The kernel frees it when no process
+/// has a descriptor or a mapping.
 bool is_kept(Stage& stage, std::uint64_t inode) {
   const std::initializer_list<pid_t> processes = {
       stage.daemon().pid(), stage.daemon().supervisor_pid(), stage.publisher().pid(),
@@ -70,7 +73,7 @@ bool is_kept(Stage& stage, std::uint64_t inode) {
                      [&](pid_t pid) { return has_memory(pid, inode); });
 }
 
-/// A sixteenth of the memory of the machine, at most half a gibibyte: the test fills twice as much.
+/// A sixteenth of the machine's memory, at most half a gibibyte: the test fills twice as much.
 std::uint64_t filled_bytes() {
   const auto pages = static_cast<std::uint64_t>(::sysconf(_SC_PHYS_PAGES));
   const std::uint64_t share = pages * abi::page_bytes / 16;
@@ -82,7 +85,7 @@ void fill(int fd, std::uint64_t bytes) {
   EXPECT_EQ(::fallocate(fd, 0, 0, static_cast<off_t>(bytes)), 0) << "errno " << errno;
 }
 
-TEST(HostileEndings, MemoryThatADeadProcessHasFilledIsFreedBesideTheOthers) {
+TEST(HostileEndings, MemoryFilledByADeadProcessIsFreedWhileOthersGoOn) {
   AGNOCAST_NEEDS_TWO_USERS();
   Stage stage;
   const pid_t daemon = stage.daemon().pid();
@@ -91,7 +94,7 @@ TEST(HostileEndings, MemoryThatADeadProcessHasFilledIsFreedBesideTheOthers) {
     // Inodes: of the region first, then of each window.
     Attacker attacker([&](Attack& attack) {
       HostileNode node(stage.socket_path());
-      // The subscriber of this topic is told of all its memory.
+      // The daemon announces all its memory to the subscriber of this topic.
       node.join(Kind::publisher, open_topic);
       const std::uint64_t in_region = std::min(filled_bytes(), node.welcome().client_region_bytes);
       EXPECT_TRUE(lengthen(node.region_fd(), in_region));  // it may be immutable
@@ -122,12 +125,12 @@ TEST(HostileEndings, MemoryThatADeadProcessHasFilledIsFreedBesideTheOthers) {
       }
       return false;
     };
-    EXPECT_TRUE(is_somewhere()) << "the daemon has no memory of the attacker's to free";
+    EXPECT_TRUE(is_somewhere()) << "the daemon has no memory of the attacker to free";
     attacker.kill();
     EXPECT_TRUE(eventually([&] {
       stage.honest_is_served();
       return testing::Test::HasFailure() || !is_somewhere();
-    })) << "memory of a dead process is kept";
+    })) << "a process keeps memory of a dead process";
     stage.honest_goes_on();
     stage.honest_is_served();
   }
@@ -135,21 +138,21 @@ TEST(HostileEndings, MemoryThatADeadProcessHasFilledIsFreedBesideTheOthers) {
 }
 
 constexpr std::uint64_t topic_count = 6;
-constexpr std::uint64_t subscriptions_per_topic = 500;  // 576 are one user's share of a topic
-// The daemon announces each publisher of a topic for each subscription, and the other way round: the time that the
-// test takes grows with the product.
+constexpr std::uint64_t subscriptions_per_topic = 500;  // one user's share of a topic is 576
+// The daemon announces each publisher of a topic to each subscription, and the other way round:
+// the time that the test takes grows with the product.
 constexpr std::uint64_t publisher_process_count = 2;
 constexpr std::uint64_t publishers_per_topic_and_process = 20;
 
 std::string crowded(std::uint64_t topic) { return "/crowded" + std::to_string(topic); }
 
-/// Forgets what has come, with the descriptors.
+/// Drops the packets received so far, with their descriptors.
 void forget_what_came(WireClient& wire) {
   while (wire.poll()) {
   }
 }
 
-/// Many publishers in a few processes that read everything and say nothing.
+/// Many publishers in a few processes that read every packet and send nothing.
 void publish_in_masses(const std::string& path, Attack& attack) {
   std::vector<std::unique_ptr<HostileNode>> nodes;
   for (std::uint64_t process = 0; process < publisher_process_count; ++process) {
@@ -171,12 +174,13 @@ void publish_in_masses(const std::string& path, Attack& attack) {
 void subscribe_in_masses(const std::string& path, Attack& attack) {
   HostileNode node(path);
   node.open_executor();
-  // So many requests are under way at once; sent one by one, each would wait for a turn of both processes.
+  // So many requests are under way at once; sent one by one, each would wait for a time slice of
+  // both processes.
   constexpr std::uint64_t row = 50;
   static_assert(subscriptions_per_topic % row == 0);
   for (std::uint64_t topic = 0; topic < topic_count; ++topic) {
     auto body = WireClient::endpoint(crowded(topic), {});
-    body.quota = 1;  // what everybody may hold of others
+    body.quota = 1;  // any process may hold that many of others
     for (std::uint64_t made = 0; made < subscriptions_per_topic;) {
       for (std::uint64_t i = 0; i < row; ++i) node.wire().send(Opcode::create_subscription, body);
       for (const std::uint64_t end = made + row; made < end;) {
@@ -191,7 +195,7 @@ void subscribe_in_masses(const std::string& path, Attack& attack) {
   while (attack.goes_on()) pause_briefly();
 }
 
-TEST(HostileEndings, ThousandsOfSubscriptionsThatDieAtOnceHoldUpNobody) {
+TEST(HostileEndings, ThousandsOfSubscriptionsThatDieAtOnceDelayNobody) {
   AGNOCAST_NEEDS_TWO_USERS();
   Stage stage({.quota = ""});
   const pid_t daemon = stage.daemon().pid();
@@ -211,12 +215,12 @@ TEST(HostileEndings, ThousandsOfSubscriptionsThatDieAtOnceHoldUpNobody) {
         without["subscriptions"].get<std::uint64_t>() + topic_count * subscriptions_per_topic);
     stage.honest_goes_on();
     attacker.kill();
-    // The first of these are asked in the middle of it.
+    // The daemon gets the first of these requests during the cleanup.
     for (int i = 0; i < 20; ++i) stage.honest_is_served();
     stage.honest_goes_on();
     publishers.kill();
   }
-  // Publishers that say nothing let go of nothing; with their death the last of it goes.
+  // Silent publishers acknowledge nothing; the last resources go with their death.
   EXPECT_TRUE(eventually([&] {
     stage.honest_is_served();
     return testing::Test::HasFailure() || in_use() == before;

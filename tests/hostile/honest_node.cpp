@@ -1,24 +1,24 @@
 // SPDX-License-Identifier: Apache-2.0
 //
-// The honest side of the hostile tests: an ordinary node on the public interface, with a publisher or
-// subscriptions, that counts everything it was promised and did not get.
+// The honest side of the hostile tests: an ordinary node on the public interface, with a publisher
+// or subscriptions, that counts every promise that was not kept.
 //
-//   honest_node UID     becomes that user first (0: stays who it is)
+//   honest_node UID     becomes that user first (0: keeps its user)
 //   then line by line on its standard input, each answered with one line:
-//     publish TOPIC     → ok      a Numbered every few milliseconds from now on, in a thread of its own
-//     subscribe TOPIC   → ok      checks each by number and content, holds the last few and checks again
+//     publish TOPIC     → ok      a Numbered every few milliseconds from now on, in its own thread
+//     subscribe TOPIC   → ok      checks number and content of each, holds the last few, rechecks
 //     join TOPIC        → ok      the same with a stream that has begun: the first number is any
-//     occupy ADDRESS BYTES → ok   maps something there
-//     watch TOPIC       → ok      takes what others publish there, looks at no byte of it, notes where it lay
-//     publish_bulk TOPIC → ok    a mebibyte every few milliseconds; only the newest one is kept for others
-//     publish_flat TOPIC → ok    a publisher of Flat, which says nothing
-//     enter-user-namespace → ok   ahead of all else: it is another user there than the daemon sees
-//     limit-addresses   → ok      this process can map no other one's region from now on
-//     create TOPIC      → ok      a publisher and a subscription more, and away with them
-//     collisions        → of how many collisions of addresses its publisher was told
-//     matched           → how many there are at the other end of what it has
-//     forget-gap        → ok      the largest gap between two messages is counted anew
-//     state             → published refused received wrong lost watched low high watch_lost gap refusal
+//     occupy ADDRESS BYTES → ok   maps memory there
+//     watch TOPIC       → ok      takes messages of others unread, notes their addresses
+//     publish_bulk TOPIC → ok    a mebibyte every few milliseconds; keeps only the newest
+//     publish_flat TOPIC → ok    a publisher of Flat that publishes nothing
+//     enter-user-namespace → ok   comes first: its uid then differs from what the daemon sees
+//     limit-addresses   → ok      from now on this process can map no region of another process
+//     create TOPIC      → ok      creates a publisher and a subscription, and destroys them
+//     collisions        → how many collisions of addresses the daemon reported to its publisher
+//     matched           → how many endpoints match its own endpoint
+//     forget-gap        → ok      resets the largest gap between two messages
+//     state → published refused received wrong lost watched low high watch_lost gap refusal
 //                         gap: the largest between two messages, received or published
 //     stop              → ok      publishes no more
 
@@ -50,7 +50,7 @@
 namespace agnocast::test {
 namespace {
 
-// Deep and slow enough that a busy machine may stop the reader for seconds, and nothing is lost.
+// Deep and slow enough that a busy machine may stop the reader for seconds without a loss.
 constexpr std::uint32_t depth = 1000;
 constexpr std::chrono::milliseconds period{3};
 
@@ -66,7 +66,7 @@ class HonestNode {
     if (what == "occupy") return occupy(topic, line);
     if (what == "watch") return watch(topic);
     if (what == "limit-addresses") return limit_addresses();
-    // Without a map its uid is the one that stands for all: 65534.
+    // Without a uid map its uid is the overflow uid, 65534.
     if (what == "enter-user-namespace") return ::unshare(CLONE_NEWUSER) == 0 ? "ok" : "no";
     if (what == "create") return create(topic);
     if (what == "publish_flat") return publish_flat(topic);
@@ -93,7 +93,7 @@ class HonestNode {
         fill(*message, number);
         const PublishResult result = publisher_->publish(std::move(message));
         if (result) published_.store(number), note_gap();
-        // One at a time is begun, so one may be copied for each time that the heap is asked to move.
+        // Only one loan is open at a time, so each move of the heap may cause one copy.
         if (result && result.adopted_bytes != 0) ++copied;
         const auto moves = publisher_->get_heap_collision_status().total_count;
         if (!result || copied > static_cast<std::uint64_t>(moves)) {
@@ -173,7 +173,7 @@ class HonestNode {
     watched_ = create_subscription<Flat>(
         node_, topic, QoS(100), [this](ipc_shared_ptr<const Flat> message) {
           const auto at = reinterpret_cast<std::uint64_t>(message.get());
-          // Read as a whole: what was handed out can be read.
+          // Read completely: every message that was handed out has to be readable.
           std::uint64_t sum = 0;
           for (const std::uint64_t word : message->word) sum += word;
           sum_.store(sum);
@@ -218,7 +218,7 @@ class HonestNode {
   std::atomic<std::uint64_t> seen_{0}, low_{~std::uint64_t{0}}, high_{0}, sum_{0};
   std::atomic<const char*> refusal_{""};
   std::atomic<bool> stopped_{false};
-  std::deque<ipc_shared_ptr<const Numbered>> held_;  // of the callback alone
+  std::deque<ipc_shared_ptr<const Numbered>> held_;  // used only by the callback
   std::uint64_t missed_ = 0, last_ns_ = 0;           // likewise
   std::atomic<std::uint64_t> largest_gap_ns_{0};
   Publisher<Numbered>::SharedPtr publisher_;

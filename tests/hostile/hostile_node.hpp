@@ -1,7 +1,8 @@
 // SPDX-License-Identifier: Apache-2.0
 //
-// HostileNode: a member that the daemon takes for one of the usual ones, and that then writes what it
-// likes. It asks for what any client may ask for; whatever it is given it keeps.
+// HostileNode: a client that the daemon takes for an ordinary one, and that then writes anything
+// it likes. It makes the requests that any client may make, and keeps every descriptor it is
+// given.
 #pragma once
 
 #include <agnocast/abi/observe.hpp>
@@ -27,7 +28,8 @@ class HostileNode {
  public:
   using M = SharedMemory;
 
-  /// `window_file_bytes`: how much there is of its window; all of it by default. `domain`: ROS_DOMAIN_ID.
+  /// `window_file_bytes`: the length of its window's file; the whole window by default. `domain`:
+  /// ROS_DOMAIN_ID.
   explicit HostileNode(const std::string& socket_path, std::uint64_t window_file_bytes = 0,
                        std::uint64_t domain = 0)
       : path_(socket_path), wire_(socket_path), window_file_bytes_(window_file_bytes) {
@@ -48,7 +50,7 @@ class HostileNode {
   std::byte* region() const { return region_.base(); }
   abi::SharedWord& word(std::uint64_t offset) const { return M::word(region_.base(), offset); }
 
-  /// The first window, mapped somewhere: attackers do not follow their own pointers.
+  /// The first window, mapped at any address: attackers do not follow their own pointers.
   const wire::WindowOpened& open_window() {
     if (window_fds_.empty()) {
       Incoming opened = wire_.open_window(0);
@@ -59,7 +61,7 @@ class HostileNode {
                            window_file_bytes_ != 0 ? window_file_bytes_ : window_.bytes));
       heap_ = std::move(
           Mapping::map(window_fds_[0].get(), window_.bytes, Mapping::Access::read_write).value());
-      // As an honest process describes itself; from here on it lies.
+      // An honest process would describe itself like this; from here on it lies.
       word(128 + offsetof(abi::WindowEntry, base)).store(window_.base);
       word(128 + offsetof(abi::WindowEntry, length)).store(window_.bytes);
       word(128 + offsetof(abi::WindowEntry, frontier)).store(std::uint64_t{1} << 20);
@@ -76,7 +78,8 @@ class HostileNode {
     bells_ = std::move(opened.fds);
     executor_ = true;
   }
-  /// A subscription of this depth with a further executor of its own. False: it was refused.
+  /// A subscription of this depth with an additional executor. Returns false if the daemon refused
+  /// it.
   bool subscribe_with_executor(const char* topic, std::uint64_t executor, std::uint32_t depth) {
     Incoming opened = wire_.open_executor(executor);
     if (opened.opcode() != wire::Opcode::executor_opened) return false;
@@ -87,14 +90,14 @@ class HostileNode {
     body.type = types[topic].first;
     body.layout_hash = types[topic].second;
     body.executor = executor;
-    body.quota = 1;  // what everybody may hold of others
+    body.quota = 1;  // any process may hold that many of others
     return wire_.ask(wire::Opcode::create_subscription, body).opcode() ==
            wire::Opcode::endpoint_created;
   }
-  /// Nobody has the receivers of the own executor any more.
+  /// Closes the receivers of the own executor, which no other process has.
   void close_bells() { bells_.clear(); }
 
-  /// An endpoint on a topic that is there, of its type.
+  /// Creates an endpoint on an existing topic, of its type.
   wire::EndpointCreated join(wire::Kind kind, const char* topic, abi::Qos qos = {},
                              std::uint64_t quota = 64) {
     auto body = body_like(topic, topic, qos);
@@ -112,7 +115,7 @@ class HostileNode {
     return made.opcode() == wire::Opcode::endpoint_created ? made.as<wire::EndpointCreated>()
                                                            : wire::EndpointCreated{};
   }
-  /// For an endpoint on `topic`, of the type that `other` has.
+  /// Returns the request for an endpoint on `topic`, of the type that `other` has.
   wire::CreateEndpoint body_like(const char* other, const std::string& topic, const abi::Qos& qos) {
     auto body = WireClient::endpoint(topic, qos);
     const auto type = type_of(other);
@@ -120,7 +123,7 @@ class HostileNode {
     body.layout_hash = type.second;
     return body;
   }
-  /// The announcement of one endpoint of somebody else, with what came along.
+  /// The announcement of one endpoint of another process, with its descriptors.
   struct Announced {
     wire::Announcement body{};
     std::vector<UniqueFd> fds;
@@ -145,7 +148,7 @@ class HostileNode {
     return word(128 + window * sizeof(abi::WindowEntry) + offsetof(abi::WindowEntry, frontier));
   }
 
-  /// Commits a message as the protocol wants it, wherever it says it lies.
+  /// Commits a message as the protocol requires, at any claimed address.
   void commit(const wire::EndpointCreated& publisher, std::uint64_t address, std::uint64_t size) {
     const auto words = queue(publisher);
     const std::uint64_t sequence = abi::sequence_of(words.head().load()) + 1;

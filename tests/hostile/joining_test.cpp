@@ -1,10 +1,10 @@
 // SPDX-License-Identifier: Apache-2.0
 //
-// Goal: whatever another user does with the descriptors that the daemon shows to everybody who looks,
+// Goal: whatever another user does with the descriptors that the daemon gives to every observer,
 // new processes join and the others go on.
-// Method: an observer of another user asks for dumps without end and puts every lock, seal, lease and
-// flag that there is on each descriptor that it is given; processes of the honest user join meanwhile.
-// The same once more after the daemon has been killed and goes on.
+// Method: an observer of another user asks for dumps without end and puts every lock, seal, lease
+// and flag that exists on each descriptor that it receives; processes of the honest user join
+// meanwhile. The same once more after the daemon has been killed and restarted.
 
 #include <tests/hostile/hostile_node.hpp>
 
@@ -21,7 +21,7 @@ namespace {
 
 using wire::Opcode;
 
-// glibc has them with _GNU_SOURCE only in part.
+// glibc defines only some of them, with _GNU_SOURCE.
 #ifndef F_SEAL_FUTURE_WRITE
 #define F_SEAL_FUTURE_WRITE 0x0010
 #endif
@@ -33,9 +33,9 @@ bool lock_for_reading(int fd, int command) {
   return ::fcntl(fd, command, &lock) == 0;
 }
 
-/// Everything that a descriptor for reading may be asked to keep from others.
+/// Tries every operation with which a reader's descriptor could keep others from the file.
 void take_hold_of(int fd) {
-  // Of a region whose process has let go of it there may be a lock; it disturbs nobody.
+  // A lock is possible on a region that its process has closed; it disturbs nobody.
   static_cast<void>(lock_for_reading(fd, F_OFD_SETLK));
   static_cast<void>(lock_for_reading(fd, F_SETLK));
   static_cast<void>(::flock(fd, LOCK_EX | LOCK_NB));
@@ -53,7 +53,7 @@ void take_hold_of(int fd) {
   static_cast<void>(::lseek(fd, 1, SEEK_SET));
 }
 
-/// One look at everything; false when the daemon has ended the connection.
+/// Reads one dump; returns false when the daemon has ended the connection.
 bool look(WireClient& observer, Attack& attack) {
   wire::Dump dump{};
   dump.header = {Opcode::dump, sizeof dump, 7};
@@ -93,7 +93,7 @@ void processes_join(Stage& stage, const Attacker& attacker) {
     EXPECT_EQ(stage.another_honest_process()->ask("create /joined" + std::to_string(i)), "ok");
   stage.honest_is_served();
   stage.honest_goes_on();
-  EXPECT_GT(attacker.word(0), before + processes) << "or nobody has attacked";
+  EXPECT_GT(attacker.word(0), before + processes) << "the attacker did not attack";
 }
 
 TEST(HostileJoining, IsNotPreventedByLocksOfReaders) {

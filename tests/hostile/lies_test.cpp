@@ -1,11 +1,11 @@
 // SPDX-License-Identifier: Apache-2.0
 //
-// Goal: whatever a member writes into all that it may write, its neighbours lose nothing, wait for
-// nobody, and are handed nothing that lies outside the liar's own windows.
-// Method: an attacker of another user joins as any process does and then lies about one thing after
-// the other, or writes random bytes over everything, for seconds; then it dies in the middle of it.
-// The honest publisher has the attacker as a subscriber of its stream; the process of the honest
-// subscriber takes what the attacker publishes on another topic.
+// Goal: whatever a client writes into all memory that it may write, its peers lose nothing, wait
+// for nobody, and receive nothing that lies outside the liar's own windows.
+// Method: an attacker of another user joins as any process does and then lies about one thing
+// after the other, or writes random bytes over everything, for seconds; then it is killed in the
+// middle. The attacker subscribes to the honest publisher's stream; the process of the honest
+// subscriber takes the messages that the attacker publishes on another topic.
 
 #include <tests/hostile/hostile_node.hpp>
 
@@ -18,10 +18,10 @@ namespace {
 using wire::Kind;
 using wire::Opcode;
 
-// More than a publisher has slots: as long as not one of them comes back, it gets no further.
+// More than a publisher has slots: a publisher that gets no slot back cannot reach it.
 constexpr std::uint64_t every_slot = abi::slot_count_max + 100;
 
-/// A publisher on the open topic, with the bell of the honest process that watches it.
+/// A publisher on the open topic, with the doorbell of the honest process that watches it.
 struct LyingPublisher {
   explicit LyingPublisher(Stage& stage) : node(stage.socket_path()) {
     made = node.join(Kind::publisher, open_topic);
@@ -65,7 +65,7 @@ bool is_revoked(Stage& stage) {
   return stage.daemon().log().find("client revoked") != std::string::npos;
 }
 
-/// The honest pair beside an attack, for a while; then the attacker is killed. `first` is done when
+/// Runs the honest pair beside an attack for a while, then kills the attacker. Calls `first` when
 /// the attack is under way.
 void honest_goes_on_beside(Stage& stage, const std::function<void(Attack&)>& body,
                            const std::function<void()>& first = {}) {
@@ -83,14 +83,17 @@ void honest_goes_on_beside(Stage& stage, const std::function<void(Attack&)>& bod
   EXPECT_TRUE(stage.daemon().wait_for_log("client gone"));
 }
 
-/// The honest publisher gets through all its slots while the daemon stands still: the daemon puts out
-/// who holds more than its quota (daemon/death/hold_watch.hpp), and nobody may have to wait for that.
+/// The honest publisher uses all its slots while the daemon is stopped: the daemon revokes a
+/// process that holds more than its quota (daemon/death/hold_watch.hpp), and nobody may have to
+/// wait for that.
 void honest_helps_itself(Stage& stage) {
-  // Until it has mapped a member it must keep everything for it, and it hears of it from the daemon.
+  // The publisher keeps every message for a subscriber until it has mapped it; the daemon
+  // announces it.
   ASSERT_TRUE(stage.publisher().eventually("matched", "2"));
   const pid_t daemon = stage.daemon().pid();
   ASSERT_EQ(::kill(daemon, SIGSTOP), 0);
-  EXPECT_FALSE(is_revoked(stage)) << "the attack was over before it was withstood";
+  EXPECT_FALSE(is_revoked(stage))
+      << "the daemon revoked the attacker before the publisher withstood the attack";
   const std::uint64_t last = stage.state().published + every_slot;
   do {
     stage.honest_goes_on();
@@ -111,7 +114,7 @@ TEST(HostileLies, CursorsAheadBehindAndJumpingCostNobodyAMessage) {
   });
 }
 
-TEST(HostileLies, LinksThatComeGoAndAreToOthersCostNobodyAMessage) {
+TEST(HostileLies, LinksThatChangeOrNameOthersCostNobodyAMessage) {
   AGNOCAST_NEEDS_TWO_USERS();
   Stage stage;
   Chance chance(2);
@@ -126,7 +129,7 @@ TEST(HostileLies, LinksThatComeGoAndAreToOthersCostNobodyAMessage) {
   });
 }
 
-TEST(HostileLies, HoldsOnEverythingTakeNoSlotBeyondTheQuotaAndEndTheMembership) {
+TEST(HostileLies, HoldsOnEverythingTakeNoSlotBeyondTheQuotaAndEndTheSession) {
   AGNOCAST_NEEDS_TWO_USERS();
   Stage stage;
   honest_goes_on_beside(
@@ -140,7 +143,7 @@ TEST(HostileLies, HoldsOnEverythingTakeNoSlotBeyondTheQuotaAndEndTheMembership) 
       },
       [&] {
         honest_helps_itself(stage);
-        // Six looks, one a second, as soon as the daemon can look again.
+        // Six looks, one a second, once the daemon can look again.
         EXPECT_TRUE(stage.daemon().wait_for_log("client revoked") || is_revoked(stage));
       });
 }
@@ -166,7 +169,8 @@ TEST(HostileLies, AGreedySubscriptionGetsWhatItsUserMayHoldAndNoMore) {
   honest_goes_on_beside(
       stage,
       [&](Attack& attack) {
-        // Half of what the honest subscription leaves of the pool, and one (daemon/state/hold_pool.hpp).
+        // Half of the pool's rest beside the honest subscription, and one
+        // (daemon/state/hold_pool.hpp).
         constexpr std::uint64_t most = 115;
         LyingSubscriber greedy(stage, 1000, most);
         HostileNode second(stage.socket_path());
@@ -176,12 +180,12 @@ TEST(HostileLies, AGreedySubscriptionGetsWhatItsUserMayHoldAndNoMore) {
                 .ask(Opcode::create_subscription, second.body_like(stream_topic, stream_topic, {}))
                 .refused_code(),
             Errc::quota_exceeded)
-            << "four more";
+            << "four more messages to hold";
         auto wanting = WireClient::endpoint("/any", {});
         wanting.quota = 400 - most + 1;
         EXPECT_EQ(second.wire().ask(Opcode::create_subscription, wanting).refused_code(),
                   Errc::quota_exceeded);
-        // All that it may hold, from now on for ever.
+        // Holds all that it may, from now on for ever.
         for (std::uint64_t slot = 0; slot < most; ++slot)
           greedy.line().hold(slot / 64).fetch_or(std::uint64_t{1} << slot % 64);
         greedy.line().cursor().store(~std::uint64_t{0} >> 16);
@@ -189,10 +193,10 @@ TEST(HostileLies, AGreedySubscriptionGetsWhatItsUserMayHoldAndNoMore) {
         while (attack.goes_on()) std::this_thread::sleep_for(std::chrono::milliseconds(10));
       },
       [&] { honest_helps_itself(stage); });
-  EXPECT_FALSE(is_revoked(stage)) << "it lies about nothing";
+  EXPECT_FALSE(is_revoked(stage)) << "the attacker stays within its quota";
 }
 
-TEST(HostileLies, SleepWordsThatAlwaysAskForABellCostADatagramEach) {
+TEST(HostileLies, SleepWordsThatAlwaysAskForARingCostADatagramEach) {
   AGNOCAST_NEEDS_TWO_USERS();
   Stage stage;
   honest_goes_on_beside(stage, [&](Attack& attack) {
@@ -235,7 +239,7 @@ TEST(HostileLies, AddressesOutsideTheWindowAreHandedToNobody) {
     attack.word(0).store(liar.base);
     attack.word(1).store(liar.bytes);
     attack.ready();
-    // One that is right comes first and last: what lies between them has been looked at.
+    // A valid one comes first and last: the reader has checked all between.
     const std::uint64_t frontier = 1 << 20;
     const std::uint64_t wrong[][2] = {
         {0, flat_bytes},
@@ -246,7 +250,7 @@ TEST(HostileLies, AddressesOutsideTheWindowAreHandedToNobody) {
         {liar.base - 8, flat_bytes},
         {liar.base + frontier, flat_bytes},
         {liar.base + frontier - flat_bytes + 8, flat_bytes},
-        {liar.base + liar.bytes - flat_bytes, flat_bytes},  // behind the frontier
+        {liar.base + liar.bytes - flat_bytes, flat_bytes},  // beyond the frontier
         {liar.base + liar.bytes, flat_bytes},
         {liar.base + 1, flat_bytes},  // misaligned
         {liar.base + 4, flat_bytes},
@@ -274,7 +278,7 @@ TEST(HostileLies, AddressesOutsideTheWindowAreHandedToNobody) {
   EXPECT_TRUE(eventually([&] { return stage.state().watched >= attacker.word(2); }));
   stage.honest_goes_on();
   const auto state = stage.state();
-  EXPECT_EQ(state.watched, attacker.word(2)) << "the honest ones of them, and no other";
+  EXPECT_EQ(state.watched, attacker.word(2)) << "the reader takes exactly the valid messages";
   EXPECT_EQ(state.watch_lost, attacker.word(3));
   EXPECT_EQ(state.low, attacker.word(0));
   EXPECT_EQ(state.high, attacker.word(0) + (1 << 20));
@@ -293,7 +297,7 @@ TEST(HostileLies, FrontiersBeyondTheWindowOpenNothingBehindIt) {
       for (int i = 0; i < 50; ++i) {
         const std::uint64_t window = chance.below(abi::window_count_max);
         liar.node.frontier(window).store(chance.nasty());
-        // Windows that nobody gave it, over those of others.
+        // Claims windows that it was never given, over those of others.
         const std::uint64_t entry = 128 + window * sizeof(abi::WindowEntry);
         if (window != 0 && chance.below(4) == 0) {
           liar.node.word(entry).store(chance.below(2) == 0 ? liar.node.welcome().arena_base
@@ -343,7 +347,7 @@ TEST(HostileLies, ASequenceThatJumpsOrWrapsCostsTheLiarAlone) {
         liar.commit(liar.base);
         liar.ring();
       }
-      // The very end of the numbers, slots that are not there, and back to the beginning.
+      // The last possible sequence, slots that do not exist, and back to the beginning.
       queue.head().store(~std::uint64_t{0});
       liar.ring();
       queue.head().store(abi::pack_entry((std::uint64_t{1} << 48) - 1, 0));
@@ -370,7 +374,7 @@ TEST(HostileLies, RandomBytesOverEverythingAPublisherMayWriteHarmNobody) {
       attack.word(0).store(liar.base);
       attack.word(1).store(liar.bytes);
       attack.ready();
-      // One that is garbage before its reader has linked is never read at all.
+      // A reader never takes from a queue that was garbage before it linked.
       while (attack.goes_on() && attack.word(3).load() == 0) {
         liar.commit(liar.base);
         liar.ring();
@@ -426,11 +430,11 @@ TEST(HostileLies, RandomBytesOverEverythingAPublisherMayWriteHarmNobody) {
 TEST(HostileLies, AnIntentThatIsGarbageIsCountedAndNothingElseIsTouched) {
   AGNOCAST_NEEDS_TWO_USERS();
   Stage stage;
-  // op, sequence relative to head, slot
+  // operation, sequence relative to head, slot
   const std::uint64_t intents[][3] = {
       {2, 0, 0},  // unknown operation
       {~std::uint64_t{0}, 1, 0},
-      {abi::intent_publish, 2, 0},  // neither committed nor the next one
+      {abi::intent_publish, 2, 0},  // neither committed nor the next
       {abi::intent_publish, ~std::uint64_t{0}, 0},
       {abi::intent_publish, std::uint64_t{1} << 40, 0},
       {abi::intent_publish, 1, abi::slot_count_max},  // no such slot
@@ -461,7 +465,7 @@ TEST(HostileLies, AnIntentThatIsGarbageIsCountedAndNothingElseIsTouched) {
     ++expected;
     EXPECT_TRUE(eventually([&] { return stage.counters().intents_corrupt == expected; }));
     EXPECT_TRUE(eventually([&] { return stage.state().watched == seen_before + 5; }))
-        << "what the other publisher had committed is delivered";
+        << "the reader receives the other publisher's committed messages";
     stage.honest_goes_on();
   }
 }

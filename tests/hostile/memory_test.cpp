@@ -1,10 +1,11 @@
 // SPDX-License-Identifier: Apache-2.0
 //
-// Goal: with the descriptors and mappings that a client really gets, another user can write nothing
-// that is not his, resize nothing at all, and make nobody meet SIGBUS, whatever the kernel offers.
+// Goal: with the descriptors and mappings that a client really gets, another user can write only
+// its own memory, resize nothing at all, and cause no SIGBUS in another process, whatever the
+// kernel offers.
 // Method: a list of attempts, each with the errno that it must end with, on every kind of shared
-// memory, with the daemon as root and as a user of its own, while an honest pair runs. A kernel or a
-// change of ours that opens a way turns an attempt red, and so does one that closes it otherwise.
+// memory, with the daemon as root and as a user of its own, while an honest pair runs. When a
+// kernel or one of our changes opens a way, or closes it otherwise, an attempt fails the test.
 
 #include <tests/hostile/hostile_node.hpp>
 
@@ -39,7 +40,7 @@ constexpr std::uint64_t page = 4096;
 
 std::string path_of(int fd) { return "/proc/self/fd/" + std::to_string(fd); }
 
-/// 0 when it worked, else errno.
+/// Returns 0 when the call worked, else errno.
 template <class Call>
 int outcome(Call call) {
   errno = 0;
@@ -61,11 +62,12 @@ int write_vm(pid_t pid, void* at) {
   return outcome([&] { return ::process_vm_writev(pid, &local, 1, &remote, 1, 0); });
 }
 
-// A fault handler of its own would fill pages of a mapping; 0 only if the kernel lets it.
+// Registers a fault handler that would fill pages of a mapping; returns 0 only if the kernel
+// allows it.
 int userfaultfd_on(void* at) {
   const UniqueFd fd(
       static_cast<int>(::syscall(SYS_userfaultfd, O_CLOEXEC | O_NONBLOCK | UFFD_USER_MODE_ONLY)));
-  if (!fd) return EPERM;  // not offered here at all
+  if (!fd) return EPERM;  // not available here
   uffdio_api api{};
   api.api = UFFD_API;
   if (::ioctl(fd.get(), UFFDIO_API, &api) != 0) return EPERM;
@@ -75,7 +77,7 @@ int userfaultfd_on(void* at) {
   return outcome([&] { return ::ioctl(fd.get(), UFFDIO_REGISTER, &range); });
 }
 
-/// Whether the daemon has forbidden that holes are punched there.
+/// Returns whether the daemon has forbidden to punch holes there.
 bool has_no_holes(int fd) {
   int flags = 0;
   return ::ioctl(fd, FS_IOC_GETFLAGS, &flags) == 0 && (flags & FS_IMMUTABLE_FL) != 0;
@@ -88,7 +90,7 @@ int punch(int fd, std::uint64_t offset, std::uint64_t bytes) {
   });
 }
 
-// Everything that might write through a descriptor opened for reading, or through a mapping of it.
+// Tries everything that might write through a read-only descriptor, or through a mapping of it.
 void try_to_write(int fd, const std::string& what, Length length = Length::may_grow) {
   SCOPED_TRACE(what);
   const std::string path = path_of(fd);
@@ -145,7 +147,7 @@ void try_to_write(int fd, const std::string& what, Length length = Length::may_g
   ::munmap(moved, 2 * page);
 }
 
-// What is one's own may be written and made longer, and neither made shorter nor given away.
+// A process may write and lengthen its own memory, but neither shorten it nor give it away.
 void try_to_resize(int fd, const std::string& what) {
   SCOPED_TRACE(what);
   struct stat status {};
@@ -174,7 +176,7 @@ class HostileMemory : public testing::TestWithParam<bool> {
   }
 };
 
-TEST_P(HostileMemory, GivesNobodyAWayToWriteWhatIsNotHis) {
+TEST_P(HostileMemory, GivesNobodyAWayToWriteMemoryOfOthers) {
   AGNOCAST_NEEDS_TWO_USERS();
   Stage stage(options());
   Attacker attacker([&](Attack&) {
@@ -185,7 +187,7 @@ TEST_P(HostileMemory, GivesNobodyAWayToWriteWhatIsNotHis) {
     node.join(Kind::publisher, open_topic);
     const auto subscription = node.announced();
     ASSERT_EQ(subscription.body.kind, Kind::subscription);
-    ASSERT_EQ(subscription.fds.size(), 2u) << "region and datagram bell: no eventfd for this user";
+    ASSERT_EQ(subscription.fds.size(), 2u) << "region and datagram doorbell: no eventfd for this user";
     struct stat bell {};
     ASSERT_EQ(::fstat(subscription.fds[1].get(), &bell), 0);
     EXPECT_TRUE(S_ISSOCK(bell.st_mode)) << "an eventfd would let us block its other holders";
@@ -224,8 +226,8 @@ TEST_P(HostileMemory, GivesAnObserverNoWayToWrite) {
         ASSERT_EQ(::fstat(fd.get(), &status), 0);
         char name[64] = {};
         EXPECT_GT(::readlink(path_of(fd.get()).c_str(), name, sizeof name - 1), 0);
-        EXPECT_EQ(std::string(name), "/memfd:agnocast-region (deleted)") << "and no window";
-        EXPECT_LT(status.st_size, off_t{1} << 20) << "a few extents";
+        EXPECT_EQ(std::string(name), "/memfd:agnocast-region (deleted)") << "an observer gets no window";
+        EXPECT_LT(status.st_size, off_t{1} << 20) << "the region should be only a few extents long";
         try_to_write(fd.get(), "region of a process");
       }
     }
@@ -234,7 +236,7 @@ TEST_P(HostileMemory, GivesAnObserverNoWayToWrite) {
   attacker.end();
 }
 
-// The long way round: through the processes that have the memory for writing.
+// Indirect ways: through the processes that have the memory for writing.
 TEST_P(HostileMemory, KeepsOthersOutOfTheProcessesThatMayWrite) {
   AGNOCAST_NEEDS_TWO_USERS();
   Stage stage(options());
@@ -266,8 +268,8 @@ void make_zero(const HostileNode& node, std::uint64_t offset, std::uint64_t byte
   if (error != 0) std::memset(node.region() + offset, 0, bytes);
 }
 
-// Pages of one's own can be taken away under everybody's feet: they read zero, nobody faults.
-TEST_P(HostileMemory, TakesNoReaderDownByGivingItsOwnMemoryBack) {
+// A process can free its own pages while others read them: they read zero, and nobody faults.
+TEST_P(HostileMemory, KillsNoReaderByFreeingItsOwnMemory) {
   AGNOCAST_NEEDS_TWO_USERS();
   Stage stage(options());
   Chance chance(1);
@@ -292,12 +294,12 @@ TEST_P(HostileMemory, TakesNoReaderDownByGivingItsOwnMemoryBack) {
       ::usleep(static_cast<useconds_t>(chance.below(500)));
       const std::uint64_t head = queue.head().load();
       EXPECT_EQ(punch(node.window_fd(), 0, 1 << 20), 0);
-      // Its own descriptors of itself: header, queue, link lines.
+      // Through its own descriptors: header, queue, link lines.
       make_zero(node, 0, page);
       if (round % 2 == 0) make_zero(node, publisher.extent, abi::publisher_extent_bytes);
       make_zero(node, subscription.extent, abi::subscription_extent_bytes);
       node.frontier().store(1 << 20);
-      // It goes on where it was, or nobody would read any more.
+      // It restores the old head, or nobody would read any more.
       if (round % 2 == 0) queue.head().store(head);
       ++attack.word(0);
     }
@@ -305,15 +307,16 @@ TEST_P(HostileMemory, TakesNoReaderDownByGivingItsOwnMemoryBack) {
   ASSERT_TRUE(attacker.wait_until_ready());
   stage.honest_goes_on();
   EXPECT_TRUE(eventually([&] { return attacker.word(0) > 100 && stage.state().watched > 100; }))
-      << "nobody read what was taken away";
+      << "nobody read the memory that was taken away";
   attacker.kill();
   stage.honest_goes_on();
   stage.honest_is_served();
 }
 
-// A page fault waits for a hole that is being punched over its page, and a thread that the scheduler lets run seldom
-// takes long for one. So the daemon forbids holes where it, and publishers of others, read.
-TEST(HostileHoles, InItsOwnRegionHoldUpNobody) {
+// A page fault waits while a hole is punched over its page, and a thread that the scheduler seldom
+// runs takes long to punch one. So the daemon forbids holes in memory that it and publishers of
+// others read.
+TEST(HostileHoles, InItsOwnRegionDelayNobody) {
   AGNOCAST_NEEDS_TWO_USERS();
   if (const auto can = forbid_holes(make_memfd("agnocast-probe", 0).value().get()); !can)
     GTEST_SKIP() << "holes cannot be forbidden here: " << std::strerror(can.error().os_errno);
@@ -353,7 +356,7 @@ TEST(HostileHoles, InItsOwnRegionHoldUpNobody) {
   attacker.kill();
 }
 
-/// The host's word on huge pages of shared memory, for a while.
+/// Sets the host's huge pages of shared memory, and restores the setting.
 class SharedHugePages {
  public:
   explicit SharedHugePages(const char* word) {
@@ -382,9 +385,10 @@ class SharedHugePages {
   bool is_set_ = false;
 };
 
-// Who may read a file may make a huge page of its pages, which locks them and takes as long as its scheduling class and
-// its mappings make it. "deny", as the package sets it, leaves nothing to be made.
-TEST(HostileHoles, AReaderCollapsesNobodysPages) {
+// A reader of a file may collapse its pages into a huge page, which locks them for as long as the
+// reader's scheduling class and mappings allow. "deny", as the package sets it, leaves nothing to
+// collapse.
+TEST(HostileHoles, AReaderCannotCollapsePagesOfOthers) {
   AGNOCAST_NEEDS_TWO_USERS();
 #ifndef MADV_COLLAPSE
   constexpr int MADV_COLLAPSE = 25;  // Linux 6.1
@@ -420,13 +424,13 @@ TEST(HostileHoles, AReaderCollapsesNobodysPages) {
   attacker.end();
 }
 
-/// Makes pages of all that can be reached through a descriptor for reading: `bytes` of its addresses.
-/// Then how many of the file there are.
+/// Populates the pages of the first `bytes` that a read-only descriptor can reach. Returns how
+/// many bytes of the file are then allocated.
 std::uint64_t touch_all(int fd, std::uint64_t bytes) {
   const Mapping mapping = std::move(Mapping::map(fd, bytes, Mapping::Access::read).value());
   constexpr std::uint64_t slice = std::uint64_t{2} << 20;
   for (std::uint64_t at = 0; at < bytes; at += slice) {
-    // Behind the end this is EFAULT; a touch would be SIGBUS.
+    // Beyond the end this is EFAULT; a touch would be SIGBUS.
     const std::uint64_t there = std::min(slice, bytes - at);
     ::madvise(mapping.base() + at, there, MADV_POPULATE_READ);
   }
@@ -435,9 +439,9 @@ std::uint64_t touch_all(int fd, std::uint64_t bytes) {
   return static_cast<std::uint64_t>(status.st_blocks) * 512;
 }
 
-// Reading a hole through a mapping makes a page, which is the owner's and stays. There are hardly any
-// holes: what an honest process has put to use is what can be touched.
-TEST_P(HostileMemory, ReadersMakeNoMemoryOutOfHoles) {
+// Reading a hole through a mapping allocates a page, which belongs to the owner and stays. There
+// are hardly any holes: readers can only touch memory that an honest process already uses.
+TEST_P(HostileMemory, ReadersAllocateNoMemoryInHoles) {
   AGNOCAST_NEEDS_TWO_USERS();
   Stage stage(options());
   constexpr std::uint64_t mib = std::uint64_t{1} << 20;
@@ -449,7 +453,7 @@ TEST_P(HostileMemory, ReadersMakeNoMemoryOutOfHoles) {
     const std::uint64_t window = publisher.body.window[0].bytes;
     ASSERT_GE(window, 64 * mib);
     EXPECT_LE(touch_all(publisher.fds[0].get(), node.welcome().client_region_bytes), mib);
-    EXPECT_LE(touch_all(publisher.fds[1].get(), window), 8 * mib) << "its steps are 2 MiB";
+    EXPECT_LE(touch_all(publisher.fds[1].get(), window), 8 * mib) << "the owner extends it by 2 MiB at a time";
     attack.ready();
     while (attack.goes_on()) ::usleep(5000);
   });
@@ -459,8 +463,8 @@ TEST_P(HostileMemory, ReadersMakeNoMemoryOutOfHoles) {
   stage.honest_goes_on();
 }
 
-// The other way round: a publisher that says that more is in use than there is.
-TEST_P(HostileMemory, AWindowThatIsShorterThanItsOwnerSaysTakesNoReaderDown) {
+// A publisher that claims a frontier beyond the end of its window's file.
+TEST_P(HostileMemory, AWindowThatIsShorterThanItsOwnerClaimsKillsNoReader) {
   AGNOCAST_NEEDS_TWO_USERS();
   Stage stage(options());
   Attacker attacker([&](Attack& attack) {
@@ -470,7 +474,7 @@ TEST_P(HostileMemory, AWindowThatIsShorterThanItsOwnerSaysTakesNoReaderDown) {
     node.frontier().store(node.open_window().bytes);
     attack.ready();
     for (std::uint64_t round = 0; attack.goes_on(); ++round) {
-      // Inside, across the end, behind it.
+      // Inside, across the end, beyond it.
       for (const std::uint64_t at : {std::uint64_t{0}, page - flat_bytes / 2, page, 2 * page})
         node.commit(publisher, base + at, flat_bytes);
       ::usleep(500);
@@ -480,7 +484,7 @@ TEST_P(HostileMemory, AWindowThatIsShorterThanItsOwnerSaysTakesNoReaderDown) {
   ASSERT_TRUE(attacker.wait_until_ready());
   stage.honest_goes_on();
   EXPECT_TRUE(eventually([&] { return attacker.word(0) > 100 && stage.state().watched > 100; }))
-      << "nobody read what is there";
+      << "nobody read the messages that exist";
   attacker.kill();
   stage.honest_goes_on();
   stage.honest_is_served();

@@ -1,9 +1,9 @@
 // SPDX-License-Identifier: Apache-2.0
 //
-// What the honest processes of these tests send and receive.
+// Messages that the honest processes of these tests send and receive.
 //
 //   Numbered   the stream: its content is a function of its number, behind a pointer
-//   Flat       what attackers publish: nothing in it is followed, so garbage can be looked at
+//   Flat       the attackers' type: it has no pointers, so a reader can look at garbage
 #pragma once
 
 #include <agnocast/agnocast.hpp>
@@ -24,7 +24,7 @@ struct Flat : SharedMessage {
 };
 static_assert(sizeof(Flat) == 64, "flat_bytes of hostile_node.hpp");
 
-/// Large, and told apart by its number.
+/// Large, and distinguished by its number.
 struct Bulk : SharedMessage {
   static constexpr std::size_t bytes = std::size_t{1} << 20;
   std::uint64_t number = 0;

@@ -1,8 +1,8 @@
 // SPDX-License-Identifier: Apache-2.0
 //
-// Goal: a subscription that nobody can ring keeps no message of a publisher beyond its window, and its
-// publisher goes on.
-// Method: attackers of another user that shut their bells before anybody is told of them.
+// Goal: a subscription that nobody can ring keeps no message of a publisher beyond its depth, and
+// its publisher goes on.
+// Method: attackers of another user shut down their doorbells before the daemon announces them.
 
 #include <tests/hostile/hostile_node.hpp>
 #include <tests/support/ctl.hpp>
@@ -24,10 +24,11 @@ namespace {
 
 using wire::Kind;
 
-/// More than any publisher has slots, so one that keeps them all for somebody is refused.
+/// More than any publisher has slots, so a publisher that keeps them all for one subscription is
+/// refused.
 constexpr std::uint64_t more_than_slots = abi::slot_count_max + 500;
 
-/// `count` more messages have arrived, and none was refused.
+/// Waits until `count` more messages have arrived, and none was refused.
 void honest_publishes(Stage& stage, std::uint64_t count) {
   const std::uint64_t end = stage.state().published + count;
   while (stage.state().published < end && !testing::Test::HasFailure()) stage.honest_goes_on();
@@ -68,12 +69,12 @@ TEST(HostileMute, ASubscriptionThatNobodyCanRingKeepsNoPublisherFromItsSlots) {
                                   std::to_string(attacker.pid())});
     return said.find(", uid " + std::to_string(hostile_uid) +
                      "), it finds messages only by polling") != std::string::npos;
-  })) << "the flight recorder does not say so";
+  })) << "the flight recorder does not record it";
   attacker.end();
   stage.honest_goes_on();
 }
 
-/// Of a node that has joined the stream.
+/// State of a node that has joined the stream.
 struct Reader {
   std::uint64_t received = 0, wrong = 0, lost = 0, largest_gap_ns = 0;
 };
@@ -87,8 +88,8 @@ Reader read_state(SteeredProcess& node) {
   return state;
 }
 
-/// A hundred messages came one by one, not in heaps once a second. That may take more than one look on a busy
-/// machine; to one who is not rung it never happens.
+/// Returns whether a hundred messages came one by one, not many at once every second. A busy
+/// machine may need more than one look; a subscription that nobody rings never gets there.
 bool is_rung(SteeredProcess& node) {
   return eventually([&] {
     EXPECT_EQ(node.ask("forget-gap"), "ok");
@@ -99,16 +100,16 @@ bool is_rung(SteeredProcess& node) {
   });
 }
 
-TEST(HostileMute, BellsWhoseNamesWereRemovedAreMadeAnewAfterARestart) {
+TEST(HostileMute, DoorbellsWhoseNamesWereRemovedAreRecreatedAfterARestart) {
   AGNOCAST_NEEDS_TWO_USERS();
   Stage stage;
   const auto reader = stage.another_honest_process(third_uid);
   ASSERT_EQ(reader->ask("subscribe /late"), "ok");
-  for (const auto& name :
-       std::filesystem::directory_iterator(stage.socket_path() + ".bells"))
+  for (const auto& name : std::filesystem::directory_iterator(stage.socket_path() + ".bells"))
     std::filesystem::remove(name);
   ASSERT_TRUE(stage.daemon().wait_for_next(stage.daemon().kill_worker()));
-  // Publishers that were there have bells that still ring; this one is told after the restart.
+  // Older publishers have doorbells that still ring; the daemon announces this one after the
+  // restart.
   const auto late = stage.another_honest_process();
   ASSERT_EQ(late->ask("publish /late"), "ok");
   EXPECT_TRUE(is_rung(*reader));
@@ -123,7 +124,8 @@ std::size_t descriptor_count(pid_t pid) {
   return static_cast<std::size_t>(std::distance(begin(all), end(all)));
 }
 
-// 95 members with 8 sleepers each: 855 descriptors at their publisher, whose usual limit is 1,024.
+// 95 subscriptions with 8 wait sets each: 855 descriptors at their publisher, whose usual limit is
+// 1,024.
 TEST(HostileMute, OneUserCausesAQuarterOfAPublishersDescriptorsAtMost) {
   AGNOCAST_NEEDS_TWO_USERS();
   constexpr unsigned members = 95, sleepers = 8;
@@ -155,15 +157,15 @@ TEST(HostileMute, OneUserCausesAQuarterOfAPublishersDescriptorsAtMost) {
     while (attack.goes_on()) ::usleep(1000);
   });
   ASSERT_TRUE(attacker.wait_until_ready());
-  // Less than all if other shares are smaller, and more than this one in any case.
+  // Fewer than all if other limits are smaller, but more than this share.
   ASSERT_GT(attacker.word(0), share + share / 4);
   for (const uid_t uid : {third_uid, honest_uid}) {
     const auto reader = stage.another_honest_process(uid);
     ASSERT_EQ(reader->ask(std::string("join ") + stream_topic), "ok");
     EXPECT_TRUE(is_rung(*reader)) << "uid " << uid;
-    // Its announcement came behind all of the attacker's.
+    // The daemon announced it after all of the attacker's subscriptions.
     EXPECT_LE(descriptor_count(victim), before + share + 8);
-    EXPECT_GT(descriptor_count(victim), before + share / 2) << "nobody caused any";
+    EXPECT_GT(descriptor_count(victim), before + share / 2) << "the attacker caused no descriptors";
   }
   honest_publishes(stage, more_than_slots);
   attacker.end();

@@ -1,10 +1,10 @@
 // SPDX-License-Identifier: Apache-2.0
 //
-// Goal: a user that has taken all it may have is told so, with the right code and the name of the
-// limit; nobody else notices; and all of it comes back when its processes die.
+// Goal: the daemon refuses a user that has taken all it may have with the right code and the name
+// of the limit; no other user notices; and all of it comes back when its processes die.
 // Method: an attacker of another user goes to the end of each quota, beside the honest pair, which
-// has quotas of its own; then it is killed, and the next one gets as far again. That the limits
-// count right within one user is in integration_daemon_limits.
+// has its own quotas; then it is killed, and the next attacker gets as much again.
+// integration_daemon_limits checks the counting within one user.
 
 #include <tests/hostile/hostile_node.hpp>
 
@@ -25,7 +25,7 @@ const char* const small_quotas =
     "clients = 6\npublishers = 4\nsubscriptions = 4\nexecutors = 4\nheap_bytes = \"128MiB\"\n"
     "held_messages = 300\n";
 
-/// What the attacker gets before it is told `code`, naming `limit`.
+/// Returns how often `ask` succeeds before `code`, naming `limit`.
 template <class Ask>
 std::uint64_t takes_all(Ask ask, const char* limit, Errc code = Errc::quota_exceeded) {
   for (std::uint64_t got = 0; got < 5000; ++got) {
@@ -39,7 +39,7 @@ std::uint64_t takes_all(Ask ask, const char* limit, Errc code = Errc::quota_exce
   return 0;
 }
 
-/// How many mappings the kernel counts for a process.
+/// Returns how many mappings the kernel counts for a process.
 std::uint64_t mappings_of(pid_t pid) {
   std::ifstream maps("/proc/" + std::to_string(pid) + "/maps");
   std::uint64_t count = 0;
@@ -47,7 +47,7 @@ std::uint64_t mappings_of(pid_t pid) {
   return count;
 }
 
-/// Three lives of the same attack; each gets as much as the first.
+/// Runs the same attack three times; each attacker gets as much as the first.
 void comes_back(Stage& stage, const std::function<std::uint64_t(const std::string&)>& take,
                 const std::function<void()>& beside = {}) {
   const std::size_t before = stage.daemon().descriptor_count();
@@ -71,7 +71,7 @@ void comes_back(Stage& stage, const std::function<std::uint64_t(const std::strin
   }
 }
 
-TEST(HostileQuotas, PublishersSubscriptionsAndExecutorsAreOfOneUserAlone) {
+TEST(HostileQuotas, PublishersSubscriptionsAndExecutorsCountForOneUserAlone) {
   AGNOCAST_NEEDS_TWO_USERS();
   Stage stage({.quota = small_quotas});
   comes_back(stage, [&](const std::string& path) {
@@ -88,7 +88,7 @@ TEST(HostileQuotas, PublishersSubscriptionsAndExecutorsAreOfOneUserAlone) {
   });
 }
 
-TEST(HostileQuotas, HeapIsOfOneUserAlone) {
+TEST(HostileQuotas, HeapCountsForOneUserAlone) {
   AGNOCAST_NEEDS_TWO_USERS();
   Stage stage({.quota = small_quotas});
   comes_back(stage, [&](const std::string& path) {
@@ -98,7 +98,7 @@ TEST(HostileQuotas, HeapIsOfOneUserAlone) {
   });
 }
 
-TEST(HostileQuotas, MessagesHeldAreOfOneUserAlone) {
+TEST(HostileQuotas, HeldMessagesCountForOneUserAlone) {
   AGNOCAST_NEEDS_TWO_USERS();
   Stage stage({.quota = small_quotas});
   comes_back(stage, [&](const std::string& path) {
@@ -112,7 +112,7 @@ TEST(HostileQuotas, MessagesHeldAreOfOneUserAlone) {
   });
 }
 
-TEST(HostileQuotas, ClientsAndObserversAreOfOneUserAlone) {
+TEST(HostileQuotas, ClientsAndObserversCountForOneUserAlone) {
   AGNOCAST_NEEDS_TWO_USERS();
   Stage stage({.quota = small_quotas});
   comes_back(stage, [&](const std::string& path) {
@@ -124,14 +124,14 @@ TEST(HostileQuotas, ClientsAndObserversAreOfOneUserAlone) {
         },
         "[quota] clients");
     clients.pop_back();
-    // Who is refused as a client may still look; those places end as well.
+    // A process that is refused as a client may still observe; those places run out as well.
     wire::Observe observe{};
     observe.fingerprint = abi::fingerprint();
     observe.header = {Opcode::observe, sizeof observe, 1};
     std::uint64_t looking = 0;
     for (; looking < 100; ++looking) {
       observers.push_back(std::make_unique<WireClient>(path));
-      // Where there is no place left it is told so without being asked.
+      // Without a free place the daemon refuses before it reads a request.
       if (!observers.back()->send_bytes(std::as_bytes(std::span(&observe, 1)))) break;
       const Incoming answer = observers.back()->next();
       if (answer.opcode() == Opcode::observed) continue;
@@ -149,7 +149,7 @@ TEST(HostileQuotas, ClientsAndObserversAreOfOneUserAlone) {
 
 TEST(HostileQuotas, TablesOfTheDaemonHaveRoomForOthers) {
   AGNOCAST_NEEDS_TWO_USERS();
-  // As it is without a configuration: what one user may have leaves room for the next one.
+  // Without a configuration one user's maximum leaves room for the next user.
   Stage stage({.quota = ""});
   comes_back(stage, [&](const std::string& path) {
     HostileNode node(path);
@@ -158,7 +158,7 @@ TEST(HostileQuotas, TablesOfTheDaemonHaveRoomForOthers) {
     for (std::uint64_t i = 0; i < topics; ++i)
       EXPECT_EQ(node.wire().create_publisher("/room" + std::to_string(i)).opcode(),
                 Opcode::endpoint_created);
-    // All publishers that it may have on a topic that everybody may publish on.
+    // Takes all publishers that it may have on a topic open to everybody.
     return topics + takes_all([&](std::uint64_t) { return node.wire().create_publisher("/full"); },
                               "[quota] publishers_per_topic");
   });
@@ -182,7 +182,7 @@ TEST(HostileQuotas, NobodyTakesTheLastTopicsAlone) {
   });
 }
 
-// All that one user may have of a topic that everybody may use; its owner comes afterwards.
+// Takes all that one user may have of a topic open to everybody; its owner comes afterwards.
 TEST(HostileQuotas, NobodyTakesTheLastPlacesOfATopicAlone) {
   AGNOCAST_NEEDS_TWO_USERS();
   Stage stage({.quota = ""});
@@ -269,14 +269,14 @@ TEST(HostileQuotas, EndpointsCostTheDaemonNoMappings) {
     while (attack.goes_on()) std::this_thread::sleep_for(std::chrono::milliseconds(5));
   });
   ASSERT_TRUE(attacker.wait_until_ready());
-  // One for its region; what malloc maps for tables is a few.
+  // One mapping for its region; malloc maps a few for tables.
   EXPECT_LT(mappings_of(stage.daemon().pid()), before + 50);
   stage.honest_goes_on();
   stage.honest_is_served();
   attacker.end();
 }
 
-TEST(HostileQuotas, MemoryOfTheDaemonThatIsUsedUpIsARefusal) {
+TEST(HostileQuotas, ADaemonWithoutMemoryRefusesRequests) {
   AGNOCAST_NEEDS_TWO_USERS();
   Stage stage({.quota = ""});
   const pid_t pid = stage.daemon().pid();
@@ -321,7 +321,7 @@ TEST(HostileQuotas, MemoryOfTheDaemonThatIsUsedUpIsARefusal) {
   EXPECT_EQ(stage.daemon().pid(), pid) << stage.daemon().log();
 }
 
-TEST(HostileQuotas, DescriptorsOfTheDaemonThatAreGoneComeBackWithTheirTaker) {
+TEST(HostileQuotas, TheDaemonsDescriptorsComeBackWhenTheAttackerEnds) {
   AGNOCAST_NEEDS_TWO_USERS();
   Stage stage;
   const std::size_t before = stage.daemon().descriptor_count();

@@ -1,9 +1,10 @@
 // SPDX-License-Identifier: Apache-2.0
 //
-// Goal: a running bridge brings nothing into DDS that lies outside the memory of the publisher whose message it was
-// handed, and does not crash by it. Method: the real agnocast-bridge, which a rule lets read a stream that it keeps from
-// others, and a reader of Cyclone DDS on the other side, in a process of its own; a publisher of another user sends texts
-// that lie in the windows of the stream, nowhere, or in both in turn while they are read.
+// Goal: a running bridge sends nothing to DDS that lies outside the memory of the publisher whose
+// message it took, and does not crash on such a message. Method: the real agnocast-bridge, which a
+// rule allows to read a stream that is closed to others, and a reader of Cyclone DDS on the other
+// side, in its own process; a publisher of another user sends texts that lie in the windows of the
+// stream, nowhere, or alternate between both while they are read.
 
 #include <tests/hostile/rumors.hpp>
 #include <tests/integration/bridge/dds_domain.hpp>
@@ -16,9 +17,9 @@ namespace {
 
 constexpr const char* string_type = " std_msgs::msg::dds_::String_ reliable 1000";
 
-/// What a reader in DDS has got so far.
+/// Counts of a reader in DDS so far.
 struct Heard {
-  std::uint64_t strings = 0, strange = 0;  // of other letters than was asked for
+  std::uint64_t strings = 0, strange = 0;  // containing other letters than the expected one
 };
 Heard heard(SteeredProcess& peer, const std::string& topic, char letter) {
   Heard now;
@@ -41,15 +42,15 @@ TEST(HostileRelay, TheBridgeBringsNothingOfAnotherPublishersMemoryIntoDds) {
   };
   const auto secretive = node(), open = node();
   ASSERT_EQ(secretive->ask("tell /secret sssssssssssssssssssssssssssssssssssssssssssssssss"), "ok");
-  // Says of which type the topic is.
+  // Determines the topic's type.
   ASSERT_EQ(open->ask("tell /rumor"), "ok");
   const auto peer = domain.peer();
   ASSERT_EQ(peer->ask(std::string("reader rt/secret") + string_type), "made");
   ASSERT_EQ(peer->ask(std::string("reader rt/rumor") + string_type), "made");
   SteeredProcess bridge({AGNOCAST_BRIDGE, "--domain", std::to_string(domain.id())}, environment);
-  ASSERT_TRUE(open->eventually("matched", "1")) << "the bridge reads it";
+  ASSERT_TRUE(open->eventually("matched", "1")) << "the bridge does not read the topic";
   ASSERT_TRUE(eventually([&] { return heard(*peer, "rt/secret", 's').strings > 0; }))
-      << "the stream lies in the bridge's memory";
+      << "the bridge does not forward the stream";
   Attacker attacker(
       [&](Attack& attack) { spread_rumors(stage.socket_path(), attack, domain.id()); });
   if (!attacker.wait_until_ready()) return attacker.end();
@@ -64,7 +65,7 @@ TEST(HostileRelay, TheBridgeBringsNothingOfAnotherPublishersMemoryIntoDds) {
   EXPECT_GE(attacker.word(lies), 100u);
   const std::uint64_t before = heard(*peer, "rt/secret", 's').strings;
   EXPECT_TRUE(eventually([&] { return heard(*peer, "rt/secret", 's').strings > before; }))
-      << "who may read the stream goes on";
+      << "a permitted reader of the stream no longer receives it";
   EXPECT_EQ(heard(*peer, "rt/secret", 's').strange, 0u);
   stage.honest_goes_on();
   attacker.end();

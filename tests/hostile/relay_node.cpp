@@ -1,17 +1,17 @@
 // SPDX-License-Identifier: Apache-2.0
 //
-// An honest relay for the hostile tests: reads texts of anybody, and would pass on what it has read. It
-// reads a secret stream as well, so that one lies in its memory.
+// An honest relay for the hostile tests: reads texts of all users, and would pass them on. It also
+// reads a secret stream, so that memory of one is mapped in it.
 //
 //   relay_node UID      becomes that user first
 //   then line by line on its standard input, each answered with one line:
 //     read TOPIC      → ok     a subscription to a stream of Numbered
-//     relay TOPIC     → ok     a subscription to std_msgs/msg/String, of which it makes checked copies
+//     relay TOPIC     → ok     a subscription to std_msgs/msg/String, which makes checked copies
 //     forward TOPIC TO → ok    a typed one, whose messages it publishes on TO
-//     forward_checked TOPIC TO → ok    the same of checked copies
-//     tell TOPIC TEXT → ok     a publisher of std_msgs/msg/String, of TEXT again and again; without one, of nothing
-//     matched         → how many subscriptions that has
-//     state           → read relayed refused strange      strange: texts in which there is anything but 'h'
+//     forward_checked TOPIC TO → ok    the same with checked copies
+//     tell TOPIC TEXT → ok     publishes TEXT as std_msgs/msg/String repeatedly; else nothing
+//     matched         → how many subscriptions match that publisher
+//     state           → read relayed refused strange   strange: texts with another letter than 'h'
 
 #include <agnocast/agnocast.hpp>
 #include <agnocast/relay.hpp>

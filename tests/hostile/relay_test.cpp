@@ -1,10 +1,11 @@
 // SPDX-License-Identifier: Apache-2.0
 //
-// Goal: a relay passes on nothing that lies outside the memory of the publisher whose message it was
-// handed, and does not crash by it. Method: a relay of the honest user reads a stream that a rule keeps from
-// others, and texts of anybody; a publisher of another user sends it texts that lie in the windows of the
-// stream, nowhere, or in both in turn while they are read. One relay is generic; another is typed and publishes
-// what it reads, as it is or a checked copy, for a third process to judge. What a running bridge does of it: relay_bridge_test.cpp.
+// Goal: a relay passes on nothing that lies outside the memory of the publisher whose message it
+// took, and does not crash on such a message. Method: a relay of the honest user reads a stream
+// that is closed to others, and texts of all users; a publisher of another user sends it texts
+// that lie in the windows of the stream, nowhere, or alternate between both while they are read.
+// One relay is generic; another is typed and publishes the message itself or a checked copy, for a
+// third process to judge. For a running bridge see relay_bridge_test.cpp.
 
 #include <tests/hostile/rumors.hpp>
 
@@ -13,14 +14,14 @@
 namespace agnocast::test {
 namespace {
 
-/// A relay node of the honest user, and what it says of itself.
+/// A relay node of the honest user, and its reported counts.
 class Relay {
  public:
   explicit Relay(const Stage& stage)
       : node_({AGNOCAST_RELAY_NODE, std::to_string(honest_uid)},
               {"AGNOCAST_SOCKET=" + stage.socket_path()}) {}
   std::string ask(const std::string& what) { return node_.ask(what); }
-  /// False, and a failure, when it does not answer any more.
+  /// Returns false, with a failure, when the relay does not answer any more.
   bool look() {
     std::istringstream state(node_.ask("state"));
     state >> read >> relayed >> refused >> strange;
@@ -38,7 +39,7 @@ StageOptions with_a_secret() {
                   std::to_string(honest_uid) + "\"]\n"};
 }
 
-TEST(HostileRelay, PassesOnNothingOfAnotherPublishersMemory) {
+TEST(HostileRelay, PassesOnNoMemoryOfAnotherPublisher) {
   AGNOCAST_NEEDS_TWO_USERS();
   Stage stage(with_a_secret());
   const auto secretive = stage.another_honest_process();
@@ -55,14 +56,14 @@ TEST(HostileRelay, PassesOnNothingOfAnotherPublishersMemory) {
   EXPECT_EQ(relay.strange, 0u) << "of " << relay.relayed << " texts that were passed on";
   attacker.end();
   const std::uint64_t before = relay.read;
-  EXPECT_TRUE(eventually([&] { return !relay.look() || relay.read > before; })) << "it goes on";
+  EXPECT_TRUE(eventually([&] { return !relay.look() || relay.read > before; })) << "the relay stopped reading";
   std::printf("%llu texts relayed, %llu refused\n", static_cast<unsigned long long>(relay.relayed),
               static_cast<unsigned long long>(relay.refused));
 }
 
 class HostileTypedRelay : public testing::TestWithParam<const char*> {};
 
-TEST_P(HostileTypedRelay, PublishesNothingOfAnotherPublishersMemory) {
+TEST_P(HostileTypedRelay, PublishesNoMemoryOfAnotherPublisher) {
   AGNOCAST_NEEDS_TWO_USERS();
   Stage stage(with_a_secret());
   const auto secretive = stage.another_honest_process();
@@ -77,11 +78,11 @@ TEST_P(HostileTypedRelay, PublishesNothingOfAnotherPublishersMemory) {
   EXPECT_TRUE(eventually([&] {
     return !relay.look() || !judge.look() || (judge.relayed >= 20 && relay.refused >= 200);
   })) << judge.relayed << " relayed, " << relay.refused << " refused";
-  EXPECT_EQ(judge.strange, 0u) << "of " << judge.relayed << " texts that were published anew";
-  EXPECT_EQ(judge.refused, 0u) << "what the relay publishes is its own";
+  EXPECT_EQ(judge.strange, 0u) << "of " << judge.relayed << " texts that were published again";
+  EXPECT_EQ(judge.refused, 0u) << "the relay published memory that is not its own";
   attacker.end();
   const std::uint64_t before = relay.read;
-  EXPECT_TRUE(eventually([&] { return !relay.look() || relay.read > before; })) << "it goes on";
+  EXPECT_TRUE(eventually([&] { return !relay.look() || relay.read > before; })) << "the relay stopped reading";
 }
 
 INSTANTIATE_TEST_SUITE_P(Each, HostileTypedRelay, testing::Values("forward", "forward_checked"),

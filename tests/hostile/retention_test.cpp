@@ -1,10 +1,11 @@
 // SPDX-License-Identifier: Apache-2.0
 //
-// Goal: what other users hold of a publisher, together and for as long as they like, never keeps it from
-// publishing; and each of them can hold something.
-// Method: attackers of several users take every subscription that they are given beside the honest pair, each with the largest quota, and
-// hold with it as many messages as it may, all different ones, for ever. The honest publisher goes through all its slots meanwhile. In a
-// small topic, so that all its places and all its slots are taken.
+// Goal: messages that other users hold, together and for as long as they like, never keep a
+// publisher from publishing; and each of these users can hold some.
+// Method: attackers of several users take every subscription that they can get beside the honest
+// pair, each with the largest quota, and for ever hold as many messages as they may, all different
+// ones. The honest publisher goes through all its slots meanwhile. The topic is small, so that all
+// its places and slots are taken.
 
 #include <tests/hostile/hostile_node.hpp>
 
@@ -21,7 +22,7 @@ namespace {
 
 using wire::Opcode;
 
-// History and what is in hand take 1035 slots, the subscriptions one each: the pool has 25.
+// History and messages in hand take 1035 slots, the subscriptions one each: the pool has 25.
 const char* const small_topic =
     "[limits]\nslots_per_publisher = 1100\nsubscriptions_per_topic = 40\n";
 constexpr std::uint64_t every_slot = 1100;
@@ -37,7 +38,7 @@ class Holder {
     node_.open_executor();
   }
 
-  /// One more, on the stream; false when it was refused.
+  /// Adds one on the stream; returns false when the daemon refused it.
   bool subscribe(std::uint64_t quota) {
     body_.quota = quota;
     const Incoming answer = node_.wire().ask(Opcode::create_subscription, body_);
@@ -50,7 +51,7 @@ class Holder {
     const auto made = answer.as<wire::EndpointCreated>();
     const auto publisher = node_.announced().body;
     EXPECT_EQ(publisher.own_index, made.index);
-    EXPECT_EQ(publisher.quota, quota) << "of a publisher of another user";
+    EXPECT_EQ(publisher.quota, quota) << "quota announced for a publisher of another user";
     const auto line = node_.line(made, publisher.index);
     for (std::uint64_t i = 0; i < quota; ++i, ++slot_)
       line.hold(slot_ / 64).fetch_or(std::uint64_t{1} << slot_ % 64);
@@ -59,13 +60,13 @@ class Holder {
     return true;
   }
 
-  /// All that could be had, as the refusal of more says; it holds as many.
+  /// Subscribes for the largest quota, which the refusal of a larger one states.
   std::uint64_t subscribe_for_most() {
     EXPECT_FALSE(subscribe(every_slot));
     const std::size_t at = refusal_.find(" have ");
     if (at == std::string::npos) return ADD_FAILURE() << refusal_, 0;
     const std::uint64_t most = std::stoull(refusal_.substr(at + 6));
-    EXPECT_FALSE(subscribe(most + 1)) << "the refusal named less than there is";
+    EXPECT_FALSE(subscribe(most + 1)) << "the refusal names less than is available";
     return subscribe(most) ? most : 0;
   }
 
@@ -79,7 +80,7 @@ class Holder {
   std::uint64_t slot_ = 0;
 };
 
-/// Takes the largest quota, then places with one message each: words 0 and 1 are both.
+/// Takes the largest quota, then places with one message each: words 0 and 1 count both.
 std::unique_ptr<Attacker> holder_of(Stage& stage, uid_t uid, std::uint64_t first_slot,
                                     std::uint64_t more) {
   auto attacker = std::make_unique<Attacker>(
@@ -87,7 +88,7 @@ std::unique_ptr<Attacker> holder_of(Stage& stage, uid_t uid, std::uint64_t first
         Holder holder(stage.socket_path());
         holder.begin_at(first_slot);
         attack.word(0) = holder.subscribe_for_most();
-        EXPECT_FALSE(holder.subscribe(2)) << "it has its share";
+        EXPECT_FALSE(holder.subscribe(2)) << "it already has its share";
         std::uint64_t got = 0;
         while (got < more && holder.subscribe(1)) ++got;
         attack.word(1) = got;
@@ -106,24 +107,24 @@ void publisher_goes_through_all_its_slots(Stage& stage) {
   } while (stage.state().published < last && !testing::Test::HasFailure());
 }
 
-TEST(HostileRetention, AllThatOthersMayHoldLeavesAPublisherItsSlots) {
+TEST(HostileRetention, AllHoldsOfOtherUsersLeaveAPublisherItsSlots) {
   AGNOCAST_NEEDS_TWO_USERS();
   Stage stage({.quota = "", .more = small_topic});
   const auto first = holder_of(stage, hostile_uid, 0, 27);
-  EXPECT_EQ(first->word(0), 12u) << "half of what the honest one leaves of the pool, and one";
+  EXPECT_EQ(first->word(0), 12u) << "half of the pool that the honest one leaves, and one";
   EXPECT_EQ(first->word(1), 27u);
   const auto second = holder_of(stage, more_hostile_uids[0], 40, 100);
-  EXPECT_EQ(second->word(0), 7u) << "half of what is left";
-  EXPECT_EQ(second->word(1), places - 1 - 28 - 1) << "all but the honest one's";
+  EXPECT_EQ(second->word(0), 7u) << "half of the rest";
+  EXPECT_EQ(second->word(1), places - 1 - 28 - 1) << "all but the honest subscription";
   ASSERT_TRUE(stage.publisher().eventually("matched", std::to_string(places)));
   publisher_goes_through_all_its_slots(stage);
   EXPECT_EQ(stage.daemon().log().find("client revoked"), std::string::npos)
-      << "they hold what they may";
+      << "the holders stay within their quotas";
   first->kill();
   second->kill();
   ASSERT_TRUE(stage.publisher().eventually("matched", "1"));
   const auto next = holder_of(stage, more_hostile_uids[1], 0, 1);
-  EXPECT_EQ(next->word(0), 12u) << "what has ended is given back";
+  EXPECT_EQ(next->word(0), 12u) << "the pool gets back the share of an ended process";
   next->kill();
 }
 
@@ -136,13 +137,13 @@ TEST(HostileRetention, SharesOutliveTheDaemon) {
   ASSERT_TRUE(stage.daemon().wait_for_next(before));
   stage.honest_goes_on();
   const auto second = holder_of(stage, more_hostile_uids[0], 12 + 1, 1);
-  EXPECT_EQ(second->word(0), 7u) << "half of what the first has left";
+  EXPECT_EQ(second->word(0), 7u) << "half of the first one's rest";
   publisher_goes_through_all_its_slots(stage);
   second->kill();
   first->kill();
 }
 
-// It keeps eight messages, and has room for three of another user's publisher.
+// The node keeps eight messages, and may hold three of another user's publisher.
 TEST(HostileRetention, AnHonestReaderTakesNoMoreThanItMay) {
   AGNOCAST_NEEDS_TWO_USERS();
   Stage stage({.quota = "", .more = small_topic});
@@ -159,9 +160,9 @@ TEST(HostileRetention, AnHonestReaderTakesNoMoreThanItMay) {
   EXPECT_EQ(received(), 3u);
 }
 
-// Subscriptions that were there first, when nobody published, and may hold all messages of publishers of
-// their own user.
-TEST(HostileRetention, APublisherThatComesLaterHasItsSlots) {
+// Subscriptions that exist before any publisher, and may hold all messages of publishers of their
+// own user.
+TEST(HostileRetention, ALaterPublisherHasItsSlots) {
   AGNOCAST_NEEDS_TWO_USERS();
   Stage stage({.quota = "", .more = small_topic});
   Attacker attacker([&](Attack& attack) {
@@ -177,7 +178,8 @@ TEST(HostileRetention, APublisherThatComesLaterHasItsSlots) {
         made.push_back(answer.as<wire::EndpointCreated>());
     }
     attack.ready();
-    // All slots, as of its own user's; it may hold less of this one, and what is beyond that counts as a lie.
+    // It holds all slots, as of its own user's publisher; it may hold fewer of this one, and the
+    // excess counts as a lie.
     for (std::size_t i = 0; i < made.size(); ++i) {
       const auto publisher = node.announced().body;
       EXPECT_LE(publisher.quota, 13u);
@@ -198,7 +200,8 @@ TEST(HostileRetention, APublisherThatComesLaterHasItsSlots) {
   ASSERT_EQ(late->ask("publish /later"), "ok");
   ASSERT_TRUE(late->eventually("matched", "20"));
   ASSERT_TRUE(eventually([&] { return attacker.word(0) == 1; }));
-  // It must not wait for the daemon, which ends the membership of who holds more than it may.
+  // It must not wait for the daemon, which ends the session of a process that holds more than it
+  // may.
   ASSERT_EQ(::kill(stage.daemon().pid(), SIGSTOP), 0);
   std::uint64_t published = 0, refused = 0, last = 0;
   const auto look = [&] {

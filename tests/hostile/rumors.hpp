@@ -1,7 +1,7 @@
 // SPDX-License-Identifier: Apache-2.0
 //
-// Rumors: a publisher of texts that lie in the windows of others, nowhere, or in both in turn while they are read; now
-// and then an honest one, of the letter h alone.
+// Rumors: a publisher of texts that lie in the windows of others, nowhere, or alternate between
+// both while they are read; now and then it publishes an honest one, of the letter h alone.
 #pragma once
 
 #include <tests/hostile/hostile_node.hpp>
@@ -17,14 +17,14 @@
 
 namespace agnocast::test {
 
-/// As libstdc++ has it.
+/// The layout of std::string in libstdc++.
 struct RawString {
   std::uint64_t data = 0, size = 0;
   char local[16] = {};
 };
 static_assert(sizeof(RawString) == sizeof(std::string));
 
-/// Where the heaps of all other processes begin, from what everybody may look at.
+/// Returns where the heaps of all other processes begin, as any observer can see.
 inline std::vector<std::uint64_t> windows_of_others(const std::string& path, std::uint64_t own) {
   std::vector<std::uint64_t> all;
   WireClient observer(path);
@@ -47,7 +47,7 @@ inline std::vector<std::uint64_t> windows_of_others(const std::string& path, std
 
 enum : std::size_t { honest_texts, lies };
 
-/// Publishes texts; where each lies says `place`, which may go on changing it.
+/// Publishes texts; `place` determines where each lies, and may go on changing it.
 inline void spread_rumors(const std::string& path, Attack& attack, std::uint64_t domain = 0) {
   HostileNode node(path, 0, domain);
   const auto publisher = node.join(wire::Kind::publisher, "/rumor");
@@ -91,7 +91,7 @@ inline void spread_rumors(const std::string& path, Attack& attack, std::uint64_t
       static_cast<void>(::send(bell.get(), "", 1, MSG_DONTWAIT | MSG_NOSIGNAL));
     ++attack.word(number % places.size() == 0 ? honest_texts : lies);
     ++number;
-    // While it is read: now one's own, now another's.
+    // During the read: alternately its own memory and another's.
     const auto end = std::chrono::steady_clock::now() + std::chrono::milliseconds(2);
     while (std::chrono::steady_clock::now() < end) {
       auto* const words = reinterpret_cast<volatile std::uint64_t*>(node.heap() + object);

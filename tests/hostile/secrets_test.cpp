@@ -1,10 +1,11 @@
 // SPDX-License-Identifier: Apache-2.0
 //
-// Goal: who may not subscribe to a topic is given no descriptor behind which its messages lie, whatever
-// else the publishing process does, and however often the daemon is killed or its rules change.
-// Method: a rule lets the honest user alone subscribe to /secret. Attackers of another user subscribe to
-// what is open, publish to what the process reads, call its services, and look at each descriptor that
-// they are given: the kernel says by the memfd's name whose window it is.
+// Goal: a process that may not subscribe to a topic receives no descriptor of its messages'
+// memory, whatever else the publishing process does, and however often the daemon is killed or its
+// rules change.
+// Method: a rule lets only the honest user subscribe to /secret. Attackers of another user
+// subscribe to open topics, publish to topics that the process reads, call its services, and look
+// at each descriptor that they receive: the memfd's name tells whose window it is.
 
 #include <tests/hostile/hostile_node.hpp>
 
@@ -29,7 +30,7 @@ const std::string secret_rules = only("/secret", honest) + only("/likewise", hon
 
 std::string differ() { return sentence_of(Errc::readers_differ); }
 
-/// Whether it is a window of a heap of that user.
+/// Returns whether it is a heap window of that user.
 bool is_window_of(int fd, uid_t uid) {
   char name[96] = "";
   const std::string entry = "/proc/self/fd/" + std::to_string(fd);
@@ -39,7 +40,7 @@ bool is_window_of(int fd, uid_t uid) {
          file.find("-" + std::to_string(uid) + " ") != std::string::npos;
 }
 
-/// Reads what comes, and counts windows of the honest user.
+/// Reads incoming packets, and counts windows of the honest user.
 void count_windows(HostileNode& node, Attack& attack) {
   while (attack.goes_on()) {
     const auto packet = node.wire().poll();
@@ -52,15 +53,15 @@ void count_windows(HostileNode& node, Attack& attack) {
   }
 }
 
-TEST(HostileSecrets, AProcessHasOneSetOfReadersForItsWholeLife) {
+TEST(HostileSecrets, AProcessKeepsOneSetOfReaders) {
   AGNOCAST_NEEDS_TWO_USERS();
   Stage stage(with(secret_rules));
   const auto secretive = stage.another_honest_process();
   ASSERT_EQ(secretive->ask("create /secret"), "ok");
-  EXPECT_EQ(secretive->ask("create /likewise"), "ok") << "the same user, written otherwise";
+  EXPECT_EQ(secretive->ask("create /likewise"), "ok") << "the same user, written differently";
   EXPECT_EQ(secretive->ask("create /anything"), differ());
   const auto open = stage.another_honest_process();
-  ASSERT_EQ(open->ask("create /anything"), "ok");  // and away with it: the window stays
+  ASSERT_EQ(open->ask("create /anything"), "ok");  // destroyed at once, and the window stays
   EXPECT_EQ(open->ask("create /secret"), differ());
   const pid_t killed = stage.daemon().kill_worker();
   ASSERT_TRUE(stage.daemon().wait_for_next(killed));
@@ -70,8 +71,8 @@ TEST(HostileSecrets, AProcessHasOneSetOfReadersForItsWholeLife) {
   EXPECT_EQ(open->ask("create /else"), "ok");
 }
 
-// A window that the process opens after somebody was told of its region, because it subscribes.
-TEST(HostileSecrets, WhoPublishesToAProcessIsGivenNoWindowOfIt) {
+// A window opened after the daemon has announced the region, because it subscribes.
+TEST(HostileSecrets, APublisherToAProcessReceivesNoWindowOfIt) {
   AGNOCAST_NEEDS_TWO_USERS();
   Stage stage(with(secret_rules));
   const auto victim = stage.another_honest_process();
@@ -85,7 +86,7 @@ TEST(HostileSecrets, WhoPublishesToAProcessIsGivenNoWindowOfIt) {
   });
   if (!attacker.wait_until_ready()) return attacker.end();
   ASSERT_EQ(victim->ask("publish /secret"), "ok");
-  // Something that it is told of afterwards.
+  // A later announcement.
   const std::uint64_t before = attacker.word(0);
   const auto later = stage.another_honest_process();
   ASSERT_EQ(later->ask("watch /bait"), "ok");
@@ -94,7 +95,7 @@ TEST(HostileSecrets, WhoPublishesToAProcessIsGivenNoWindowOfIt) {
   attacker.end();
 }
 
-TEST(HostileSecrets, WhoMaySubscribeToSomethingElseIsGivenNoWindowWithSecrets) {
+TEST(HostileSecrets, ASubscriberToAnotherTopicReceivesNoWindowWithSecrets) {
   AGNOCAST_NEEDS_TWO_USERS();
   Stage stage(with(secret_rules));
   const auto victim = stage.another_honest_process();
@@ -111,7 +112,8 @@ TEST(HostileSecrets, WhoMaySubscribeToSomethingElseIsGivenNoWindowWithSecrets) {
   });
   if (!attacker.wait_until_ready()) return attacker.end();
   EXPECT_EQ(victim->ask("create /open"), differ());
-  // Requests and replies of services are messages as well; no library of ours stands before the daemon here.
+  // Requests and replies of services are messages as well; here no library of ours filters them
+  // before the daemon.
   Attacker insider(
       [&](Attack& attack) {
         HostileNode node(stage.socket_path());
@@ -131,7 +133,7 @@ TEST(HostileSecrets, WhoMaySubscribeToSomethingElseIsGivenNoWindowWithSecrets) {
   attacker.end();
 }
 
-/// Writes the configuration of the stage's daemon anew and lets another one begin with it.
+/// Rewrites the configuration of the stage's daemon and lets another one begin with it.
 void change_rules(Stage& stage, const std::string& from, const std::string& to) {
   const std::string file = stage.daemon().directory() + "/agnocastd.toml";
   std::ostringstream text;
@@ -145,7 +147,7 @@ void change_rules(Stage& stage, const std::string& from, const std::string& to) 
   ASSERT_TRUE(stage.daemon().wait_for_next(killed));
 }
 
-TEST(HostileSecrets, RulesThatBecomeStricterHoldForWhoIsThere) {
+TEST(HostileSecrets, StricterRulesHoldForPresentProcesses) {
   AGNOCAST_NEEDS_TWO_USERS();
   const std::string loose = only("/secret", "\"*\"");
   Stage stage(with(loose));
@@ -157,7 +159,7 @@ TEST(HostileSecrets, RulesThatBecomeStricterHoldForWhoIsThere) {
     node.join(Kind::subscription, "/secret");
     EXPECT_GT(node.announced().body.window_count, 0u);
     attack.ready();
-    // The library comes back by itself; so does this.
+    // The library rejoins by itself; so does this client.
     while (attack.word(2) == 0) std::this_thread::sleep_for(std::chrono::milliseconds(1));
     node.wire().connect_again(stage.socket_path());
     const Incoming answer = node.wire().rejoin(node.welcome());
@@ -169,9 +171,9 @@ TEST(HostileSecrets, RulesThatBecomeStricterHoldForWhoIsThere) {
   change_rules(stage, loose, only("/secret", honest));
   attacker.set_word(2, 1);
   EXPECT_TRUE(eventually([&] { return attacker.word(3) > 0; }));
-  // Its heap has been read by others: it makes nothing more of what they may not read.
+  // Others have read its heap: the process creates no further topic that they may not read.
   EXPECT_TRUE(stage.daemon().wait_for_log("readers have changed topic=/secret"));
-  EXPECT_EQ(victim->ask("create /likewise"), "ok") << "everybody may subscribe to it, as before";
+  EXPECT_EQ(victim->ask("create /likewise"), "ok") << "all users may subscribe to it, as before";
   EXPECT_EQ(victim->ask("create /secret"), differ());
   attacker.end();
   Attacker another([&](Attack& attack) {
@@ -184,8 +186,8 @@ TEST(HostileSecrets, RulesThatBecomeStricterHoldForWhoIsThere) {
   another.end();
 }
 
-// What is open already is published beside something that has become secret.
-TEST(HostileSecrets, WhoMayNotReadEverythingOfAProcessIsNotLetInAfterwards) {
+// An open topic is already published beside one that has become secret.
+TEST(HostileSecrets, AReaderThatMayNotReadAllTopicsOfAProcessIsRefusedLater) {
   AGNOCAST_NEEDS_TWO_USERS();
   const std::string loose = only("/secret", "\"*\"");
   Stage stage(with(loose));
@@ -204,7 +206,7 @@ TEST(HostileSecrets, WhoMayNotReadEverythingOfAProcessIsNotLetInAfterwards) {
   });
   if (!attacker.wait_until_ready()) return attacker.end();
   const auto reader = stage.another_honest_process();
-  EXPECT_EQ(reader->ask("watch /public"), "ok") << "who may read all of it";
+  EXPECT_EQ(reader->ask("watch /public"), "ok") << "the reader may read all of the process's topics";
   EXPECT_EQ(attacker.word(1), 0u);
   attacker.end();
 }

@@ -1,10 +1,10 @@
 // SPDX-License-Identifier: Apache-2.0
 //
-// Goal: nobody says a word to a false daemon of another user: not who finds it at the path that is named,
-// not who had the right daemon there before, not a program with raised rights whose environment names it,
-// and not the tool.
-// Method: an attacker binds the path, as anybody may in a directory like /tmp, and counts who connects and
-// what it is told.
+// Goal: nobody sends a byte to a false daemon of another user: not a process that finds it at the
+// named path, not one that had the right daemon there before, not a program with raised rights
+// whose environment names it, and not the tool.
+// Method: an attacker binds the path, as anybody may in a directory like /tmp, and counts
+// connections and received bytes.
 
 #include <tests/hostile/stage.hpp>
 #include <tests/support/ctl.hpp>
@@ -21,7 +21,7 @@
 namespace agnocast::test {
 namespace {
 
-/// A directory where everybody may put something.
+/// A directory in which every user may create files.
 class Square {
  public:
   Square() : path_(make_directory()) { EXPECT_EQ(::chmod(path_.c_str(), 01777), 0); }
@@ -35,7 +35,7 @@ class Square {
 
 enum : std::size_t { connections, bytes };
 
-/// Listens there, and hears everybody out.
+/// Listens there, and reads from every connection.
 void be_false_daemon(const std::string& path, Attack& attack) {
   auto listener = PacketListener::bind(path);
   ASSERT_TRUE(listener) << listener.error().what;
@@ -69,12 +69,12 @@ std::unique_ptr<SteeredProcess> node(const std::string& socket,
 
 std::string untrusted() { return sentence_of(Errc::daemon_untrusted); }
 
-TEST(HostileServer, IsToldNothingByWhoFindsItAtTheNamedPath) {
+TEST(HostileServer, ReceivesNothingFromAProcessThatFindsItAtTheNamedPath) {
   AGNOCAST_NEEDS_TWO_USERS();
   const Square square;
   Attacker attacker([&](Attack& attack) { be_false_daemon(square.socket(), attack); });
   if (!attacker.wait_until_ready()) return attacker.end();
-  // A user, and root itself.
+  // An ordinary user, and root itself.
   for (const uid_t uid : {honest_uid, uid_t{0}}) {
     const auto victim =
         node(square.socket(), {AGNOCAST_HONEST_NODE, std::to_string(uid)});
@@ -89,7 +89,7 @@ TEST(HostileServer, IsToldNothingByWhoFindsItAtTheNamedPath) {
   EXPECT_NE(status.err.find(untrusted()), std::string::npos) << status.err;
   EXPECT_TRUE(eventually([&] { return attacker.word(connections) >= 4; }));
   EXPECT_EQ(attacker.word(bytes), 0u);
-  // Who means that user's daemon says so, and is heard.
+  // A process that names that user as the daemon's uid does connect.
   const auto confiding = node(square.socket(), {},
                               {"AGNOCAST_DAEMON_UID=" + std::to_string(hostile_uid)});
   confiding->tell("create /confided");
@@ -97,10 +97,10 @@ TEST(HostileServer, IsToldNothingByWhoFindsItAtTheNamedPath) {
   attacker.end();
 }
 
-TEST(HostileServer, IsNotTakenForTheDaemonThatWasThere) {
+TEST(HostileServer, IsNotTakenForThePreviousDaemon) {
   AGNOCAST_NEEDS_TWO_USERS();
   const Square square;
-  // Its lock and its bells, too, lie where everybody may write.
+  // Its lock and its doorbells, too, lie in a directory that everybody may write.
   auto daemon = std::make_unique<DaemonProcess>(
       DaemonOptions{.config = "[daemon]\nsocket_mode = \"0666\"\n"
                               "[heap]\nwindow_bytes = \"64MiB\"\narena_bytes = \"4GiB\"\n"
@@ -116,7 +116,7 @@ TEST(HostileServer, IsNotTakenForTheDaemonThatWasThere) {
   EXPECT_TRUE(victim->eventually("create /meanwhile", untrusted()));
   EXPECT_EQ(attacker.word(bytes), 0u);
   attacker.end();
-  // The right one again: it goes back by itself.
+  // The right daemon again: the process rejoins by itself.
   DaemonProcess next({.config = "[daemon]\nsocket_mode = \"0666\"\n"
                                 "[heap]\nwindow_bytes = \"64MiB\"\narena_bytes = \"4GiB\"\n"
                                 AGNOCAST_TEST_ARENA_BASE,
@@ -148,7 +148,7 @@ TEST(HostileServer, CannotBeNamedByTheEnvironmentOfAProgramWithRaisedRights) {
   EXPECT_NE(answer, "ok");
   EXPECT_EQ(attacker.word(connections), 0u) << answer;
   EXPECT_EQ(attacker.word(bytes), 0u);
-  // Nor is its domain chosen by who starts it.
+  // Nor does the process that starts it choose its domain.
   const auto elsewhere = node(square.socket(), as_attacker, {"ROS_DOMAIN_ID=7"});
   EXPECT_EQ(elsewhere->ask("create /raised"), sentence_of(Errc::invalid_argument));
   attacker.end();

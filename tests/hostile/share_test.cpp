@@ -1,10 +1,10 @@
 // SPDX-License-Identifier: Apache-2.0
 //
-// Goal: a reader of another user that keeps what it was given may fill a publisher's heap, but not for
-// long, and not again and again.
-// Method: a publisher of large messages whose process may have one window, and a subscriber that is
-// allowed as many of them as the window has room for and lets go of none; or one that the publisher's
-// process cannot map, so that nobody knows what it holds.
+// Goal: a reader of another user that releases none of its messages may fill a publisher's heap,
+// but not for long, and not again and again.
+// Method: a publisher of large messages whose process may have one window, and a subscriber that
+// may hold as many of them as fit and releases none; or a subscriber whose region the publisher's
+// process cannot map, so that the publisher does not know its holds.
 
 #include <tests/hostile/hostile_node.hpp>
 #include <tests/support/ctl.hpp>
@@ -21,7 +21,7 @@ constexpr const char* bulk_topic = "/bulk";
 // Mebibytes: all that the window has, but for one.
 constexpr std::uint64_t kept = 63;
 
-/// Holds everything that it may, of whatever comes.
+/// Holds as many messages as it may.
 struct Hoarder {
   explicit Hoarder(Stage& stage, std::uint64_t quota = kept, std::uint64_t first_slot = 0)
       : node(stage.socket_path()) {
@@ -57,7 +57,7 @@ Progress progress_of(SteeredProcess& publisher) {
   return progress;
 }
 
-/// After ten seconds of patience, and then it may take as long as anything.
+/// Waits for the ten seconds of patience, and for the log line.
 bool is_logged(Stage& stage, const char* text) {
   return stage.daemon().wait_for_log(text) || stage.daemon().wait_for_log(text) ||
          stage.daemon().wait_for_log(text);
@@ -68,7 +68,7 @@ bool goes_on(SteeredProcess& publisher) {
   return eventually([&] { return progress_of(publisher).published >= before + 50; });
 }
 
-/// Everything that an administrator looks at names the reader's process and user, and why.
+/// Every administrator's command names the reader's process and user, and the reason.
 void expect_named(Stage& stage, pid_t reader) {
   const std::string process =
       "(pid " + std::to_string(reader) + ", uid " + std::to_string(hostile_uid) + ")";
@@ -83,7 +83,7 @@ void expect_named(Stage& stage, pid_t reader) {
   }
 }
 
-/// The records of this kind about the reader, oldest first.
+/// Returns the records of this kind about the reader, oldest first.
 std::vector<nlohmann::json> records_of(Stage& stage, const char* type, pid_t reader) {
   const nlohmann::json journal =
       run_ctl(stage.socket_path(), {"journal", "-j", "-n", "4096", "--topic", bulk_topic,
@@ -95,7 +95,7 @@ std::vector<nlohmann::json> records_of(Stage& stage, const char* type, pid_t rea
   return found;
 }
 
-/// The flight recorder has both sides.
+/// Checks that the flight recorder names both sides.
 void expect_both_sides(const nlohmann::json& record, pid_t publisher, pid_t reader) {
   const nlohmann::json& arguments = record["arguments"];
   EXPECT_EQ(record["topic"], bulk_topic);
@@ -108,7 +108,7 @@ void expect_both_sides(const nlohmann::json& record, pid_t publisher, pid_t read
   EXPECT_EQ(arguments["index"], 0);
 }
 
-TEST(HostileShare, WhoKeepsAHeapFullIsServedNoMore) {
+TEST(HostileShare, ASubscriberThatKeepsAHeapFullIsWithdrawn) {
   AGNOCAST_NEEDS_TWO_USERS();
   // A window for each of the honest processes.
   Stage stage({.quota = "held_messages = 400\nheap_bytes = 201326592\n"});
@@ -120,7 +120,7 @@ TEST(HostileShare, WhoKeepsAHeapFullIsServedNoMore) {
     attack.ready();
     while (attack.goes_on()) {
       if (attack.word(0).exchange(0) != 0) {
-        hoarder.join(kept - 10);  // what its user has left of the pool
+        hoarder.join(kept - 10);  // its user's rest of the pool
         attack.word(1).store(1);
       }
       if (attack.word(2).exchange(0) != 0) hoarder.let_go();
@@ -133,7 +133,7 @@ TEST(HostileShare, WhoKeepsAHeapFullIsServedNoMore) {
   ASSERT_TRUE(is_logged(stage, "reader withdrawn")) << stage.daemon().log();
   EXPECT_NE(stage.daemon().log().find("its user kept too much of the heap"), std::string::npos);
   ASSERT_TRUE(goes_on(*victim) || goes_on(*victim))
-      << "what is held by who is served no more still counts";
+      << "messages held by a withdrawn subscription still count";
   expect_named(stage, attacker.pid());
   const std::vector<nlohmann::json> withdrawn =
       records_of(stage, "reader_withdrawn", attacker.pid());
@@ -149,9 +149,10 @@ TEST(HostileShare, WhoKeepsAHeapFullIsServedNoMore) {
   attacker.set_word(0, 1);
   ASSERT_TRUE(eventually([&] { return attacker.word(1) == 1; }));
   for (int i = 0; i < 4; ++i) ASSERT_TRUE(goes_on(*victim));
-  EXPECT_EQ(progress_of(*victim).refused, refused) << "newcomers of that user begin anew";
+  EXPECT_EQ(progress_of(*victim).refused, refused)
+      << "a new subscription of that user gets the full time again";
 
-  // Both let go, and their user's minute passes.
+  // Both release their messages, and their user's minute passes.
   attacker.set_word(2, 1);
   bool is_served = false;
   for (int patience = 0; patience < 6 && !is_served; ++patience)
@@ -165,13 +166,13 @@ TEST(HostileShare, WhoKeepsAHeapFullIsServedNoMore) {
   stage.honest_goes_on();
 }
 
-// In a user namespace the stranger's uid, as the daemon tells it, may be what geteuid() says here.
-TEST(HostileShare, AStrangerWithTheUidThatOneHasInsideANamespaceIsAStranger) {
+// In a user namespace the other user's uid, as the daemon reports it, may equal geteuid() here.
+TEST(HostileShare, AUidThatIsEqualOnlyInsideANamespaceIsAnotherUser) {
   AGNOCAST_NEEDS_TWO_USERS();
   Stage stage({.quota = "held_messages = 400\nheap_bytes = 201326592\n"});
   const auto victim = stage.another_honest_process();
   if (victim->ask("enter-user-namespace") != "ok")
-    GTEST_SKIP() << "users may not make user namespaces here";
+    GTEST_SKIP() << "users may not create user namespaces here";
   ASSERT_EQ(victim->ask(std::string("publish_bulk ") + bulk_topic), "ok");
   ASSERT_TRUE(goes_on(*victim));
   static_assert(hostile_uid == 65534, "the uid of a user namespace without a map");
@@ -188,8 +189,8 @@ TEST(HostileShare, AStrangerWithTheUidThatOneHasInsideANamespaceIsAStranger) {
   stage.honest_goes_on();
 }
 
-// None of them keeps most of it, and each could come back while the others are out.
-TEST(HostileShare, ThoseWhoKeepAHeapFullTogetherAreServedNoMoreAtOnce) {
+// None of them keeps most of it, and each could come back while the others are excluded.
+TEST(HostileShare, SubscribersThatKeepAHeapFullTogetherAreWithdrawnTogether) {
   AGNOCAST_NEEDS_TWO_USERS();
   Stage stage({.quota = "held_messages = 400\nheap_bytes = 201326592\n"});
   const auto victim = stage.another_honest_process();
@@ -235,13 +236,13 @@ TEST(HostileShare, ThoseWhoKeepAHeapFullTogetherAreServedNoMoreAtOnce) {
   }
   for (int i = 0; i < 4; ++i) ASSERT_TRUE(goes_on(*victim));
   EXPECT_EQ(progress_of(*victim).refused, refused);
-  // The newest first: it has inherited how the others are told to stop.
+  // The newest first: it has inherited the pipes that stop the others.
   stage.victim_was(*victim);
   for (; !attackers.empty(); attackers.pop_back()) attackers.back()->end();
   stage.honest_goes_on();
 }
 
-TEST(HostileShare, WhoCannotBeMappedIsNotKeptForForEver) {
+TEST(HostileShare, ASubscriberThatCannotBeMappedIsWithdrawn) {
   AGNOCAST_NEEDS_TWO_USERS();
   Stage stage({.quota = "held_messages = 400\nheap_bytes = 201326592\n"});
   const auto victim = stage.another_honest_process();
@@ -265,19 +266,19 @@ TEST(HostileShare, WhoCannotBeMappedIsNotKeptForForEver) {
   });
   ASSERT_TRUE(attacker.wait_until_ready());
   ASSERT_TRUE(eventually([&] { return progress_of(*victim).refused > 0; }))
-      << "everything is kept for who may hold anything, or it was mapped after all";
+      << "the heap never filled: the publisher mapped the subscriber after all";
   ASSERT_TRUE(is_logged(stage, "its process could not be mapped")) << stage.daemon().log();
   ASSERT_TRUE(goes_on(*victim) || goes_on(*victim));
   const std::uint64_t refused = progress_of(*victim).refused;
   for (int i = 0; i < 4; ++i) ASSERT_TRUE(goes_on(*victim));
   EXPECT_EQ(progress_of(*victim).refused, refused);
 
-  // Its next ones cost nothing, one after the other.
+  // Further subscriptions cost nothing, one after the other.
   for (std::uint64_t joined = 1; joined <= 4; ++joined) {
     attacker.set_word(0, 1);
     ASSERT_TRUE(eventually([&] { return attacker.word(1) == joined; }));
     for (int i = 0; i < 4; ++i) ASSERT_TRUE(goes_on(*victim));
-    EXPECT_EQ(progress_of(*victim).refused, refused) << "of subscription " << joined + 1;
+    EXPECT_EQ(progress_of(*victim).refused, refused) << "at subscription " << joined + 1;
   }
   stage.victim_was(*victim);
   attacker.end();
@@ -285,7 +286,7 @@ TEST(HostileShare, WhoCannotBeMappedIsNotKeptForForEver) {
 }
 
 // None of them stays for ten seconds, and there is one at any time.
-TEST(HostileShare, ThoseWhoCannotBeMappedDoNotGetTenSecondsEach) {
+TEST(HostileShare, SubscribersThatCannotBeMappedShareTenSeconds) {
   AGNOCAST_NEEDS_TWO_USERS();
   Stage stage({.quota = "held_messages = 400\nheap_bytes = 201326592\n"});
   const auto victim = stage.another_honest_process();

@@ -30,7 +30,7 @@ std::unique_ptr<SteeredProcess> honest_process(const DaemonProcess& daemon,
       std::vector<std::string>{"AGNOCAST_SOCKET=" + daemon.socket_path()});
 }
 
-/// Tells the test of what failed in an attacker, which may be killed before it ends.
+/// Reports failures in an attacker to the test, since the attacker may be killed before it ends.
 class Failures : public testing::EmptyTestEventListener {
  public:
   explicit Failures(Attack::Word& count) : count_(count) {}
@@ -55,7 +55,8 @@ Stage::Stage(const StageOptions& options)
   EXPECT_EQ(publisher_->ask(std::string("publish ") + stream_topic), "ok");
   EXPECT_TRUE(subscriber_->eventually("matched", "1"));
   honest_goes_on();
-  honest_is_served();  // what is made once is made now: windows and executors of the honest process
+  // creates the one-time objects now: windows and executors of the honest process
+  honest_is_served();
   EXPECT_EQ(subscriber_->ask("forget-gap"), "ok");
   row_ = std::make_unique<AttackRow>(daemon_.pid());
 }
@@ -107,7 +108,7 @@ void Stage::honest_goes_on() {
   })) << "published "
       << before.published << " then " << now.published << ", received " << before.received
       << " then " << now.received;
-  EXPECT_EQ(now.refused, 0u) << "publish said:" << now.refusal;
+  EXPECT_EQ(now.refused, 0u) << "publish reported:" << now.refusal;
   EXPECT_EQ(now.wrong, 0u);
   EXPECT_EQ(now.lost, 0u);
 }
@@ -126,7 +127,7 @@ void Stage::honest_lost_nothing() {
   }));
   const State end = state();
   EXPECT_EQ(end.received, end.published);
-  EXPECT_EQ(end.refused, 0u) << "publish said:" << end.refusal;
+  EXPECT_EQ(end.refused, 0u) << "publish reported:" << end.refusal;
   EXPECT_EQ(end.wrong, 0u);
   EXPECT_EQ(end.lost, 0u);
   const double gap_ms = static_cast<double>(end.largest_gap_ns) / 1e6;
@@ -166,10 +167,11 @@ Attacker::Attacker(std::function<void(Attack&)> body, uid_t uid) {
   child_ = std::make_unique<Child>([&] {
     ::close(stop[1]);
     ::close(ready[0]);
-    // An attacker without a test is over.
+    // The attacker ends with its test.
     ::prctl(PR_SET_PDEATHSIG, SIGKILL);
     if (::setgroups(0, nullptr) != 0 || ::setgid(uid) != 0 || ::setuid(uid) != 0) return 99;
-    // As any process that was this user's from the beginning: its own /proc entries are its own.
+    // Dumpable as any process that was this user's from the beginning, so its /proc entries belong
+    // to it.
     ::prctl(PR_SET_DUMPABLE, 1);
     testing::UnitTest::GetInstance()->listeners().Append(new Failures(words_[word_count]));
     Attack attack(words_, stop[0], ready[1]);
@@ -197,14 +199,13 @@ bool Attacker::wait_until_ready() {
 
 void Attacker::end() {
   stop_.reset();
-  EXPECT_EQ(child_->wait(), 0) << "98: what the attacker expected did not come true, see above";
+  EXPECT_EQ(child_->wait(), 0) << "98: an expectation of the attacker failed, see above";
 }
 
 void Attacker::kill() {
   child_->kill();
   EXPECT_EQ(child_->wait(), -SIGKILL);
-  EXPECT_EQ(words_[word_count].load(), 0u)
-      << "what the attacker expected did not come true, see above";
+  EXPECT_EQ(words_[word_count].load(), 0u) << "an expectation of the attacker failed, see above";
 }
 
 Chance::Chance(std::uint64_t seed) {

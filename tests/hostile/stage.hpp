@@ -1,17 +1,18 @@
 // SPDX-License-Identifier: Apache-2.0
 //
-// The stage of the hostile tests: the real daemon, an honest pair of one user that never stops, and
-// attackers of another one.
+// The stage of the hostile tests: the real daemon, an honest pair of one user that never stops,
+// and attackers of another one.
 //
 //   Stage stage;                          daemon with rules and quotas, pair started and matched
-//   Attacker attacker(stage, [](Attack& attack) { … attack.ready(); while (attack.goes_on()) …; });
+//   Attacker attacker([](Attack& attack) { … attack.ready(); while (attack.goes_on()) …; });
 //   attacker.wait_until_ready();
 //   stage.honest_goes_on();               while the attack lasts
-//   attacker.end();                       what the body expected, and did not get, fails the test
+//   attacker.end();                       a failed expectation of the body fails the test
 //   stage.honest_lost_nothing();          and the row of the attack table is written
 //
-// Attackers are children that gave their rights away: gtest's EXPECT works in them. The honest
-// processes are programs of their own, because the library's hook and threads belong to a process.
+// Attackers are children that have dropped their privileges: gtest's EXPECT works in them. The
+// honest processes are programs of their own, because the library's hook and threads belong to a
+// process.
 #pragma once
 
 #include <agnocast/abi/observe.hpp>
@@ -41,7 +42,7 @@ namespace agnocast::test {
 
 inline constexpr uid_t honest_uid = 65533, hostile_uid = 65534, daemon_uid = 65532,
                        third_uid = 65531;
-/// Topic on which only the honest user may publish, and one that is open to everybody.
+/// A topic on which only the honest user may publish, and one that is open to everybody.
 inline constexpr const char* stream_topic = "/stream";
 inline constexpr const char* open_topic = "/open";
 
@@ -62,18 +63,19 @@ class Stage {
   const std::string& socket_path() const noexcept { return daemon_.socket_path(); }
   SteeredProcess& publisher() noexcept { return *publisher_; }
   SteeredProcess& subscriber() noexcept { return *subscriber_; }
-  /// One more of the honest user, or of another one; nothing is asked of it.
+  /// Starts another process of the honest user, or of `uid`.
   std::unique_ptr<SteeredProcess> another_honest_process(uid_t uid = honest_uid) const;
 
-  /// Another 100 messages are published and have arrived since now. That is what "is not blocked"
-  /// means: a publisher that waits for somebody, or a reader that starves, never gets there.
+  /// Waits until another 100 messages have been published and have arrived. That is what "is not
+  /// blocked" means: a publisher that waits for another process, or a reader that starves, never
+  /// gets there.
   void honest_goes_on();
-  /// Requests of the honest subscriber's process are answered with what it asked for.
+  /// Checks that the daemon grants the requests of the honest subscriber's process.
   void honest_is_served();
-  /// Ends the stream; every message of it has arrived, once, in order, whole. The daemon runs.
+  /// Ends the stream; every message has arrived, once, in order, whole. The daemon runs.
   void honest_lost_nothing();
-  /// The attack was on this publisher, and not on the pair: the row of the table is about it, as it is now. The test
-  /// judges it.
+  /// The attack was on this publisher, not on the pair: the row of the table shows its state now.
+  /// The test judges it.
   void victim_was(SteeredProcess& publisher);
 
   struct State {
@@ -82,9 +84,9 @@ class Stage {
     std::uint64_t largest_gap_ns = 0;  // between two messages of the stream at the subscriber
     std::string refusal;
   };
-  /// Of both processes together.
+  /// Returns the state of both processes together.
   State state();
-  /// What the daemon counts.
+  /// Returns the daemon's counters.
   abi::wire::DaemonCounters counters();
 
  private:
@@ -101,11 +103,11 @@ class Attack {
  public:
   using Word = std::atomic<std::uint64_t>;
   Attack(Word* words, int stop, int ready) : words_(words), stop_(stop), ready_(ready) {}
-  /// The attack is under way.
+  /// Reports that the attack is under way.
   void ready();
-  /// Until the test says end(). The attacker looks whenever it likes.
+  /// Returns true until the test calls end(). The attacker may check at any time.
   bool goes_on() const;
-  /// Words that the test reads.
+  /// Returns a word that the test reads.
   Word& word(std::size_t index) { return words_[index]; }
 
  private:
@@ -120,38 +122,38 @@ class Attacker {
   Attacker(const Attacker&) = delete;
   Attacker& operator=(const Attacker&) = delete;
 
-  /// False, and the test has failed, when it ended before.
+  /// Returns false, and fails the test, when the attacker ended before.
   bool wait_until_ready();
   std::uint64_t word(std::size_t index) const { return words_[index].load(); }
-  /// Tells it something while it goes on.
+  /// Sends a value to the running attacker.
   void set_word(std::size_t index, std::uint64_t value) { words_[index] = value; }
   pid_t pid() const noexcept { return child_->pid(); }
-  /// Asks it to stop and waits; the test fails with it.
+  /// Asks the attacker to stop and waits; a failure in it fails the test.
   void end();
-  /// SIGKILL, in the middle of whatever it does. The test fails with it as well.
+  /// Sends SIGKILL, whatever the attacker is doing. A failure in it fails the test as well.
   void kill();
 
  private:
-  static constexpr std::size_t word_count = 16;  // and one behind them that counts its failures
+  static constexpr std::size_t word_count = 16;  // one more follows that counts its failures
   Attack::Word* words_;
   UniqueFd stop_, ready_;
   std::unique_ptr<Child> child_;
 };
 
-/// A seeded source of bytes; the seed is printed, AGNOCAST_SEED= repeats it.
+/// A seeded source of bytes; prints the seed, which AGNOCAST_SEED= repeats.
 class Chance {
  public:
   explicit Chance(std::uint64_t seed);
   std::uint64_t operator()() { return engine_(); }
   std::uint64_t below(std::uint64_t end) { return engine_() % end; }
-  /// What breaks arithmetic more often than chance does.
+  /// Returns a value that breaks arithmetic more often than chance does.
   std::uint64_t nasty();
 
  private:
   std::mt19937_64 engine_;
 };
 
-/// How long an attack lasts: AGNOCAST_ATTACK_SECONDS, 2 by default.
+/// Returns how long an attack lasts: AGNOCAST_ATTACK_SECONDS, 2 by default.
 std::chrono::milliseconds attack_time();
 
 }  // namespace agnocast::test

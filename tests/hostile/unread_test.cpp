@@ -1,9 +1,10 @@
 // SPDX-License-Identifier: Apache-2.0
 //
-// Goal: who does not read what the daemon says to it, or makes it say much, costs it what one user may
-// cost and no more, is put off or put out with a reason, and everybody else goes on.
-// Method: an attacker of another user with small quotas asks without reading, stops reading, and asks
-// for dumps as fast as it can, beside the honest pair.
+// Goal: a client that does not read the daemon's packets, or causes many of them, costs it no more
+// than one user may cost and is delayed or disconnected with a reason, and all other clients go
+// on.
+// Method: an attacker of another user with small quotas asks without reading, stops reading, and
+// asks for dumps as fast as it can, beside the honest pair.
 
 #include <tests/hostile/hostile_node.hpp>
 
@@ -23,7 +24,7 @@ std::size_t private_bytes(const DaemonProcess& daemon) {
   return daemon.resident_bytes() - daemon.shared_bytes();
 }
 
-/// A small request that is always refused, at some length; false when the connection is over.
+/// Sends a request that is refused at length; false when the connection is over.
 bool ask_nonsense(WireClient& client) {
   wire::WindowRequest nonsense{};
   nonsense.header = {Opcode::open_window, sizeof nonsense, 1};
@@ -39,7 +40,7 @@ WireClient observer_at(const std::string& path) {
   return observer;
 }
 
-TEST(HostileUnread, ManyWhoDoNotReadCostTogetherWhatOneUserMay) {
+TEST(HostileUnread, ManyClientsThatDoNotReadCostNoMoreThanOneUserMay) {
   AGNOCAST_NEEDS_TWO_USERS();
   Stage stage({.quota = "held_messages = 400\nqueued_bytes = \"2MiB\"\n"});
   stage.honest_goes_on();
@@ -60,7 +61,7 @@ TEST(HostileUnread, ManyWhoDoNotReadCostTogetherWhatOneUserMay) {
       }
     }
   });
-  ASSERT_TRUE(attacker.wait_until_ready()) << "nobody was put out";
+  ASSERT_TRUE(attacker.wait_until_ready()) << "no client was disconnected";
   std::size_t most = 0;
   for (int i = 0; i < 5; ++i) {
     stage.honest_goes_on();
@@ -71,11 +72,11 @@ TEST(HostileUnread, ManyWhoDoNotReadCostTogetherWhatOneUserMay) {
   attacker.kill();
   EXPECT_TRUE(stage.daemon().wait_for_log("[quota] queued_bytes is 2097152"));
   EXPECT_TRUE(eventually([&] { return private_bytes(stage.daemon()) < before + 8 * mib; }))
-      << "memory goes back";
+      << "the daemon did not free the memory";
   stage.honest_lost_nothing();
 }
 
-TEST(HostileUnread, WhoStopsReadingIsPutOutAndMayComeBack) {
+TEST(HostileUnread, AClientThatStopsReadingIsDisconnectedAndMayRejoin) {
   AGNOCAST_NEEDS_TWO_USERS();
   Stage stage({.quota = "held_messages = 400\nqueued_seconds = 1\n"});
   Attacker attacker([&](Attack& attack) {
@@ -83,7 +84,7 @@ TEST(HostileUnread, WhoStopsReadingIsPutOutAndMayComeBack) {
     for (int i = 0; i < 3000; ++i) EXPECT_TRUE(ask_nonsense(node.wire()));
     attack.ready();
     EXPECT_TRUE(eventually([&] { return !ask_nonsense(node.wire()); }));
-    // It is a member as before.
+    // Its session continues as before.
     EXPECT_TRUE(eventually([&] {
       WireClient again(stage.socket_path());
       return again.rejoin(node.welcome()).opcode() == Opcode::rejoined;
@@ -102,7 +103,7 @@ TEST(HostileUnread, WhoStopsReadingIsPutOutAndMayComeBack) {
   stage.honest_lost_nothing();
 }
 
-TEST(HostileUnread, WhoAsksForMuchTooOftenWaitsAndIsAnswered) {
+TEST(HostileUnread, AnObserverThatAsksTooOftenWaitsAndIsAnswered) {
   AGNOCAST_NEEDS_TWO_USERS();
   Stage stage({.quota = "held_messages = 400\ndumps_per_second = 5\n"});
   Attacker attacker([&](Attack& attack) {
@@ -120,7 +121,7 @@ TEST(HostileUnread, WhoAsksForMuchTooOftenWaitsAndIsAnswered) {
     }
     // Five at once and five a second; a slow machine takes longer.
     EXPECT_GE(std::chrono::steady_clock::now() - begin, std::chrono::milliseconds(2500));
-    // Who does not wait for its answer is put out, as ever.
+    // A client that does not wait for its answer is disconnected, as ever.
     wire::Dump dump{};
     dump.header = {Opcode::dump, sizeof dump, 1};
     for (int i = 0; i < 8; ++i)

@@ -1,8 +1,9 @@
 #!/usr/bin/python3
 # SPDX-License-Identifier: Apache-2.0
 #
-# Goal: scripts can rely on agnocast-bench: its exit status says how it went, wrong usage is told before anything runs, and with --json=- its
-# standard output is one JSON document and nothing else. Method: its command lines, the shortest runs that there are.
+# Goal: scripts can rely on agnocast-bench: its exit status tells success from failure, it reports
+# wrong usage before anything runs, and with --json=- its standard output is exactly one JSON
+# document. Method: its command lines, with the shortest runs.
 #
 #   bench_command_test.py AGNOCAST_BENCH SCHEMA
 import json
@@ -37,13 +38,13 @@ def document_of(ran):
     return document
 
 
-# --- what only says something
+# --- options that only print
 for option, wanted in (("--help", "--rounds"), ("--list", "latency")):
     ran = run(option, status=0)
     if wanted not in ran.stdout or ran.stderr:
         errors.append(f"{option}: {ran.stdout}{ran.stderr}")
 
-# --- wrong usage: what, and a hint, before anything is measured
+# --- wrong usage: the problem and a hint, before anything is measured
 for arguments, wanted in (
     ([], "which case"),
     (["laziness"], "there is no case 'laziness'"),
@@ -59,7 +60,7 @@ for arguments, wanted in (
     if wanted not in ran.stderr or "hint:" not in ran.stderr or ran.stdout:
         errors.append(f"{arguments}: {ran.stdout}{ran.stderr}")
 
-# --- what does not work
+# --- runs that fail
 ran = run("alloc", "--small", "--json", "/nowhere/at/all.json", status=1)
 if "/nowhere/at/all.json" not in ran.stderr or "==" in ran.stdout:
     errors.append(f"a file that cannot be written: {ran.stdout}{ran.stderr}")

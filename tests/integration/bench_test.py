@@ -1,8 +1,9 @@
 #!/usr/bin/python3
 # SPDX-License-Identifier: Apache-2.0
 #
-# Goal: a case of agnocast-bench works, and its results and pictures are as their schema says. Method: the shortest run there is, its JSON held
-# to the schema, every picture looked for, its directory for temporary files empty again. What it measured says nothing, and no time is asserted.
+# Goal: a case of agnocast-bench works, and its results and pictures follow their schema. Method:
+# the shortest run, its JSON checked against the schema, every picture present, its temporary
+# directory empty afterwards. Its measurements mean nothing, so the test asserts no time.
 #
 #   bench_test.py AGNOCAST_BENCH CASE SCHEMA MINIMUM_OF_RESULTS
 import importlib.util
@@ -16,7 +17,7 @@ import tempfile
 import jsonschema
 
 program, case, schema, minimum = sys.argv[1:5]
-# Numbers that say what was measured, not what came out.
+# Numbers that describe the measurement, not its result.
 labels = {"cores", "size_bytes", "receivers", "rounds", "period_ns", "samples", "bound"}
 
 
@@ -43,7 +44,7 @@ with tempfile.TemporaryDirectory() as name:
         for error in jsonschema.Draft7Validator(rules).iter_errors(document)
     ]
     errors += [f"left behind: {path.name}" for path in temporary.iterdir()]
-    # A long run goes on without a peer that fails; here that is to be seen.
+    # A long run goes on without a peer that fails; here such a failure must be visible.
     errors += [why for why in document["environment"]["left_out"] if "has failed" in why]
     count = sum(map(has_figure, document["results"]))
     if count < int(minimum):

@@ -1,8 +1,8 @@
 // SPDX-License-Identifier: Apache-2.0
 //
-// Goal: agnocast-ctl access says of any topic who may publish, subscribe and connect, by which rule, and what one user
-// may and has; and that is what the daemon does. Method: the real daemon with rules, agnocast-ctl as a program of its
-// own, and clients of two users that try.
+// Goal: agnocast-ctl access says of any topic who may publish, subscribe and connect, by which
+// rule, and a user's limits and usage; and the daemon decides the same. Method: the real daemon
+// with rules, agnocast-ctl as a program of its own, and clients of two users that try.
 
 #include <tests/integration/ctl_node.hpp>
 #include <tests/integration/raw_node.hpp>
@@ -55,7 +55,7 @@ class CtlAccess : public testing::Test {
   const uid_t nobody_ = ::getpwnam("nobody") == nullptr ? 0 : ::getpwnam("nobody")->pw_uid;
 };
 
-TEST_F(CtlAccess, NamesTheRuleThatDecidesAndWhomItNamesByNameAndNumber) {
+TEST_F(CtlAccess, NamesTheDecidingRuleAndItsUsersByNameAndNumber) {
   const json is = answer({"/lidar/front"});
   EXPECT_EQ(is["topic"], "/lidar/front");
   EXPECT_EQ(is["domain"], 0);
@@ -82,14 +82,14 @@ TEST_F(CtlAccess, FollowsTheDomainAndTheOrderOfTheFile) {
   const json there = answer({"/lidar/raw", "--domain", "7"});
   EXPECT_EQ(there["subscribe"]["rule"]["line"], 6);
   EXPECT_EQ(there["subscribe"]["who"][0]["id"], 54321);
-  EXPECT_EQ(there["publish"]["rule"]["line"], 3) << "the rule of line 6 does not speak of it";
+  EXPECT_EQ(there["publish"]["rule"]["line"], 3) << "the rule of line 6 does not name it";
   const json closed = answer({"/closed"});
   EXPECT_EQ(closed["publish"]["who"], json::array());
   EXPECT_EQ(closed["user"]["subscribe"]["allowed"], false);
   EXPECT_THAT(ctl({"/closed"}).out, HasSubstr("nobody"));
 }
 
-TEST_F(CtlAccess, SaysOfAUserWhatTheDaemonDoes) {
+TEST_F(CtlAccess, SaysTheSameOfAUserAsTheDaemonDecides) {
   if (::geteuid() != 0) GTEST_SKIP() << "needs root and another user";
   const auto may = [&](const std::string& topic, const std::string& user) {
     const json of = answer({topic, "--user", user})["user"];
@@ -109,14 +109,14 @@ TEST_F(CtlAccess, SaysOfAUserWhatTheDaemonDoes) {
               return 0;
             }),
             0);
-  // Who runs it is who is meant, unless said otherwise.
+  // The calling user is meant, unless another one is named.
   EXPECT_EQ(answer({"/lidar/front"}, nobody_)["user"]["uid"], nobody_);
   EXPECT_EQ(answer({"/lidar/front"}, nobody_)["user"]["publish"]["allowed"], true);
   EXPECT_THAT(ctl({"/lidar/front"}).out, HasSubstr("publish    no   is not one of them"));
 }
 
-// A rule that is there only since the publishers are: the process goes on with both.
-TEST(CtlAccessToMemory, SaysWhoReadsItThroughOtherTopicsOfTheSameProcess) {
+// A rule that was added after the publishers: the process goes on with both.
+TEST(CtlAccessToMemory, NamesReadersThroughOtherTopicsOfTheSameProcess) {
   DaemonProcess daemon;
   CtlNode node(daemon.socket_path());
   node.publisher("/secret");
@@ -140,7 +140,7 @@ TEST(CtlAccessToMemory, SaysWhoReadsItThroughOtherTopicsOfTheSameProcess) {
   EXPECT_EQ(memory("/other"), json::array());
 }
 
-TEST_F(CtlAccess, SaysWhatAUserHasOfItsQuotas) {
+TEST_F(CtlAccess, ShowsHowMuchAUserUsesOfItsQuotas) {
   CtlNode node(daemon_.socket_path());
   node.publisher("/free");
   node.publisher("/free/too");
@@ -153,7 +153,7 @@ TEST_F(CtlAccess, SaysWhatAUserHasOfItsQuotas) {
   EXPECT_THAT(ctl({"/free"}).out, testing::ContainsRegex("publishers +2 +5\n"));
 }
 
-TEST_F(CtlAccess, SaysWhoMayConnect) {
+TEST_F(CtlAccess, NamesTheUsersThatMayConnect) {
   if (::geteuid() != 0) GTEST_SKIP() << "needs root to give the socket to others";
   ASSERT_EQ(::chown(daemon_.socket_path().c_str(), 0, 4242), 0);
   ASSERT_EQ(::chmod(daemon_.socket_path().c_str(), 0660), 0);
@@ -162,7 +162,7 @@ TEST_F(CtlAccess, SaysWhoMayConnect) {
   EXPECT_EQ(is["socket"]["group"]["id"], 4242);
   EXPECT_EQ(is["socket"]["owner"]["name"], "root");
   EXPECT_EQ(is["user"]["connect"]["allowed"], false);
-  EXPECT_EQ(ctl({"/free"}, nobody_).status, 5) << "and so it is";
+  EXPECT_EQ(ctl({"/free"}, nobody_).status, 5) << "the daemon decides the same";
   EXPECT_THAT(ctl({"/free"}).out, HasSubstr("mode 0660 of the socket"));
 }
 
@@ -183,8 +183,9 @@ TEST_F(CtlAccess, RefusesBadInputWithAHint) {
   EXPECT_EQ(ctl({"/a"}).status, 3);
 }
 
-// As many names as the answer has no room for: what is not shown is said to be more, and not denied.
-TEST(CtlAccessOfMany, SaysWhereItCannotKnow) {
+// More names than the answer has room for: for those that are cut off the answer says "more", not
+// "denied".
+TEST(CtlAccessOfMany, SaysMoreWhereTheAnswerIsCutOff) {
   std::string names;
   for (int uid = 50000; uid < 50200; ++uid) names += "\"uid:" + std::to_string(uid) + "\", ";
   const DaemonProcess daemon(

@@ -1,7 +1,7 @@
 // SPDX-License-Identifier: Apache-2.0
 //
-// Goal: agnocast-ctl journal tells what the daemon decided and why, over deaths and restarts. Method: as
-// ctl_test.cpp.
+// Goal: agnocast-ctl journal shows the daemon's decisions and their reasons, over deaths and
+// restarts. Method: as ctl_test.cpp.
 
 #include <tests/integration/ctl_node.hpp>
 #include <tests/support/ctl.hpp>
@@ -27,7 +27,7 @@ using wire::Opcode;
 using M = SharedMemory;
 using Node = CtlNode;
 
-// A publisher and its process, dead with a message that was begun and not committed.
+// Starts a publisher that dies between begin and commit; returns its pid.
 pid_t die_while_publishing(const std::string& socket) {
   const pid_t pid = ::fork();
   if (pid == 0) {
@@ -43,7 +43,7 @@ pid_t die_while_publishing(const std::string& socket) {
   return pid;
 }
 
-// Times differ; everything behind them does not.
+// Removes the times, which differ; the text after them does not.
 std::string without_times(const std::string& text) {
   std::string result;
   std::istringstream lines(text);
@@ -54,13 +54,12 @@ std::string without_times(const std::string& text) {
   return result;
 }
 
-TEST(CtlJournal, TellsADeathAndWhatItLeft) {
+TEST(CtlJournal, ShowsADeathAndItsRecovery) {
   DaemonProcess daemon;
   const std::string& socket = daemon.socket_path();
   const std::string pid = std::to_string(die_while_publishing(socket));
-  ASSERT_TRUE(eventually([&] {
-    return run_ctl(socket, {"journal"}).out.find(" #10 ") != std::string::npos;
-  }));
+  ASSERT_TRUE(eventually(
+      [&] { return run_ctl(socket, {"journal"}).out.find(" #10 ") != std::string::npos; }));
   const std::string process = "process 0 (wire_client, pid " + pid + "): ";
   const std::string publisher = "publisher 0 of /points (wire_client, pid " + pid + "): ";
   const CtlResult all = run_ctl(socket, {"journal"});
@@ -115,7 +114,7 @@ TEST(CtlJournal, TellsADeathAndWhatItLeft) {
                 "rolled back, 0 rolled forward, 0 corrupt\nrestarts       0 of the daemon"));
 }
 
-TEST(CtlJournal, GoesOnOverARestartAndTellsIt) {
+TEST(CtlJournal, SurvivesARestartAndShowsIt) {
   DaemonProcess daemon;
   const std::string& socket = daemon.socket_path();
   die_while_publishing(socket);
@@ -128,7 +127,8 @@ TEST(CtlJournal, GoesOnOverARestartAndTellsIt) {
   EXPECT_EQ(after["intents_rolled_back"], 1);
   EXPECT_EQ(after["restarts"], 1);
   const std::string out = run_ctl(socket, {"journal"}).out;
-  EXPECT_THAT(out, HasSubstr("last message rolled back\n")) << "and so does the journal";
+  EXPECT_THAT(out, HasSubstr("last message rolled back\n"))
+      << "the records outlive the daemon as well";
   EXPECT_THAT(out, HasSubstr("agnocastd (pid " + std::to_string(daemon.pid()) +
                              "): took over, no operation was in progress, 0 processes had died, 0 "
                              "words of the board rewritten\n"));
@@ -137,7 +137,7 @@ TEST(CtlJournal, GoesOnOverARestartAndTellsIt) {
 TEST(CtlJournal, SaysThatOlderOnesAreOverwritten) {
   DaemonProcess daemon;
   Node a(daemon.socket_path());
-  // A topic that comes and goes is four records.
+  // A topic that comes and goes makes four records.
   for (int i = 0; i < 1100; ++i) {
     const auto p = a.publisher("/points");
     a.wire.reference(Opcode::leave, wire::Kind::publisher, p.topic, p.index, p.generation);
@@ -151,12 +151,12 @@ TEST(CtlJournal, SaysThatOlderOnesAreOverwritten) {
   const auto all = lines({"-n", "100000"});
   EXPECT_THAT(all.first, MatchesRegex("records before #[0-9]+ have been overwritten"));
   EXPECT_EQ(all.second, 4096 + 1);
-  EXPECT_EQ(lines({}).second, 20) << "more is there, and was not asked for";
+  EXPECT_EQ(lines({}).second, 20) << "older records exist, but were not asked for";
   EXPECT_THAT(lines({"--process", "nobody"}).first, HasSubstr("have been overwritten"));
 }
 
-// The publisher is a client that says so as often as it likes.
-TEST(CtlJournal, TellsWhoIsServedNoMoreAndIsNotFloodedWithIt) {
+// The publisher is a client that reports a withdrawal as often as it likes.
+TEST(CtlJournal, ShowsWithdrawnReadersAndIsNotFloodedByThem) {
   DaemonProcess daemon;
   const std::string& socket = daemon.socket_path();
   Node a(socket, 0, "camera"), b(socket, 0, "viewer");
@@ -189,7 +189,7 @@ TEST(CtlJournal, TellsWhoIsServedNoMoreAndIsNotFloodedWithIt) {
                   HasSubstr(sentence("serves", " again"))));
   EXPECT_THAT(daemon.log(), HasSubstr("reader served again"));
 
-  // Of a reader that is not there, or a publisher that is another's: no word of it.
+  // The daemon records no reader that does not exist, and none of another client's publisher.
   said.subscription_generation = s.generation + 1;
   say(abi::Withdrawal::over_share);
   said.subscription_generation = s.generation;
@@ -207,7 +207,7 @@ TEST(CtlJournal, TellsWhoIsServedNoMoreAndIsNotFloodedWithIt) {
   EXPECT_LT(withdrawn, times / 2) << "one a minute, after some at once";
 }
 
-TEST(CtlJournal, TellsWhomNobodyCanRing) {
+TEST(CtlJournal, ShowsMuteSubscriptions) {
   DaemonProcess daemon;
   const std::string& socket = daemon.socket_path();
   Node b(socket, 0, "viewer");
@@ -221,14 +221,14 @@ TEST(CtlJournal, TellsWhomNobodyCanRing) {
   EXPECT_FALSE(mute("/points"));
   b.bells.clear();
   ASSERT_TRUE(eventually([&] { return mute("/points"); }));
-  EXPECT_TRUE(mute("/left")) << "all of the executor";
+  EXPECT_TRUE(mute("/left")) << "all subscriptions of the executor";
   EXPECT_FALSE(mute("/later"));
   b.subscription("/later");
-  EXPECT_TRUE(eventually([&] { return mute("/later"); })) << "its executor was silent before";
+  EXPECT_TRUE(eventually([&] { return mute("/later"); })) << "its executor was mute before";
   EXPECT_EQ(run_ctl(socket, {"status", "-j"}).json()["counters"]["readers_mute"], 3);
 }
 
-TEST(CtlJournal, GoesOnWithWhatComes) {
+TEST(CtlJournal, FollowsNewRecords) {
   DaemonProcess daemon;
   Node a(daemon.socket_path());
   int ends[2];

@@ -1,9 +1,9 @@
 // SPDX-License-Identifier: Apache-2.0
 //
-// Goal: each way of looking says what is there: nodes, messages and their holders, rates, pairs that are
-// not zero-copy and why, pictures, the whole as one object; and every command, whichever, has help, knows
-// bad input and looks without being seen. Method: the real daemon, raw clients whose regions this test
-// writes like honest processes, agnocast-ctl as a program of its own.
+// Goal: each command shows what exists: nodes, messages and their holders, rates, pairs that are
+// not zero-copy and why, pictures, the whole as one object; and every command of the table has
+// help, refuses bad input and leaves no trace when it looks. Method: the real daemon, raw clients
+// whose regions this test writes like honest processes, agnocast-ctl as a program of its own.
 
 #include <base/clock.hpp>
 #include <ctl/cli/commands.hpp>
@@ -80,7 +80,7 @@ TEST_F(CtlLook, FindsTopicsByTypeAndTypesByTopic) {
               HasSubstr("hint: agnocast-ctl topic type /left\n"));
 }
 
-TEST_F(CtlLook, TellsOfNodesInTheShapesOfRos2) {
+TEST_F(CtlLook, ShowsNodesInTheFormatOfRos2) {
   Node a(daemon_.socket_path()), b(daemon_.socket_path());
   a.publisher("/points", {7}, "/lidar/top", "sensor_msgs/msg/PointCloud2");
   a.publisher("/points", {7}, "/lidar/top", "sensor_msgs/msg/PointCloud2");
@@ -120,7 +120,7 @@ TEST_F(CtlLook, TellsOfNodesInTheShapesOfRos2) {
               HasSubstr("There are 2 nodes in the graph with the exact name \"/viewer\".\n"));
 }
 
-TEST_F(CtlLook, SaysWhoHoldsAMessageAndWhoHasNotTakenIt) {
+TEST_F(CtlLook, NamesTheHoldersOfAMessageAndItsUnreadSubscriptions) {
   Node a(daemon_.socket_path()), b(daemon_.socket_path());
   a.open_window();
   const auto p = a.publisher("/points", {7}, "/lidar");
@@ -138,13 +138,13 @@ TEST_F(CtlLook, SaysWhoHoldsAMessageAndWhoHasNotTakenIt) {
   EXPECT_GE(first["age_ns"], 3 * second_ns);
   EXPECT_LT(first["age_ns"], 60 * second_ns);
   EXPECT_TRUE(list["messages"][1]["held_by"].empty());
-  EXPECT_TRUE(list["messages"][1]["unread_by"].empty()) << "in the history for nobody";
+  EXPECT_TRUE(list["messages"][1]["unread_by"].empty()) << "nobody has it unread";
   EXPECT_EQ(list["messages"][3]["unread_by"][0]["node_name"], "viewer");
   EXPECT_THAT(out({"messages"}), ContainsRegex("/points +lidar +1 +[0-9.]+ s +64 B +viewer \\("));
   EXPECT_EQ(ctl({"message", "list", "/none"}).status, 4);
 }
 
-TEST_F(CtlLook, AnswersOfEachPairWhetherItIsZeroCopyAndWhyNot) {
+TEST_F(CtlLook, SaysOfEachPairWhetherItIsZeroCopyAndWhyNot) {
   Node a(daemon_.socket_path()), b(daemon_.socket_path());
   a.open_window();
   const Qos reliable{5, false, true, false, false}, best_effort{5, false, false, false, false};
@@ -182,7 +182,7 @@ TEST_F(CtlLook, AnswersOfEachPairWhetherItIsZeroCopyAndWhyNot) {
   EXPECT_EQ(weak.index, 1u);
 }
 
-TEST_F(CtlLook, ShowsWhatHurtsFirst) {
+TEST_F(CtlLook, ShowsTheWorstFirst) {
   Node a(daemon_.socket_path()), b(daemon_.socket_path());
   a.open_window();
   const auto fast = a.publisher("/fast", {20}, "/lidar");
@@ -207,7 +207,8 @@ TEST_F(CtlLook, ShowsWhatHurtsFirst) {
   EXPECT_EQ(first["state"], "refused");
   EXPECT_EQ(first["lag_messages"], 9);
   EXPECT_EQ(first["message_mean_bytes"], 5000);
-  EXPECT_NEAR(first["rate_hz"].get<double>(), 1, 0.5) << "less, when we look seconds later";
+  EXPECT_NEAR(first["rate_hz"].get<double>(), 1, 0.5)
+      << "the rate is lower when the test looks seconds later";
   EXPECT_EQ(first["notes"].size(), 2u);
   EXPECT_EQ(top["topics"][1]["topic"], "/held");
   EXPECT_EQ(top["topics"][1]["state"], "holding");
@@ -247,7 +248,7 @@ TEST_F(CtlLook, DrawsAPicture) {
   EXPECT_EQ(ctl({"graph", "--format", "svg"}).status, 2);
 }
 
-TEST_F(CtlLook, TellsEverythingAsOneObject) {
+TEST_F(CtlLook, DumpsEverythingAsOneObject) {
   Node a(daemon_.socket_path());
   a.open_window();
   a.commit(a.publisher("/points"), 2);
@@ -263,10 +264,10 @@ TEST_F(CtlLook, TellsEverythingAsOneObject) {
   EXPECT_EQ(dump["windows"].size(), 1u);
   EXPECT_EQ(dump["messages"].size(), 2u);
   EXPECT_EQ(dump["refusals"][0]["code"], "type_mismatch");
-  EXPECT_EQ(std::count(result.out.begin(), result.out.end(), '\n'), 1) << "a line";
+  EXPECT_EQ(std::count(result.out.begin(), result.out.end(), '\n'), 1) << "one line";
 }
 
-TEST_F(CtlLook, TellsOfOneProcess) {
+TEST_F(CtlLook, ShowsOneProcess) {
   Node a(daemon_.socket_path());
   a.open_window();
   a.publisher("/points", {7}, "/lidar");
@@ -289,7 +290,7 @@ TEST_F(CtlLook, TellsOfOneProcess) {
   EXPECT_EQ(ctl({"heap", "info", "999999"}).status, 4);
 }
 
-TEST_F(CtlLook, ChangesWhatTheDaemonLogs) {
+TEST_F(CtlLook, ChangesTheLogLevelOfTheDaemon) {
   EXPECT_EQ(out({"log-level"}), "info\n");
   EXPECT_EQ(out({"log-level", "debug"}), "debug\n");
   Node a(daemon_.socket_path());
@@ -327,7 +328,8 @@ TEST_F(CtlLook, MeasuresWithoutSubscribing) {
   const auto p = a.publisher("/points", {20}, "/lidar");
   const region::PublisherWords<SharedMemory> words{a.region.base(), p.extent};
   std::atomic<bool> over{false};
-  // As a publisher at 200 Hz whose messages are read at once: two places by turns, 1000 bytes each.
+  // Acts as a publisher at 200 Hz whose messages are read at once: two places alternate, 1000
+  // bytes each.
   std::thread publishing([&] {
     std::uint64_t begin = monotonic_ns();
     for (std::uint64_t i = 0; !over; ++i) {
@@ -364,7 +366,7 @@ TEST_F(CtlLook, MeasuresWithoutSubscribing) {
   EXPECT_EQ(ctl({"topic", "hz", "/none"}).status, 4);
 }
 
-TEST_F(CtlLook, TellsWhatHappens) {
+TEST_F(CtlLook, ShowsEventsAsTheyHappen) {
   Node a(daemon_.socket_path());
   a.open_window();
   const auto p = a.publisher("/points", {7}, "/lidar");
@@ -391,7 +393,7 @@ TEST_F(CtlLook, TellsWhatHappens) {
       return !event.is_discarded() && event.contains(key) && event[key] == value;
     });
   };
-  // It has begun when it tells of something.
+  // The monitor has started when it prints an event.
   int number = 0;
   ASSERT_TRUE(eventually([&] {
     a.publisher("/t" + std::to_string(number++));
@@ -406,7 +408,7 @@ TEST_F(CtlLook, TellsWhatHappens) {
   EXPECT_EQ(::kill(monitor, SIGINT), 0);
   int status = 0;
   EXPECT_EQ(::waitpid(monitor, &status, 0), monitor);
-  EXPECT_TRUE(WIFEXITED(status) && WEXITSTATUS(status) == 0) << "Ctrl-C is its end";
+  EXPECT_TRUE(WIFEXITED(status) && WEXITSTATUS(status) == 0) << "Ctrl-C ends it";
   for (const auto& event : events()) {
     judge_json(event.dump());
     if (event["event"] != "lost") continue;
@@ -416,9 +418,9 @@ TEST_F(CtlLook, TellsWhatHappens) {
   }
 }
 
-// --- of every command, whichever there are
+// --- all commands of the table
 
-/// Words that make it run, or nothing when it goes on for ever or changes something.
+/// Returns arguments with which it runs, or none when it goes on for ever or changes something.
 Words words_of(const ctl::Command& command) {
   Words words{std::string(command.noun)};
   if (!command.verb.empty()) words.emplace_back(command.verb);
@@ -435,7 +437,7 @@ Words words_of(const ctl::Command& command) {
                            : "/points");
   return words;
 }
-// As a node of its own: integration_ctl_topic.
+// As a node of its own: integration_ctl_topic tests these.
 bool takes_part(const ctl::Command& command) {
   return command.verb == "echo" || command.verb == "pub" || command.verb == "delay" ||
          command.verb == "call";
@@ -448,7 +450,7 @@ bool is_one_shot(const ctl::Command& command) {
          !is("monitor", "") && !is("top", "");
 }
 
-TEST_F(CtlLook, EveryCommandHelpsAndRefusesWhatItDoesNotKnow) {
+TEST_F(CtlLook, EveryCommandHasHelpAndRefusesUnknownArguments) {
   for (const ctl::Command& command : ctl::all_commands) {
     const std::string name = ctl::full_name(command);
     Words words = words_of(command);
@@ -489,13 +491,13 @@ TEST_F(CtlLook, EveryCommandHelpsAndRefusesWhatItDoesNotKnow) {
     if (takes_part(command)) continue;
     Words away = words;
     away.insert(away.end(), {"--socket", "/nonexistent/socket"});
-    // Needed by none of what explain says; and what doctor is asked for.
+    // explain needs no daemon; for doctor the missing daemon is a finding.
     const int wanted = command.noun == "explain" ? 0 : command.noun == "doctor" ? 6 : 3;
     EXPECT_EQ(ctl(away).status, wanted) << name;
   }
 }
 
-TEST_F(CtlLook, EveryCommandLooksWithoutBeingSeen) {
+TEST_F(CtlLook, EveryCommandLooksWithoutATrace) {
   Node a(daemon_.socket_path()), b(daemon_.socket_path());
   a.open_window();
   const auto p = a.publisher("/points", {7}, "/lidar");
@@ -508,7 +510,7 @@ TEST_F(CtlLook, EveryCommandLooksWithoutBeingSeen) {
   const auto before = json({"topic", "info", "/points"});
   const std::size_t descriptors = daemon_.descriptor_count();
   for (const ctl::Command& command : ctl::all_commands) {
-    // What bridges say is asked of them: integration_bridge_ctl.
+    // integration_bridge_ctl covers the commands that ask bridges.
     if (takes_part(command) || command.noun == "bridge") continue;
     Words words = words_of(command);
     if (!is_one_shot(command)) {
@@ -526,7 +528,7 @@ TEST_F(CtlLook, EveryCommandLooksWithoutBeingSeen) {
   }
   EXPECT_TRUE(a.wire.drain().empty());
   EXPECT_TRUE(b.wire.drain().empty());
-  EXPECT_EQ(json({"topic", "info", "/points"}), before) << "neither matching nor a counter";
+  EXPECT_EQ(json({"topic", "info", "/points"}), before) << "neither a match nor a counter changes";
   EXPECT_TRUE(eventually([&] { return daemon_.descriptor_count() <= descriptors; }));
   EXPECT_EQ(json({"status"})["counters"]["processes_registered"], 2);
 }

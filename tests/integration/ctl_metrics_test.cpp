@@ -1,8 +1,8 @@
 // SPDX-License-Identifier: Apache-2.0
 //
-// Goal: what agnocast-ctl metrics writes is what Prometheus and OpenMetrics read, says what is so, and
-// changes as a whole. Method: the real daemon and raw clients; the judges are promtool and the parser of
-// Prometheus' Python library.
+// Goal: Prometheus and OpenMetrics can parse the output of agnocast-ctl metrics, its values are
+// right, and it changes atomically. Method: the real daemon and raw clients; the judges are
+// promtool and the parser of Prometheus' Python library.
 
 #include <tests/integration/ctl_node.hpp>
 #include <tests/support/ctl.hpp>
@@ -49,7 +49,7 @@ class CtlMetrics : public testing::Test {
     more.insert(more.begin(), "metrics");
     return run_ctl(daemon_.socket_path(), std::move(more));
   }
-  /// Whether this program is content with the text on its stdin.
+  /// Returns whether this program accepts the text on its stdin.
   bool is_content(const std::string& judge, const std::string& text) {
     const std::string path = directory_.path("judged");
     std::ofstream(path) << text;
@@ -61,7 +61,7 @@ class CtlMetrics : public testing::Test {
   TemporaryDirectory directory_;
 };
 
-TEST_F(CtlMetrics, AreReadByPrometheus) {
+TEST_F(CtlMetrics, AreParsedByPrometheus) {
   const CtlResult result = metrics();
   ASSERT_EQ(result.status, 0) << result.err;
   const std::string of_topic = "\\{domain=\"0\",topic=\"/points\"\\} ";
@@ -83,8 +83,8 @@ TEST_F(CtlMetrics, AreReadByPrometheus) {
   EXPECT_FALSE(is_content("promtool check metrics 2>/dev/null", result.out + "no metric\n"));
 }
 
-// What a process is called is its own business.
-TEST_F(CtlMetrics, AreReadWhateverAProcessIsCalled) {
+// A process may have any name.
+TEST_F(CtlMetrics, AreParsedWhateverTheNameOfAProcess) {
   CtlNode node(daemon_.socket_path(), 0, "a\"\\\n}\xff{b=\"1");
   const CtlResult result = metrics();
   EXPECT_THAT(result.out, HasSubstr(R"(process="a\\\"\\\\\\n}\\xff{b=\\\"1"} 0)"));
@@ -93,7 +93,7 @@ TEST_F(CtlMetrics, AreReadWhateverAProcessIsCalled) {
   EXPECT_TRUE(is_content("promtool check metrics", result.out));
 }
 
-TEST_F(CtlMetrics, AreReadAsOpenMetrics) {
+TEST_F(CtlMetrics, AreParsedAsOpenMetrics) {
   const CtlResult result = metrics({"--format", "openmetrics"});
   ASSERT_EQ(result.status, 0) << result.err;
   EXPECT_TRUE(result.out.ends_with("\n# EOF\n"));
@@ -103,10 +103,10 @@ TEST_F(CtlMetrics, AreReadAsOpenMetrics) {
       "/usr/bin/python3 -c 'import sys; from prometheus_client.openmetrics.parser import "
       "text_string_to_metric_families as parse; sys.exit(len(list(parse(sys.stdin.read()))) < 30)'";
   EXPECT_TRUE(is_content(judge, result.out));
-  EXPECT_FALSE(is_content(judge + " 2>/dev/null", metrics().out)) << "the other format is another";
+  EXPECT_FALSE(is_content(judge + " 2>/dev/null", metrics().out)) << "the two formats differ";
 }
 
-TEST_F(CtlMetrics, ReplaceTheFileAndSayWhenTheDaemonIsAway) {
+TEST_F(CtlMetrics, ReplaceTheFileAndReportAMissingDaemon) {
   const std::string path = directory_.path("agnocast.prom");
   const CtlResult once = metrics({"--output", path});
   EXPECT_EQ(once.status, 0) << once.err;
@@ -132,10 +132,10 @@ TEST_F(CtlMetrics, ReplaceTheFileAndSayWhenTheDaemonIsAway) {
   EXPECT_TRUE(WIFEXITED(status) && WEXITSTATUS(status) == 0);
   EXPECT_EQ(metrics({"--output", path}).status, 3);
   EXPECT_EQ(std::distance(std::filesystem::directory_iterator(directory_.path()), {}), 1)
-      << "nothing stays beside it";
+      << "no temporary file stays beside it";
 }
 
-TEST(CtlMetricsOfOthers, CallNothingAwayButADaemonThatIsAway) {
+TEST(CtlMetricsOfOthers, ReportADaemonAsMissingOnlyWhenItIs) {
   if (::geteuid() != 0) GTEST_SKIP() << "needs root to become another user";
   DaemonProcess daemon({.config = "[daemon]\nsocket_mode = \"0600\"\n"});
   const TemporaryDirectory directory;
@@ -148,7 +148,7 @@ TEST(CtlMetricsOfOthers, CallNothingAwayButADaemonThatIsAway) {
   EXPECT_FALSE(std::filesystem::exists(path));
 }
 
-TEST_F(CtlMetrics, RefuseWhatCannotBe) {
+TEST_F(CtlMetrics, RefuseImpossibleOptions) {
   const CtlResult no_file = metrics({"--every", "15"});
   EXPECT_EQ(no_file.status, 2);
   EXPECT_EQ(no_file.err,
@@ -165,7 +165,7 @@ TEST_F(CtlMetrics, RefuseWhatCannotBe) {
   EXPECT_EQ(metrics({"-j", "--output", directory_.path("m")}).status, 2);
 }
 
-TEST(CtlMetricsExamples, AreRulesThatPrometheusKnowsAboutSeriesThatExist) {
+TEST(CtlMetricsExamples, AreValidRulesAboutExistingSeries) {
   const std::string rules = AGNOCAST_TEST_RULES;
   DaemonProcess daemon;
   const std::string made = run_ctl(daemon.socket_path(), {"metrics"}).out;

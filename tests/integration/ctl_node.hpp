@@ -1,7 +1,7 @@
 // SPDX-License-Identifier: Apache-2.0
 //
-// What agnocast-ctl is shown in its tests: a raw client that writes its region as an honest process does,
-// and that a test then breaks.
+// Clients for the tests of agnocast-ctl: a raw client that writes its region as an honest process
+// does, and that a test then breaks.
 #pragma once
 
 #include <agnocast/abi/fingerprint.hpp>
@@ -13,7 +13,7 @@
 
 namespace agnocast::test {
 
-/// A raw client whose region lies open. Domain 0 unless said otherwise.
+/// A raw client whose region the test can write. Domain 0 by default.
 struct CtlNode {
   explicit CtlNode(const std::string& socket, std::uint64_t domain = 0,
                    const std::string& process = "wire_client")
@@ -51,7 +51,7 @@ struct CtlNode {
     executor = true;
     return create(wire::Opcode::create_subscription, topic, qos, node, type);
   }
-  /// As an honest publisher would: `count` messages, all still in the history.
+  /// Commits as an honest publisher would: `count` messages, all still in the history.
   void commit(const wire::EndpointCreated& publisher, std::uint64_t count) {
     const region::PublisherWords<SharedMemory> words{region.base(), publisher.extent};
     for (std::uint64_t i = 0; i < count; ++i) {
@@ -63,7 +63,8 @@ struct CtlNode {
       words.head().store(abi::pack_entry(sequence, i));
     }
   }
-  /// Commit times of the first `count`, one period apart, the last one now; and bytes of each.
+  /// Writes commit times of the first `count`, one period apart, the last one now; and bytes of
+  /// each.
   void stamp(const wire::EndpointCreated& publisher, std::uint64_t count, std::uint64_t period_ns,
              std::uint64_t bytes) {
     const region::PublisherWords<SharedMemory> words{region.base(), publisher.extent};
@@ -79,7 +80,7 @@ struct CtlNode {
     entry.length.store(window.bytes);
     entry.frontier.store(std::uint64_t{1} << 20);
   }
-  /// As an honest subscription that has taken `taken` messages and holds the first `held`.
+  /// Links as an honest subscription that has taken `taken` messages and holds the first `held`.
   void link(const wire::EndpointCreated& own, const wire::EndpointCreated& publisher,
             std::uint64_t taken, std::uint64_t held) {
     const region::LinkWords<SharedMemory> line{region.base(), own.extent, publisher.index};

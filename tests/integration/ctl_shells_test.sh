@@ -1,8 +1,9 @@
 #!/usr/bin/env bash
 # SPDX-License-Identifier: Apache-2.0
 #
-# Goal: both shells complete agnocast-ctl, with names of the running system, and say nothing when there is no daemon; the manual
-# pages are clean. Method: the real shells with the scripts that are installed, and mandoc.
+# Goal: both shells complete agnocast-ctl, with names of the running system, and offer nothing
+# without a daemon; the manual pages are clean. Method: the real shells with the installed scripts,
+# and mandoc.
 #
 #   ctl_shells_test.sh AGNOCASTD CTL COMPLETIONS_DIRECTORY PAGE...
 set -euo pipefail
@@ -13,9 +14,9 @@ fail() { echo "FAILED: $1"; failed=1; }
 
 dir=$(mktemp -d)
 for page in "$@"; do
-  # Other pages are looked for where they are installed, and these are not yet.
+  # mandoc looks for other pages where they are installed, and these are not yet.
   complaints=$(mandoc -Tlint "$page" 2>&1 | grep -v 'referenced manual not found: Xr agnocast') || true
-  [ -z "$complaints" ] || fail "mandoc has something to say: $complaints"
+  [ -z "$complaints" ] || fail "mandoc complains: $complaints"
 done
 
 export AGNOCAST_SOCKET=$dir/agnocastd.sock
@@ -25,12 +26,12 @@ mkdir "$dir/bin"
 ln -s "$ctl" "$dir/bin/agnocast-ctl"
 export PATH=$dir/bin:$PATH
 
-# What bash offers for these words, the last one as far as it is typed.
+# Prints bash's completions of these words, the last one as far as it is typed.
 bash_offers() {
   bash --norc -c '. "$1"; shift; COMP_WORDS=(agnocast-ctl "$@"); COMP_CWORD=$#; _agnocast_ctl; printf "%s\n" "${COMPREPLY[@]}"' \
     bash "$completions/agnocast-ctl.bash" "$@"
 }
-# The same of zsh: compadd is what a completion function ends in.
+# The same for zsh: a completion function ends in compadd.
 zsh_offers() {
   zsh -f -c 'compadd() { shift 1; print -l -- "$@" }; file=$1; shift; words=(agnocast-ctl "$@"); CURRENT=$(($# + 1)); . "$file"' \
     zsh "$completions/_agnocast-ctl" "$@"
@@ -39,7 +40,7 @@ for shell in bash zsh; do
   [ "$(${shell}_offers topic ty | tr '\n' ' ')" = "type " ] || fail "$shell does not know the verbs"
   [ "$(${shell}_offers explain hook_m | tr '\n' ' ')" = "hook_missing " ] || fail "$shell does not know the codes"
   said=$(${shell}_offers topic info / 2>&1 | tr -d '\n')
-  [ -z "$said" ] || fail "$shell says something although there is no daemon: $said"
+  [ -z "$said" ] || fail "$shell offers words without a daemon: $said"
 done
 
 "$agnocastd" --socket "$AGNOCAST_SOCKET" 2>"$dir/log" &
@@ -48,6 +49,6 @@ for _ in $(seq 200); do "$ctl" status >/dev/null 2>&1 && break; sleep 0.05; done
 "$ctl" status >/dev/null || { cat "$dir/log"; fail "no daemon"; }
 for shell in bash zsh; do
   said=$(${shell}_offers topic info / 2>&1 | tr -d '\n')
-  [ -z "$said" ] || fail "$shell offers topics that are not there: $said"
+  [ -z "$said" ] || fail "$shell offers topics that do not exist: $said"
 done
 exit $failed

@@ -1,8 +1,8 @@
 // SPDX-License-Identifier: Apache-2.0
 //
-// Goal: agnocast-ctl says what is there, in ros2's shapes and as JSON, with the promised exit statuses
-// and two-line errors (journal and verify: in files of their own). Method: the real
-// daemon, raw clients whose regions this test writes like an honest process and then breaks, and
+// Goal: agnocast-ctl shows what exists, in ros2's formats and as JSON, with the promised exit
+// statuses and two-line errors (journal and verify have their own files). Method: the real daemon,
+// raw clients whose regions this test writes like an honest process and then breaks, and
 // agnocast-ctl as a program of its own.
 
 #include <agnocast/version.hpp>
@@ -33,7 +33,7 @@ using wire::Opcode;
 using M = SharedMemory;
 using Node = CtlNode;
 
-// --- what it says
+// --- output
 
 // A GID is sixteen bytes and never the same.
 std::string without_gids(std::string text) {
@@ -44,7 +44,7 @@ std::string without_gids(std::string text) {
   return text;
 }
 
-TEST(Ctl, ListsTopicsInTheShapesOfRos2) {
+TEST(Ctl, ListsTopicsInTheFormatOfRos2) {
   DaemonProcess daemon;
   Node a(daemon.socket_path()), elsewhere(daemon.socket_path(), 7);
   a.publisher("/chatter", {7}, "/talker", "std_msgs/msg/String");
@@ -73,10 +73,10 @@ TEST(Ctl, ListsTopicsInTheShapesOfRos2) {
             "/chatter (domain 0)\n/far (domain 7)\n/points (domain 0)\n");
   EXPECT_EQ(ctl({"--socket", daemon.socket_path(), "topic", "list"}, {"AGNOCAST_SOCKET=/x"}),
             "/chatter\n/points\n")
-      << "--socket goes before AGNOCAST_SOCKET, and options may stand first";
+      << "--socket overrides AGNOCAST_SOCKET, and options may stand first";
 }
 
-TEST(Ctl, ListsServicesInTheShapesOfRos2) {
+TEST(Ctl, ListsServicesInTheFormatOfRos2) {
   DaemonProcess daemon;
   Node server(daemon.socket_path()), client(daemon.socket_path()),
       elsewhere(daemon.socket_path(), 7);
@@ -120,7 +120,7 @@ TEST(Ctl, ListsServicesInTheShapesOfRos2) {
   EXPECT_THAT(none.err, HasSubstr("hint: agnocast-ctl service type /ns/add\n"));
 }
 
-TEST(Ctl, TellsOfATopicWhatRos2TellsAndWhatItCost) {
+TEST(Ctl, ShowsATopicAsRos2DoesAndItsCost) {
   DaemonProcess daemon;
   Node a(daemon.socket_path()), b(daemon.socket_path());
   a.open_window();
@@ -231,7 +231,7 @@ TEST(Ctl, ListsProcessesAliveOrphanedAndDead) {
   EXPECT_EQ(verdict.status, 0) << verdict.out << verdict.err;
 }
 
-TEST(Ctl, ListsHeapsWithWhatIsInUse) {
+TEST(Ctl, ListsHeapsWithTheMemoryInUse) {
   DaemonProcess daemon;
   Node a(daemon.socket_path());
   a.open_window();
@@ -248,7 +248,7 @@ TEST(Ctl, ListsHeapsWithWhatIsInUse) {
   EXPECT_THAT(run_ctl(daemon.socket_path(), {"heaps"}).out, HasSubstr("1.0 MiB  3\n"));
 }
 
-TEST(Ctl, SaysHowTheDaemonIs) {
+TEST(Ctl, ShowsTheStatusOfTheDaemon) {
   DaemonProcess daemon({.config =
                             "[heap]\nwindow_bytes = \"64MiB\"\narena_bytes = \"1GiB\"\n[quota]\n"
                             "clients = 5\nheld_messages = \"unlimited\"\n[limits]\n"
@@ -275,10 +275,10 @@ TEST(Ctl, SaysHowTheDaemonIs) {
   EXPECT_EQ(text.status, 0);
   EXPECT_THAT(text.out, HasSubstr("processes      1 of 2048\n"));
   EXPECT_THAT(text.out, HasSubstr("topics         1 of 9\n"));
-  EXPECT_EQ(text.out.find('\x1b'), std::string::npos) << "no colour where no terminal is";
+  EXPECT_EQ(text.out.find('\x1b'), std::string::npos) << "no colour without a terminal";
 }
 
-// What it writes to a terminal.
+// Returns its output on a terminal.
 std::string on_a_terminal(const std::string& socket, const char* no_colour) {
   const UniqueFd master(::posix_openpt(O_RDWR | O_NOCTTY | O_CLOEXEC));
   char name[64];
@@ -300,7 +300,7 @@ std::string on_a_terminal(const std::string& socket, const char* no_colour) {
   return count > 0 ? std::string(text, static_cast<std::size_t>(count)) : "(nothing)";
 }
 
-TEST(Ctl, IsColouredOnATerminalUnlessNobodyWantsIt) {
+TEST(Ctl, IsColouredOnATerminalUnlessSwitchedOff) {
   if (::access("/dev/pts/ptmx", F_OK) != 0)
     GTEST_SKIP() << "no terminals here: /dev/pts is missing";
   DaemonProcess daemon;
@@ -365,9 +365,9 @@ TEST(Ctl, PrintsNoControlCharactersOfOthers) {
   }
 }
 
-// --- what it says when something is wrong
+// --- errors
 
-TEST(Ctl, NamesWhatIsWrongInTwoLines) {
+TEST(Ctl, ReportsErrorsInTwoLines) {
   DaemonProcess daemon;
   Node a(daemon.socket_path()), far(daemon.socket_path(), 3);
   a.publisher("/points");
@@ -442,10 +442,10 @@ TEST(Ctl, NamesWhatIsWrongInTwoLines) {
   }
 }
 
-TEST(Ctl, SaysWhenItsAnswerCannotBeWritten) {
+TEST(Ctl, ReportsThatItsOutputCannotBeWritten) {
   DaemonProcess daemon;
   Node a(daemon.socket_path());
-  // Longer than what stdio keeps, so that what fails is not the last write.
+  // Longer than stdio's buffer, so that not only the last write fails.
   for (int i = 0; i < 100; ++i) a.publisher("/points/n" + std::to_string(i) + std::string(60, 'x'));
   const std::string unwritten =
       "agnocast-ctl: output: it cannot be written\nhint: df; agnocast-ctl status\n";
@@ -461,7 +461,7 @@ TEST(Ctl, SaysWhenItsAnswerCannotBeWritten) {
   }
 }
 
-TEST(Ctl, HelpsWithEverything) {
+TEST(Ctl, HasHelpForEverything) {
   const CtlResult all = run_ctl("/x", {"--help"});
   EXPECT_EQ(all.status, 0);
   for (const char* word : {"status", "topic list", "topic info NAME", "process list", "heap list",
@@ -486,7 +486,7 @@ TEST(Ctl, HelpsWithEverything) {
   EXPECT_THAT(run_ctl("/x", {"status", "--version"}).out, StartsWith("agnocast-ctl "));
 }
 
-TEST(Ctl, SaysWhenTheDaemonIsAwayStoppedOrRefuses) {
+TEST(Ctl, ReportsThatTheDaemonIsAwayStoppedOrRefuses) {
   {
     DaemonProcess daemon;
     daemon.kill();
@@ -513,7 +513,7 @@ TEST(Ctl, SaysWhenTheDaemonIsAwayStoppedOrRefuses) {
   EXPECT_THAT(refused.err, HasSubstr("this user may have 8 observers\nhint: close what"));
 }
 
-TEST(Ctl, SaysWhenTheSocketIsAnotherPrograms) {
+TEST(Ctl, ReportsThatTheSocketBelongsToAnotherProgram) {
   const std::string directory = make_directory(), path = directory + "/socket";
   const UniqueFd other(::socket(AF_UNIX, SOCK_STREAM | SOCK_CLOEXEC, 0));
   ASSERT_EQ(::bind(other.get(), unix_address(path)->get(), UnixAddress::size()), 0);
@@ -525,7 +525,7 @@ TEST(Ctl, SaysWhenTheSocketIsAnotherPrograms) {
   remove_directory(directory);
 }
 
-TEST(Ctl, SaysWhoMayNotLook) {
+TEST(Ctl, RefusesUsersThatMayNotLook) {
   if (::geteuid() != 0) GTEST_SKIP() << "needs root";
   DaemonProcess daemon({.config = "[daemon]\nsocket_mode = \"0600\"\n"});
   const CtlResult refused = run_ctl(daemon.socket_path(), {"topic", "list"}, {}, 65534);

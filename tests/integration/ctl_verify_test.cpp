@@ -1,6 +1,7 @@
 // SPDX-License-Identifier: Apache-2.0
 //
-// Goal: agnocast-ctl verify finds every kind of broken word and nothing else. Method: as ctl_test.cpp.
+// Goal: agnocast-ctl verify finds every kind of broken word and nothing else.
+// Method: as ctl_test.cpp.
 
 #include <tests/integration/ctl_node.hpp>
 #include <tests/support/ctl.hpp>
@@ -61,8 +62,8 @@ TEST(CtlVerify, NamesEveryBrokenWordAndWhereItIs) {
     std::string invariant;
     std::function<void(const Words&, std::uint64_t first, const Line&)> destroy;
   };
-  // One topic each, with an honest publisher (five messages) and an honest subscription (three taken,
-  // two held) before.
+  // One topic each, before with an honest publisher (five messages) and an honest subscription
+  // (three taken, two held).
   const Broken cases[] = {
       {"queue_head",
        [](auto& w, auto first, auto&) { w.head().store(abi::pack_entry(first - 1, 0)); }},
@@ -95,7 +96,7 @@ TEST(CtlVerify, NamesEveryBrokenWordAndWhereItIs) {
                      {b.region.base(), s.extent, p.index});
     });
   }
-  ASSERT_EQ(run_ctl(daemon.socket_path(), {"verify"}).status, 0) << "honest before";
+  ASSERT_EQ(run_ctl(daemon.socket_path(), {"verify"}).status, 0) << "the processes are honest before";
   for (const auto& one : destroy) one();
   auto& header = *reinterpret_cast<abi::ClientRegionHeader*>(b.region.base());
   header.generation.store(12345);
@@ -113,7 +114,7 @@ TEST(CtlVerify, NamesEveryBrokenWordAndWhereItIs) {
     const std::string where = finding["where"];
     const std::string place = where.substr(0, where.find(' '));
     if (place[0] == '/') {
-      // A head that went back makes whatever is behind it wrong as well.
+      // A head that went back breaks all later words as well.
       if (place == "/queue_head" && finding["invariant"] != "queue_head") continue;
       const auto [known, fresh] = found.emplace(place, finding["invariant"]);
       EXPECT_TRUE(fresh || known->second == finding["invariant"]) << finding;
@@ -133,7 +134,7 @@ TEST(CtlVerify, NamesEveryBrokenWordAndWhereItIs) {
   EXPECT_THAT(text.out, HasSubstr("broken: /link_cursor subscription 0 (generation "));
 }
 
-// Apart from the others: a few seconds later the daemon revokes who holds too much.
+// Apart from the others: a few seconds later the daemon revokes a process that holds too much.
 TEST(CtlVerify, NamesASubscriptionThatHoldsTooMuch) {
   const HonestPair pair;
   pair.line().cursor().store(pair.p.first_sequence + 6);
@@ -143,7 +144,7 @@ TEST(CtlVerify, NamesASubscriptionThatHoldsTooMuch) {
   EXPECT_EQ(json["broken"][0]["invariant"], "hold_quota");
 }
 
-TEST(CtlVerify, LooksAtTheQueueOfTheDead) {
+TEST(CtlVerify, ChecksTheQueuesOfDeadPublishers) {
   DaemonProcess daemon;
   Node watcher(daemon.socket_path());
   watcher.subscription("/topic");
@@ -167,8 +168,9 @@ TEST(CtlVerify, LooksAtTheQueueOfTheDead) {
   EXPECT_THAT(result.out, HasSubstr("broken: "));
 }
 
-TEST(CtlVerify, BelievesNothingThatMovesOn) {
-  // A line that is never the same twice is somebody at work, however odd it looks each time.
+TEST(CtlVerify, ReportsNothingAboutWordsThatChange) {
+  // A line that is never the same twice belongs to a working process, however odd it looks each
+  // time.
   const HonestPair pair;
   const pid_t pid = ::fork();
   if (pid == 0) {

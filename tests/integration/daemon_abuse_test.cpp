@@ -1,7 +1,7 @@
 // SPDX-License-Identifier: Apache-2.0
 //
-// Goal: nothing that one client sends, or does not read, disturbs another, and the daemon keeps its
-// memory and descriptors. Method: as daemon_protocol_test.cpp, beside a pair that goes on.
+// Goal: nothing that one client sends, or does not read, disturbs another, and the daemon keeps
+// its memory and descriptors. Method: as daemon_protocol_test.cpp, beside a pair that goes on.
 
 #include <agnocast/abi/client_region.hpp>
 #include <tests/integration/raw_node.hpp>
@@ -98,14 +98,14 @@ TEST(DaemonProtocol, SurvivesGarbageWhileAnHonestPairGoesOn) {
     honest.round();
     if (testing::Test::HasFailure()) break;
   }
-  // Fewer: a connection that had ended before may still have been on its way out.
+  // Fewer: a connection that had ended before may still have been closing.
   ASSERT_TRUE(eventually([&] { return daemon.descriptor_count() <= fds_before; }))
       << daemon.descriptor_count() << " instead of " << fds_before;
   EXPECT_TRUE(daemon.is_running());
   honest.round();
 }
 
-TEST(DaemonProtocol, UsesNoMemoryForPlacesThatAreOnlyNamed) {
+TEST(DaemonProtocol, UsesNoMemoryForPlacesThatARequestOnlyNames) {
   DaemonProcess daemon;
   Node node(daemon);
   node.publisher("/topic");
@@ -126,9 +126,9 @@ TEST(DaemonProtocol, UsesNoMemoryForPlacesThatAreOnlyNamed) {
   EXPECT_LT(daemon.shared_bytes(), before + (256 << 10));
 }
 
-// Well-formed requests in any order, of one's own things and of others': whatever somebody claims
-// to have left, drained or unlinked, the daemon's own invariants hold (it aborts when one does
-// not), and when all are gone nothing is left.
+// Well-formed requests in any order, about the client's own endpoints and others': whatever a
+// client claims to have left, drained or unlinked, the daemon's own invariants hold (it aborts
+// when one does not), and when all are gone nothing is left.
 TEST(DaemonProtocol, SurvivesAnyOrderOfPlausibleRequests) {
   for (const std::uint64_t seed : {1u, 2u, 3u}) {
     SCOPED_TRACE("seed " + std::to_string(seed));
@@ -147,7 +147,8 @@ TEST(DaemonProtocol, SurvivesAnyOrderOfPlausibleRequests) {
     std::vector<Endpoint> endpoints;
     unsigned accepted = 0, lives = 0;
     const std::size_t fds = [&] {
-      Node first(daemon);  // what is made once is made now; its own: socket, pidfd, region twice
+      // creates the one-time objects now; its own: socket, pidfd, region twice
+      Node first(daemon);
       return daemon.descriptor_count() - 4;
     }();
     for (int step = 0; step < 6000 && !HasFailure(); ++step) {
@@ -209,7 +210,7 @@ TEST(DaemonProtocol, SurvivesAnyOrderOfPlausibleRequests) {
     EXPECT_GT(lives, 30u);
     processes.clear();
     ASSERT_TRUE(eventually([&] { return daemon.descriptor_count() <= fds; }))
-        << daemon.descriptor_count() << " descriptors, " << fds << " at the beginning";
+        << daemon.descriptor_count() << " descriptors, " << fds << " descriptors at the beginning";
     Node last(daemon);
     EXPECT_EQ(last.welcome.client, 0u);
     const auto p = last.publisher("/again");
@@ -233,19 +234,19 @@ TEST(DaemonProtocol, EndsAConnectionThatCannotBeParsedAndAnswersTheRest) {
   EXPECT_TRUE(long_one.is_hung_up());
   Node node(daemon);
   EXPECT_EQ(node.wire.open_window(abi::window_count_max).opcode(), Opcode::refused);
-  EXPECT_EQ(node.wire.open_window(0).opcode(), Opcode::window_opened) << "it may go on";
+  EXPECT_EQ(node.wire.open_window(0).opcode(), Opcode::window_opened) << "the session continues";
   honest.round();
 }
 
-// What a request brings beside its bytes is never received: the sender hears of it from the kernel, or, before
-// Linux 6.16, from the daemon, which ends the connection with everything that is in it.
+// The daemon never receives descriptors that a request carries: the kernel refuses the send, or,
+// before Linux 6.16, the daemon ends the connection with everything queued on it.
 TEST(DaemonProtocol, EndsAConnectionThatBringsDescriptors) {
   for (const bool before_passrights : {false, true}) {
     SCOPED_TRACE(before_passrights);
     DaemonProcess daemon({.without_passrights = before_passrights});
     HonestPair honest(daemon);
     Node node(daemon);
-    node.wire.open_window(0);  // something was asked for, so no window is brought any more
+    node.wire.open_window(0);  // after a request no window may be brought any more
     const int fd = node.fds[0].get();
     const auto say = [&](Opcode opcode, auto body) {
       body.header = {opcode, sizeof body, 99};
@@ -256,7 +257,8 @@ TEST(DaemonProtocol, EndsAConnectionThatBringsDescriptors) {
     if (error == EPERM) {
       EXPECT_FALSE(before_passrights);
       EXPECT_EQ(say(Opcode::bring_window, wire::BringWindow{}), EPERM);
-      EXPECT_EQ(node.wire.open_window(1).opcode(), Opcode::window_opened) << "it may go on";
+      EXPECT_EQ(node.wire.open_window(1).opcode(), Opcode::window_opened)
+          << "the session continues";
     } else {
       const auto refused = node.wire.next();
       EXPECT_EQ(refused.header().request, 99u);
@@ -267,7 +269,7 @@ TEST(DaemonProtocol, EndsAConnectionThatBringsDescriptors) {
   }
 }
 
-TEST(DaemonProtocol, KeepsWhatASlowClientHasNotReadInOrder) {
+TEST(DaemonProtocol, KeepsThePacketsOfASlowClientInOrder) {
   DaemonProcess daemon;
   HonestPair honest(daemon);
   WireClient slow(daemon.socket_path());
@@ -307,8 +309,9 @@ TEST(DaemonProtocol, AnswersThatNobodyReadsCostNoDescriptorEach) {
   EXPECT_LE(daemon.descriptor_count(), before + 16);
 }
 
-// Bells are made when a packet is sent. Until then its subscription may be over and its place another's.
-TEST(DaemonProtocol, AnAnnouncementThatIsReadTooLateHasNobodyElsesBells) {
+// The daemon makes doorbells when it sends a packet. Until then its subscription may be gone and
+// its place another's.
+TEST(DaemonProtocol, AnAnnouncementThatIsReadLateHasNoDoorbellsOfAnotherSubscription) {
   DaemonProcess daemon;
   WireClient late(daemon.socket_path()), first(daemon.socket_path()), next(daemon.socket_path());
   const Incoming welcome = late.hello();
@@ -319,7 +322,7 @@ TEST(DaemonProtocol, AnAnnouncementThatIsReadTooLateHasNobodyElsesBells) {
   for (std::uint64_t i = 0; i < count; ++i) late.send(Opcode::open_window, nonsense);
   ASSERT_TRUE(eventually(
       [&] { return wire_dump(daemon.socket_path()).daemon.counters.requests_refused == count; }));
-  std::vector<Incoming> bells;  // whose ends are held: others cannot be connected to
+  std::vector<Incoming> bells;  // keeps their ends open: closed ones cannot be connected to
   const auto subscribe = [&](WireClient& client) {
     client.hello();
     bells.push_back(client.open_executor());
@@ -345,8 +348,8 @@ TEST(DaemonProtocol, AnAnnouncementThatIsReadTooLateHasNobodyElsesBells) {
   late.send(Opcode::drained, reference);
   ASSERT_TRUE(is_left(0));
   const auto there = subscribe(next);
-  ASSERT_EQ(there.topic, gone.topic) << "or this test shows nothing";
-  ASSERT_EQ(there.index, gone.index) << "or this test shows nothing";
+  ASSERT_EQ(there.topic, gone.topic) << "the place was not reused, so the test proves nothing";
+  ASSERT_EQ(there.index, gone.index) << "the place was not reused, so the test proves nothing";
 
   Incoming packet = late.next();
   while (packet.opcode() == Opcode::refused) packet = late.next();
@@ -354,7 +357,7 @@ TEST(DaemonProtocol, AnAnnouncementThatIsReadTooLateHasNobodyElsesBells) {
   const auto announcement = packet.as<wire::Announcement>();
   EXPECT_EQ(announcement.generation, gone.generation);
   EXPECT_EQ(announcement.doorbell_count, 0u);
-  EXPECT_EQ(packet.fds.size(), 1u) << "the region alone";
+  EXPECT_EQ(packet.fds.size(), 1u) << "only the region";
 }
 
 TEST(DaemonProtocol, DisconnectsAClientThatDoesNotRead) {
@@ -362,7 +365,7 @@ TEST(DaemonProtocol, DisconnectsAClientThatDoesNotRead) {
   HonestPair honest(daemon);
   WireClient deaf(daemon.socket_path());
   deaf.hello();
-  // Every question is answered; nobody reads the answers.
+  // The daemon answers every request; nobody reads the answers.
   wire::WindowRequest nonsense{};
   nonsense.window = abi::window_count_max;
   nonsense.header = {Opcode::open_window, sizeof nonsense, 1};

@@ -1,10 +1,10 @@
 // SPDX-License-Identifier: Apache-2.0
 //
-// Goal: any process may die at any instruction; the daemon undoes or completes what it was doing,
-// what it had committed is delivered, what it held comes free, and nothing of it is used again
-// while somebody knows it. Method: real processes on the daemon's own regions. A child is killed
-// with SIGKILL at its n-th crash point, for n = 1, 2, 3 … until it survives; every run uses the
-// places of the run before.
+// Goal: any process may die at any instruction; the daemon undoes or completes the open operation,
+// delivers the committed messages, frees the held ones, and reuses nothing of the process while a
+// peer knows it. Method: real processes on the daemon's own regions. A child is killed with
+// SIGKILL at its n-th crash point, for n = 1, 2, 3 … until it survives; every run uses the places
+// of the run before.
 
 #include <journal/verify.hpp>
 #include <tests/recovery/stage.hpp>
@@ -26,17 +26,15 @@ namespace agnocast::test {
 namespace {
 
 using abi::Qos;
+using sweep::answer;
 using sweep::Child;
 using sweep::serve;
 
 constexpr Qos deep{10, false, true, false, false};
 constexpr const char* topic_name = "/sweep";
 
-// What a child answers: its own failed expectations would otherwise be seen by nobody.
-char answer(bool done) { return testing::Test::HasFailure() ? '!' : done ? '+' : '-'; }
-
 // A publisher in a process of its own: p publish · w until a subscription is attached · x packets,
-// then a pass.
+// then a reclamation scan.
 Child publisher_child(const std::string& socket, std::uint64_t crash_at) {
   return Child(crash_at, [socket](int commands, std::uint64_t n) {
     ::prctl(PR_SET_PDEATHSIG, SIGKILL);
@@ -89,7 +87,7 @@ TEST(DaemonDeath, RepairsAPublisherKilledAtAnyPointAndDeliversWhatItCommitted) {
   DaemonProcess daemon({.arguments = {"--log-level", "debug"}});
   WireNode subscriber(daemon.socket_path());
   ASSERT_TRUE(subscriber.create_subscription(topic_name, deep));
-  // Upper case: what the subscriber does between the publisher's commands (T take, R release).
+  // Upper case: the subscriber's steps between the publisher's commands (T take, R release).
   const char* const script = "wppTpTRpRTRxpTTRRxpx";
   unsigned deaths = 0, kept = 0, completed = 0;
   bool survived = false;
@@ -132,7 +130,7 @@ TEST(DaemonDeath, RepairsAPublisherKilledAtAnyPointAndDeliversWhatItCommitted) {
     while (take()) {
     }
     if (publishing && last == committed + 1) {
-      ++completed;  // the interrupted one was committed
+      ++completed;  // the interrupted publish was committed
     } else {
       EXPECT_EQ(last, committed);
       ++kept;
@@ -155,7 +153,7 @@ TEST(DaemonDeath, RepairsAPublisherKilledAtAnyPointAndDeliversWhatItCommitted) {
   std::printf("%u deaths, %u with the interrupted message committed\n", deaths, completed);
 }
 
-TEST(DaemonDeath, FreesWhatASubscriberHeldWhereverItDied) {
+TEST(DaemonDeath, FreesTheMessagesHeldByASubscriberWhereverItDied) {
   DaemonProcess daemon;
   WireNode publisher(daemon.socket_path());
   ASSERT_TRUE(publisher.create_publisher(topic_name, deep));
@@ -208,9 +206,10 @@ TEST(DaemonDeath, RingsAndDrainsAfterAPublishersDeath) {
   EXPECT_EQ(state(), abi::MemberState::active);
   subscriber.bells().drain();
   child.end();
-  // Nobody else rings here: the test's publisher has no doorbell in its environment.
+  // Only the daemon rings here: the test's publisher has no doorbell in its environment.
   pollfd bell{subscriber.bells().datagram_fd(), POLLIN, 0};
-  EXPECT_EQ(::poll(&bell, 1, WireClient::patience_ms), 1) << "a sleeper is not rung";
+  EXPECT_EQ(::poll(&bell, 1, WireClient::patience_ms), 1)
+      << "the daemon does not ring the sleeping subscriber";
   ASSERT_TRUE(subscriber.wait_for([&] { return subscriber.orphaned().size() == 1; }));
   EXPECT_EQ(state(), abi::MemberState::orphan);
   for (std::uint64_t number = 2; number <= 7; ++number) EXPECT_EQ(subscriber.take(), number);
@@ -222,14 +221,14 @@ TEST(DaemonDeath, RingsAndDrainsAfterAPublishersDeath) {
   EXPECT_EQ(state(), abi::MemberState::free);
 }
 
-TEST(DaemonDeath, UsesRegionAndWindowAgainOnlyWhenEverybodyHasLetGo) {
+TEST(DaemonDeath, ReusesRegionAndWindowOnlyWhenAllPeersHaveUnmapped) {
   DaemonProcess daemon;
   WireNode subscriber(daemon.socket_path());
   ASSERT_TRUE(subscriber.create_subscription(topic_name, deep));
   struct Places {
     std::uint64_t client, window, publisher;
   };
-  // A publisher's process comes, publishes once and is killed; what it had.
+  // A publisher's process comes, publishes once and is killed; returns its places.
   const auto one_life = [&] {
     Child child = publisher_child(daemon.socket_path(), 0);
     const std::size_t links = subscriber.link_count();
@@ -255,7 +254,7 @@ TEST(DaemonDeath, UsesRegionAndWindowAgainOnlyWhenEverybodyHasLetGo) {
   };
   const Places first = one_life();
   const Places second = one_life();
-  EXPECT_NE(second.client, first.client) << "its region is mapped by the subscriber";
+  EXPECT_NE(second.client, first.client) << "the subscriber still maps its region";
   EXPECT_NE(second.window, first.window);
   EXPECT_NE(second.publisher, first.publisher);
 
@@ -266,7 +265,7 @@ TEST(DaemonDeath, UsesRegionAndWindowAgainOnlyWhenEverybodyHasLetGo) {
   subscriber.unlink_drained(false);  // the endpoints, not the regions
   settled();
   const Places third = one_life();
-  EXPECT_EQ(third.publisher, first.publisher) << "the index has nobody any more";
+  EXPECT_EQ(third.publisher, first.publisher) << "no peer uses the index any more";
   EXPECT_NE(third.client, first.client) << "the region is still mapped";
   EXPECT_NE(third.client, second.client);
   EXPECT_NE(third.window, first.window);
@@ -278,8 +277,8 @@ TEST(DaemonDeath, UsesRegionAndWindowAgainOnlyWhenEverybodyHasLetGo) {
   EXPECT_EQ(fourth.window, first.window);
 }
 
-TEST(DaemonDeath, FreesWhatOnlyDeadProcessesKnew) {
-  // Whoever of a pair dies first never said that it has let go of the other.
+TEST(DaemonDeath, FreesPlacesThatOnlyDeadProcessesKnew) {
+  // The process that dies first has never acknowledged the end of the other.
   for (const bool subscriber_first : {true, false}) {
     SCOPED_TRACE(subscriber_first);
     DaemonProcess daemon;
@@ -302,7 +301,7 @@ TEST(DaemonDeath, FreesWhatOnlyDeadProcessesKnew) {
     ASSERT_TRUE(gone(1));
     (subscriber_first ? publisher : subscriber).end();
     ASSERT_TRUE(gone(2));
-    // Connections are closed elsewhere, a moment later.
+    // Other threads close connections, a moment later.
     EXPECT_TRUE(eventually([&] { return daemon.descriptor_count() == fds; }))
         << daemon.descriptor_count() << " instead of " << fds;
     EXPECT_TRUE(std::filesystem::is_empty(daemon.socket_path() + ".bells"));
@@ -320,7 +319,7 @@ TEST(DaemonDeath, FreesWhatOnlyDeadProcessesKnew) {
   }
 }
 
-TEST(DaemonDeath, TakesTheEndOfAConnectionForNoDeathWhileTheRegionIsMapped) {
+TEST(DaemonDeath, DoesNotTreatAClosedConnectionAsADeathWhileTheRegionIsMapped) {
   DaemonProcess daemon({.arguments = {"--log-level", "debug"}});
   WireNode subscriber(daemon.socket_path());
   ASSERT_TRUE(subscriber.create_subscription(topic_name, deep));
@@ -352,17 +351,18 @@ TEST(DaemonDeath, TakesTheEndOfAConnectionForNoDeathWhileTheRegionIsMapped) {
   EXPECT_EQ(subscriber.wire().open_window(7).opcode(), wire::Opcode::refused);
   EXPECT_TRUE(subscriber.orphaned().empty());
   EXPECT_EQ(daemon.log().find("client gone"), std::string::npos);
-  // Without connection and without region it is no client any more, however long it lives.
+  // Without connection and without region the process is no client any more, however long it
+  // lives.
   ASSERT_EQ(publisher.command('u'), '+');
   EXPECT_TRUE(subscriber.wait_for([&] { return subscriber.orphaned().size() == 1; }));
   EXPECT_TRUE(daemon.wait_for_log("how=\"process let go of its region\""));
 }
 
-TEST(DaemonDeath, LetsAProcessLiveWhoseFirstThreadHasEnded) {
+TEST(DaemonDeath, KeepsAProcessWhoseFirstThreadHasEnded) {
   DaemonProcess daemon({.arguments = {"--log-level", "debug"}});
   WireNode subscriber(daemon.socket_path());
   ASSERT_TRUE(subscriber.create_subscription(topic_name, deep));
-  // Its memory does not show under its pid any more, and its other thread goes on storing.
+  // Its memory is no longer visible under its pid, and its other thread goes on storing.
   sweep::Child publisher(0, [&](int commands, std::uint64_t) {
     WireNode node(daemon.socket_path());
     if (!node.create_publisher(topic_name, deep)) ::_exit(3);
@@ -379,7 +379,7 @@ TEST(DaemonDeath, LetsAProcessLiveWhoseFirstThreadHasEnded) {
   ASSERT_TRUE(daemon.wait_for_log("connection closed"));
   ASSERT_EQ(publisher.command('p'), '+');
   EXPECT_EQ(subscriber.take(), 1u);
-  // Longer than the daemon takes between two looks at a process without a connection.
+  // Longer than the daemon's interval between two looks at a process without a connection.
   ::usleep(600'000);
   EXPECT_EQ(daemon.log().find("client gone"), std::string::npos);
   publisher.end();
@@ -387,7 +387,7 @@ TEST(DaemonDeath, LetsAProcessLiveWhoseFirstThreadHasEnded) {
   EXPECT_TRUE(daemon.wait_for_log("how=\"process ended\""));
 }
 
-TEST(DaemonDeath, TakesAProcessThatExecutesAnotherProgramForDead) {
+TEST(DaemonDeath, TreatsAProcessThatExecutesAnotherProgramAsDead) {
   DaemonProcess daemon;
   WireNode subscriber(daemon.socket_path());
   ASSERT_TRUE(subscriber.create_subscription(topic_name, deep));
@@ -404,7 +404,7 @@ TEST(DaemonDeath, TakesAProcessThatExecutesAnotherProgramForDead) {
   ASSERT_EQ(publisher.command('p'), '+');
   EXPECT_EQ(publisher.command('e'), std::nullopt);
   ASSERT_TRUE(subscriber.wait_for([&] { return subscriber.orphaned().size() == 1; }));
-  EXPECT_EQ(subscriber.take(), 1u) << "what it had committed is delivered";
+  EXPECT_EQ(subscriber.take(), 1u) << "its committed message is delivered";
   EXPECT_TRUE(daemon.wait_for_log("how=\"process let go of its region\""));
   publisher.end();
 }
@@ -413,7 +413,7 @@ TEST(DaemonDeath, KeepsAForkedChildFromHidingADeath) {
   DaemonProcess daemon;
   WireNode subscriber(daemon.socket_path());
   ASSERT_TRUE(subscriber.create_subscription(topic_name, deep));
-  // The child's child keeps the connection open; the pidfd says it all the same.
+  // The child's child keeps the connection open; the pidfd reports the death all the same.
   sweep::Child publisher(0, [&](int commands, std::uint64_t) {
     WireNode node(daemon.socket_path());
     if (!node.create_publisher(topic_name, deep)) ::_exit(3);
@@ -432,7 +432,7 @@ TEST(DaemonDeath, KeepsAForkedChildFromHidingADeath) {
   EXPECT_TRUE(subscriber.wait_for([&] { return subscriber.orphaned().size() == 1; }));
 }
 
-TEST(DaemonDeath, StaysFlatOverTwoThousandProcesses) {
+TEST(DaemonDeath, UsesNoMoreAfterTwoThousandProcesses) {
   DaemonProcess daemon;
   WireNode subscriber(daemon.socket_path());
   ASSERT_TRUE(subscriber.create_subscription(topic_name, deep));

@@ -1,9 +1,8 @@
 // SPDX-License-Identifier: Apache-2.0
 //
-// Goal: what a user may have is bounded, what he may do is ruled, each refusal has its code and
-// says which limit or rule it was, and others notice nothing. Method: small limits in the
-// configuration, raw clients up to them and one further; clients of another user as children (needs
-// root).
+// Goal: limits bound a user's resources, rules its actions; each refusal has its code and names
+// the limit or rule, and other users notice nothing. Method: small limits in the configuration,
+// raw clients up to them and one further; clients of another user as children (needs root).
 
 #include <agnocast/abi/client_region.hpp>
 #include <tests/integration/raw_node.hpp>
@@ -75,14 +74,14 @@ TEST(DaemonLimits, CountsEndpointsExecutorsAndHeldMessagesOfAUser) {
       << "another user has limits of its own";
 }
 
-// The memory of an endpoint stays with its process when the endpoint has ended.
-TEST(DaemonLimits, CountsWhatProcessesOfAUserKeepForEndpointsThatHaveEnded) {
+// The memory of an endpoint stays with its process after the endpoint has ended.
+TEST(DaemonLimits, CountsMemoryThatAUsersProcessesKeepForEndedEndpoints) {
   DaemonProcess daemon({.config = std::string(small_heap) + "[quota]\npublishers = 3\nsubscriptions = 1\n"});
   std::vector<std::unique_ptr<WireClient>> processes;
   Incoming refused;
   while (processes.size() < 20 && refused.bytes.empty()) {
     processes.push_back(greeted(daemon));
-    for (int again = 0; again < 5; ++again) {  // in one process they have the same memory
+    for (int again = 0; again < 5; ++again) {  // within one process they share the same memory
       Incoming made = processes.back()->create_publisher("/a");
       if (made.opcode() != Opcode::endpoint_created) {
         refused = std::move(made);
@@ -96,13 +95,13 @@ TEST(DaemonLimits, CountsWhatProcessesOfAUserKeepForEndpointsThatHaveEnded) {
                   Opcode::done);
     }
   }
-  ASSERT_FALSE(refused.bytes.empty()) << "nobody counts";
+  ASSERT_FALSE(refused.bytes.empty()) << "the daemon does not count them";
   expect_quota(refused, "for endpoints that they have and have had");
-  EXPECT_GT(processes.size(), 4u) << "endpoints that may be at once have room, in whatever processes";
+  EXPECT_GT(processes.size(), 4u) << "endpoints that may exist at once have room, in whatever processes";
   processes.erase(processes.begin(), processes.begin() + 2);
   EXPECT_TRUE(eventually([&] {
     return processes.back()->create_publisher("/a").opcode() == Opcode::endpoint_created;
-  })) << "what has gone is not counted";
+  })) << "a process that has ended is not counted";
 }
 
 TEST(DaemonLimits, CountsThePlacesOfAUserInEachTopic) {
@@ -129,7 +128,7 @@ TEST(DaemonLimits, CountsThePlacesOfAUserInEachTopic) {
       << "another user has places of its own";
 }
 
-TEST(DaemonLimits, GivesAHoldQuotaOrSaysWhichOneCouldBeHad) {
+TEST(DaemonLimits, GivesAHoldQuotaOrNamesThePossibleOne) {
   if (::geteuid() != 0) GTEST_SKIP() << "needs root and another user";
   DaemonProcess daemon;
   const auto a = greeted(daemon);
@@ -140,8 +139,8 @@ TEST(DaemonLimits, GivesAHoldQuotaOrSaysWhichOneCouldBeHad) {
   for (int i = 0; i < 5; ++i) {
     EXPECT_EQ(a->ask(Opcode::create_subscription, wanted).opcode(), Opcode::endpoint_created);
     EXPECT_EQ(a->expect<wire::Announcement>(Opcode::announce).quota, abi::slot_count_max)
-        << "of the user's own publisher";
-    // The publisher hears of the subscription as well.
+        << "for the user's own publisher";
+    // The daemon announces the subscription to the publisher as well.
     EXPECT_EQ(a->expect<wire::Announcement>(Opcode::announce).quota, abi::slot_count_max);
   }
   EXPECT_EQ(in_other_user([&] {
@@ -169,14 +168,14 @@ TEST(DaemonLimits, GivesAHoldQuotaOrSaysWhichOneCouldBeHad) {
               EXPECT_EQ(ask(64 | wire::quota_or_less).opcode(), Opcode::endpoint_created);
               EXPECT_EQ(quota_given(), 2u);
               EXPECT_EQ(ask(64 | wire::quota_or_less).opcode(), Opcode::endpoint_created);
-              EXPECT_EQ(quota_given(), 1u) << "everybody may read";
+              EXPECT_EQ(quota_given(), 1u) << "every user may read";
               return 0;
             }),
             0);
   EXPECT_TRUE(daemon.wait_for_log("limit=hold_quota value=62"));
 }
 
-/// Takes windows for this user, in processes of its own, until it is refused.
+/// Takes windows for this user, in processes of its own, until the daemon refuses.
 struct Taker {
   explicit Taker(const DaemonProcess& daemon) {
     do {
@@ -196,16 +195,16 @@ TEST(DaemonLimits, KeepsAQuarterOfTheArenaFromAnyOneUser) {
   expect_quota(taker.answer, "[quota] heap_bytes is 805306368");
 }
 
-TEST(DaemonLimits, GivesAWindowOfAnArenaThatHasButOne) {
+TEST(DaemonLimits, GivesTheOnlyWindowOfAnArena) {
   const DaemonProcess daemon(
       {.config = "[heap]\nwindow_bytes = \"64MiB\"\narena_bytes = \"64MiB\"\n"});
   EXPECT_EQ(Taker(daemon).got, 1u);
 }
 
-// Each process is two descriptors with the one who keeps them, each window and each executor one.
-TEST(DaemonLimits, KeepsAQuarterOfWhatIsKeptFromAnyOneUser) {
+// Each process costs the keeper two descriptors, each window and each executor one.
+TEST(DaemonLimits, KeepsAQuarterOfTheStoreFromAnyOneUser) {
   if (::geteuid() != 0) GTEST_SKIP() << "needs root and another user";
-  // In a process of its own: the limit of open files is what the supervisor's place depends on.
+  // In a process of its own: the supervisor's room depends on the limit of open files.
   const pid_t pid = ::fork();
   if (pid == 0) {
     const rlimit small{512, 512};
@@ -213,7 +212,8 @@ TEST(DaemonLimits, KeepsAQuarterOfWhatIsKeptFromAnyOneUser) {
     const DaemonProcess daemon(
         {.config = "[daemon]\nsocket_mode = \"0666\"\n[heap]\nwindow_bytes = \"64MiB\"\n"
                    "arena_bytes = \"16GiB\"\n[quota]\nheap_bytes = \"unlimited\"\n"});
-    // 224 are kept: half of what remains of the limit. 16 processes of 8 windows, and one of 6.
+    // The supervisor keeps 224: half of the rest of the limit. 16 processes of 8 windows, and one
+    // of 6.
     const Taker taker(daemon);
     EXPECT_EQ(taker.got, 16u * 8 + 6);
     expect_quota(taker.answer, "three quarters of FileDescriptorStoreMax is 168");
@@ -232,7 +232,7 @@ TEST(DaemonLimits, KeepsAQuarterOfWhatIsKeptFromAnyOneUser) {
   EXPECT_TRUE(WIFEXITED(status) && WEXITSTATUS(status) == 0) << status;
 }
 
-TEST(DaemonLimits, GivesBackWhatADeadProcessUsed) {
+TEST(DaemonLimits, GivesBackTheResourcesOfADeadProcess) {
   DaemonProcess daemon({.config = std::string(small_heap) + "[quota]\npublishers = 1\n"});
   for (int life = 0; life < 3; ++life) {
     const auto client = greeted(daemon);
@@ -254,7 +254,7 @@ TEST(DaemonLimits, CountsConnectionsThatNeverSpeak) {
   std::vector<std::unique_ptr<WireClient>> silent;
   for (int i = 0; i < 4; ++i) silent.push_back(std::make_unique<WireClient>(daemon.socket_path()));
   const auto honest = greeted(daemon);
-  // The next ones may look, and no more.
+  // The next connections may observe, and no more.
   for (std::uint32_t i = 0; i < abi::observer_count_max; ++i) {
     silent.push_back(std::make_unique<WireClient>(daemon.socket_path()));
     EXPECT_EQ(silent.back()->hello().refused_text(), "[quota] clients is 5, this user has as many");
@@ -286,7 +286,7 @@ void live_and_die(const DaemonProcess& daemon, std::string_view topic) {
   ::waitpid(pid, nullptr, 0);
 }
 
-/// Its own lines say that it holds something of whoever publishes there.
+/// Writes lines that claim to hold a message of every publisher there.
 void hold_something_of_everybody(RawNode& node, const wire::EndpointCreated& subscription) {
   for (std::uint64_t p = 0; p < abi::publisher_count_max; ++p)
     SharedMemory::word(node.region.base(),
@@ -294,7 +294,7 @@ void hold_something_of_everybody(RawNode& node, const wire::EndpointCreated& sub
         .store(1);
 }
 
-TEST(DaemonLimits, CountsProcessesThatAreGoneWhileSomebodyHasSomethingOfThem) {
+TEST(DaemonLimits, CountsDeadProcessesWhileAPeerHoldsTheirMemory) {
   DaemonProcess daemon({.config = "[quota]\nclients = 4\n"});
   RawNode holder(daemon);
   hold_something_of_everybody(holder, holder.subscription("/t"));
@@ -307,14 +307,14 @@ TEST(DaemonLimits, CountsProcessesThatAreGoneWhileSomebodyHasSomethingOfThem) {
   EXPECT_TRUE(daemon.is_running());
 }
 
-// So many dead of one user, kept by that user, that room is made: by that user.
-TEST(DaemonLimits, NobodyLosesWhatIsUnreadBecauseOfTheDeadOfAnotherUser) {
+// So many dead of one user, kept by that user, that the daemon makes room: that user's.
+TEST(DaemonLimits, DeadPublishersOfAnotherUserCostNobodyUnreadMessages) {
   if (::geteuid() != 0) GTEST_SKIP() << "needs root and a second uid";
   DaemonProcess daemon({.config = "[daemon]\nsocket_mode = \"0666\"\n[limits]\nclients = 16\n",
                         .arguments = {"--log-level", "debug"}});
   RawNode honest(daemon);
   honest.subscription("/h");
-  live_and_die(daemon, "/h");  // the oldest of all that are gone
+  live_and_die(daemon, "/h");  // the oldest of all dead publishers
   ASSERT_TRUE(eventually([&] { return daemon.log().find("client gone") != std::string::npos; }));
   const auto final_heads = [&] {
     std::vector<std::uint64_t> heads;
@@ -340,7 +340,7 @@ TEST(DaemonLimits, NobodyLosesWhatIsUnreadBecauseOfTheDeadOfAnotherUser) {
         return given_up > 0 && !testing::Test::HasFailure() ? 0 : 1;
       }),
       0);
-  EXPECT_TRUE(final_heads().empty()) << "it was given up";
+  EXPECT_TRUE(final_heads().empty()) << "the daemon gave it up";
 }
 
 TEST(DaemonLimits, BoundsTheTablesOfTheDaemon) {
@@ -378,10 +378,10 @@ TEST(DaemonLimits, BoundsTheTopicsOfAUser) {
   const Incoming third = b->create_publisher("/c");
   EXPECT_EQ(third.refused_code(), Errc::quota_exceeded);
   EXPECT_EQ(third.refused_text(), "[quota] topics is 2, this user has 2 and asks for 1 more");
-  EXPECT_EQ(b->create_publisher("/a").opcode(), Opcode::endpoint_created) << "it has that one";
+  EXPECT_EQ(b->create_publisher("/a").opcode(), Opcode::endpoint_created) << "it already has that topic";
 }
 
-TEST(DaemonLimits, SaysWhenTheArenaIsGivenOutToAUserWhoMayHaveAll) {
+TEST(DaemonLimits, ReportsAnArenaThatAnUnlimitedUserHasUsedUp) {
   DaemonProcess daemon({.config = "[heap]\nwindow_bytes = \"64MiB\"\narena_bytes = \"128MiB\"\n"
                                   "[quota]\nheap_bytes = \"unlimited\"\n"});
   const auto a = greeted(daemon);
@@ -402,7 +402,7 @@ TEST(DaemonLimits, FollowsTheRulesOfAccess) {
   const auto secretive = greeted(daemon), root = greeted(daemon);
   EXPECT_EQ(secretive->create_publisher("/secret/a").opcode(), Opcode::endpoint_created);
   EXPECT_EQ(secretive->create_publisher("/cmd").refused_code(), Errc::readers_differ)
-      << "who may read that would be given the memory of both";
+      << "readers of that topic would get the memory of both";
   EXPECT_EQ(root->create_publisher("/cmd").opcode(), Opcode::endpoint_created);
   EXPECT_EQ(in_other_user([&] {
               const auto other = greeted(daemon);
@@ -419,8 +419,8 @@ TEST(DaemonLimits, FollowsTheRulesOfAccess) {
             }),
             0);
   EXPECT_TRUE(daemon.wait_for_log("code=access_denied"));
-  // Of the refused ones nobody hears: what root is told of is the subscription to /cmd, and its
-  // end.
+  // Refusals reach nobody else: the daemon announces only the subscription to /cmd, and its end,
+  // to root.
   for (const Incoming& packet : root->drain()) {
     if (packet.opcode() == Opcode::announce) {
       const auto about = packet.as<wire::Announcement>();
@@ -432,7 +432,7 @@ TEST(DaemonLimits, FollowsTheRulesOfAccess) {
   }
 }
 
-TEST(DaemonLimits, GivesTheSocketToWhomItIsFor) {
+TEST(DaemonLimits, GivesTheSocketToTheConfiguredUsers) {
   if (::geteuid() != 0) GTEST_SKIP() << "needs root and another user";
   DaemonProcess daemon({.config = "[daemon]\nsocket_mode = \"0600\"\n"});
   EXPECT_EQ(in_other_user([&] {
@@ -442,7 +442,8 @@ TEST(DaemonLimits, GivesTheSocketToWhomItIsFor) {
             0);
 }
 
-// AddressSanitizer's build looks at an object's type before it calls it, and needs a pipe for that.
+// AddressSanitizer's build inspects an object's type before it calls it, and needs a pipe for
+// that.
 bool sanitizer_needs_descriptors() {
 #ifdef __SANITIZE_ADDRESS__
   return true;
@@ -492,7 +493,7 @@ TEST(DaemonLimits, SurvivesHavingNoDescriptorLeft) {
   }));
 }
 
-TEST(DaemonLimits, AnnouncesAgainWhatItHadNoDescriptorFor) {
+TEST(DaemonLimits, RepeatsAnAnnouncementThatItHadNoDescriptorFor) {
   if (sanitizer_needs_descriptors()) GTEST_SKIP() << needs_descriptors;
   DaemonProcess daemon;
   const auto publisher = greeted(daemon), subscriber = greeted(daemon);
@@ -515,7 +516,7 @@ TEST(DaemonLimits, AnnouncesAgainWhatItHadNoDescriptorFor) {
   EXPECT_EQ(again.generation, first.generation);
   EXPECT_EQ(again.doorbell_count, 2u);
   EXPECT_EQ(fds.size(), 3u);
-  EXPECT_EQ(publisher->drain().size(), 0u) << "once";
+  EXPECT_EQ(publisher->drain().size(), 0u) << "announced once";
 }
 
 TEST(DaemonLimits, AnnouncementsThatNobodyReadsCostNoDescriptorEach) {
@@ -532,7 +533,7 @@ TEST(DaemonLimits, AnnouncementsThatNobodyReadsCostNoDescriptorEach) {
   for (int i = 0; i < count; ++i) {
     std::vector<UniqueFd> fds;
     ASSERT_EQ(deaf->expect<wire::Announcement>(Opcode::announce, &fds).doorbell_count, 2u);
-    ASSERT_EQ(fds.size(), 3u) << "and they come all the same";
+    ASSERT_EQ(fds.size(), 3u) << "its doorbells come all the same";
   }
 }
 

@@ -1,12 +1,12 @@
 // SPDX-License-Identifier: Apache-2.0
 //
-// Goal: wherever an allocation of the daemon fails while it serves, what was asked is done or refused, or
-// the connection is ended; the daemon lives, and is whole.
-// Method: the real daemon with an operator new of which the n-th call fails, or that and every one that
-// follows but for what the reserve gives back: n = 1, 2, 3, … until the request needs no more. Each
-// time the daemon is looked at: a new process does everything that processes do. After each kind of
-// request agnocast-ctl verify finds nothing, and a daemon that starts from what was kept has nothing
-// to repair.
+// Goal: wherever an allocation of the daemon fails while it serves, it carries out or refuses the
+// request, or ends the connection; the daemon lives, and its state is whole.
+// Method: the real daemon with an operator new whose n-th call fails, or that one and every later
+// one except from the reserve: n = 1, 2, 3, … until the request needs no more. Each time the test
+// checks the daemon: a new process does everything that processes do. After each kind of request
+// agnocast-ctl verify finds nothing, and a daemon that starts from the store has nothing to
+// repair.
 
 #include <tests/integration/raw_node.hpp>
 #include <tests/support/ctl.hpp>
@@ -50,7 +50,7 @@ class ShortOfMemory : public testing::TestWithParam<bool> {
     return static_cast<FailingMemory*>(at);
   }
 
-  /// Everything that a process does, with another one.
+  /// Does everything that a process does, with another one.
   void probe() {
     RawNode a(daemon_), b(daemon_);
     const std::string topic = "/probe" + std::to_string(++probes_);
@@ -64,7 +64,7 @@ class ShortOfMemory : public testing::TestWithParam<bool> {
   }
 
   using Act = std::function<std::optional<Incoming>(RawNode&)>;
-  /// `act` once for each n.
+  /// Calls `act` once for each n.
   void sweep(const std::string& what, const std::function<void(RawNode&)>& prepare,
              const Act& act) {
     SCOPED_TRACE(what);
@@ -79,7 +79,7 @@ class ShortOfMemory : public testing::TestWithParam<bool> {
       memory_->all_that_follow = GetParam() ? 1 : 0;
       memory_->first = n;
       const std::optional<Incoming> answer = act(node);
-      // The answer comes before others are told; this is answered, or not, after that.
+      // The daemon answers before it notifies others; it answers this request, or not, after that.
       wire::WindowRequest nonsense{};
       nonsense.window = abi::window_count_max;
       static_cast<void>(node.wire.try_ask(Opcode::open_window, nonsense));
@@ -98,7 +98,8 @@ class ShortOfMemory : public testing::TestWithParam<bool> {
       if (is_over) break;
     }
     std::printf("%s: %u done, %u refused, %u hung up\n", what.c_str(), done, refused, hung_up);
-    // Whether the reserve had to help depends on where it was; that something failed does not.
+    // Whether the reserve had to help depends on where the allocation failed; that one failed does
+    // not.
     EXPECT_GT(memory_->failures, 0u);
     EXPECT_GT(done, 0u);
     const CtlResult verified = run_ctl(daemon_.socket_path(), {"verify"});
@@ -145,7 +146,7 @@ TEST_P(ShortOfMemory, WindowsExecutorsAndBlockedAddresses) {
     range.base = node.welcome.arena_base;
     range.bytes = abi::window_granule_bytes;
     range.what = wire_name("a test");
-    // It has no answer; what follows has one.
+    // It has no answer; the next request has one.
     range.header = {Opcode::blocked, sizeof range, 1};
     static_cast<void>(node.wire.send_bytes(std::as_bytes(std::span(&range, 1))));
     return node.wire.try_ask(Opcode::open_window, wire::WindowRequest{});
@@ -157,7 +158,7 @@ TEST_P(ShortOfMemory, PublishersForOthers) {
   sweep(
       "create_publisher",
       [&](RawNode& node) {
-        // Its connection may have been ended.
+        // The daemon may have ended its connection.
         reader = std::make_unique<RawNode>(daemon_);
         reader->subscription("/sweep");
         EXPECT_EQ(node.wire.open_window(0).opcode(), Opcode::window_opened);
@@ -183,7 +184,7 @@ TEST_P(ShortOfMemory, SubscriptionsForOthers) {
       });
 }
 
-TEST_P(ShortOfMemory, LeavingAndComingBack) {
+TEST_P(ShortOfMemory, LeavingAndRejoining) {
   wire::EndpointCreated made{};
   std::unique_ptr<RawNode> reader;
   const auto join = [&](RawNode& node) {
@@ -204,7 +205,7 @@ TEST_P(ShortOfMemory, LeavingAndComingBack) {
         [&](RawNode& node) { return node.wire.try_ask(Opcode::leave, reference()); });
   sweep("rejoin", join, [&](RawNode& node) {
     WireClient again(daemon_.socket_path());
-    node.wire = WireClient(daemon_.socket_path());  // its own is closed
+    node.wire = WireClient(daemon_.socket_path());  // closes its own
     wire::Rejoin rejoin{};
     rejoin.fingerprint = abi::fingerprint();
     rejoin.incarnation = node.welcome.incarnation;
@@ -240,7 +241,7 @@ INSTANTIATE_TEST_SUITE_P(Failing, ShortOfMemory, testing::Bool(),
                            return std::string(one.param ? "AllThatFollow" : "One");
                          });
 
-// The same of the system itself: addresses for data are as few as the daemon uses already.
+// The same by the system itself: the limit of data addresses is what the daemon uses already.
 TEST(DaemonMemory, RequestsAreRefusedWhileTheSystemGivesNone) {
   DaemonProcess daemon({.more_config = "[quota]\npublishers = \"unlimited\"\n"});
   const pid_t pid = daemon.pid();

@@ -1,8 +1,8 @@
 // SPDX-License-Identifier: Apache-2.0
 //
-// Goal: a connection that only looks is told everything of one moment, costs nobody a place, can
-// disturb nobody, and says nothing else. Method: raw observers and raw clients against the real
-// daemon; what it costs is read from its descriptors and its log.
+// Goal: an observer's connection gets the whole state of one moment, costs nobody a place, can
+// disturb nobody, and may send nothing else. Method: raw observers and raw clients against the
+// real daemon; the daemon's descriptors and log show the cost.
 
 #include <agnocast/abi/client_region.hpp>
 #include <agnocast/abi/observe.hpp>
@@ -101,7 +101,7 @@ std::unique_ptr<WireClient> greeted(const DaemonProcess& daemon) {
 }
 bool is_read_only(int fd) { return (::fcntl(fd, F_GETFL) & O_ACCMODE) == O_RDONLY; }
 
-TEST(DaemonObserver, IsToldEverythingOfOneMoment) {
+TEST(DaemonObserver, GetsTheWholeStateOfOneMoment) {
   DaemonProcess daemon;
   const auto a = greeted(daemon), b = greeted(daemon);
   const auto window = a->open_window(0).as<wire::WindowOpened>();
@@ -162,7 +162,7 @@ TEST(DaemonObserver, IsToldEverythingOfOneMoment) {
   EXPECT_EQ(SharedMemory::word(region.base(), 16).load(), all.processes[0].generation);
 }
 
-TEST(DaemonObserver, IsToldWhatWasRefusedLately) {
+TEST(DaemonObserver, GetsRecentRefusals) {
   DaemonProcess daemon({.config = "[limits]\ndepth_max = 5\n"});
   const auto observer = observing(daemon);
   EXPECT_TRUE(observer->dump().refusals.empty());
@@ -175,7 +175,7 @@ TEST(DaemonObserver, IsToldWhatWasRefusedLately) {
       client->ask(Opcode::create_subscription, WireClient::endpoint("/deep", {6})).refused_code(),
       Errc::depth_refused);
   const Dumped all = observer->dump();
-  ASSERT_EQ(all.refusals.size(), 2u) << "the same again is counted";
+  ASSERT_EQ(all.refusals.size(), 2u) << "a repeated refusal is counted";
   EXPECT_EQ(all.end.refusal_count, 2u);
   const wire::DumpRefusal& refusal = all.refusals[0];
   EXPECT_EQ(refusal.code, static_cast<std::uint32_t>(Errc::depth_refused));
@@ -189,7 +189,7 @@ TEST(DaemonObserver, IsToldWhatWasRefusedLately) {
   EXPECT_EQ(all.refusals[1].kind, Kind::subscription);
 }
 
-TEST(DaemonObserver, AsksForTheLevelOfTheLogAndSetsItIfItMay) {
+TEST(DaemonObserver, ReadsTheLogLevelAndSetsItIfItMay) {
   DaemonProcess daemon({.config = "[daemon]\nsocket_mode = \"0666\"\nlog_level = \"warning\"\n"});
   const auto observer = observing(daemon);
   const auto ask = [](WireClient& wire, std::uint64_t level) {
@@ -201,13 +201,13 @@ TEST(DaemonObserver, AsksForTheLevelOfTheLogAndSetsItIfItMay) {
   EXPECT_EQ(ask(observer->wire, 7).as<wire::LogLevelIs>().level, 7u);
   EXPECT_EQ(observer->dump().daemon.log_level, 7u);
   const auto client = greeted(daemon);
-  EXPECT_TRUE(daemon.wait_for_log("client registered")) << "it is in force at once";
+  EXPECT_TRUE(daemon.wait_for_log("client registered")) << "the level applies at once";
   EXPECT_EQ(ask(observer->wire, 8).refused_code(), Errc::invalid_argument);
   EXPECT_EQ(ask(observer->wire, 2).refused_code(), Errc::invalid_argument);
   EXPECT_EQ(ask(observer->wire, 0).as<wire::LogLevelIs>().level, 7u);
 }
 
-TEST(DaemonObserver, AsksWhoMayPublishAndSubscribe) {
+TEST(DaemonObserver, GetsTheUsersThatMayPublishAndSubscribe) {
   DaemonProcess daemon({.config = R"(
 [[access]]
 topic = "/lidar/**"
@@ -263,11 +263,11 @@ TEST(DaemonObserver, IsNeverAnnouncedAndTakesNoPlace) {
   b->create_subscription("/topic");
   EXPECT_EQ(a->expect<wire::Announcement>(Opcode::announce).kind, Kind::subscription);
   EXPECT_EQ(observer->dump().endpoints.size(), 2u);
-  EXPECT_FALSE(observer->wire.poll().has_value()) << "told of something without having asked";
+  EXPECT_FALSE(observer->wire.poll().has_value()) << "it got a packet without a request";
   EXPECT_TRUE(a->drain().empty());
 }
 
-TEST(DaemonObserver, SaysNothingElse) {
+TEST(DaemonObserver, MaySendNothingElse) {
   DaemonProcess daemon;
   Observer early(daemon);
   EXPECT_EQ(early.wire.ask(Opcode::dump, wire::Dump{}).refused_text(),
@@ -280,7 +280,7 @@ TEST(DaemonObserver, SaysNothingElse) {
   EXPECT_EQ(early.wire.create_publisher("/x").refused_code(), Errc::protocol_violation);
   EXPECT_EQ(early.wire.ask(Opcode::dump, wire::Observe{}).refused_code(), Errc::protocol_violation)
       << "of another length";
-  EXPECT_EQ(early.dump().processes.size(), 0u) << "and still serves";
+  EXPECT_EQ(early.dump().processes.size(), 0u) << "the daemon still serves";
   const auto client = greeted(daemon);
   EXPECT_EQ(client->ask(Opcode::observe, wire::Observe{}).refused_code(), Errc::protocol_violation);
   EXPECT_EQ(client->ask(Opcode::dump, wire::Dump{}).refused_code(), Errc::protocol_violation);
@@ -312,10 +312,10 @@ TEST(DaemonObserver, IsRefusedBeyondItsLimitWhileThereAreClientsLeft) {
   const Incoming refused = one_more.observe();
   EXPECT_EQ(refused.refused_code(), Errc::quota_exceeded);
   EXPECT_EQ(refused.refused_text(), "this user may have 8 observers");
-  EXPECT_EQ(one_more.wire.hello().opcode(), Opcode::welcome) << "a client it may still become";
+  EXPECT_EQ(one_more.wire.hello().opcode(), Opcode::welcome) << "it may still become a client";
 }
 
-// Enough for a dump that no socket takes whole.
+// Makes a client large enough that no socket takes its dump whole.
 std::unique_ptr<WireClient> crowd(const DaemonProcess& daemon) {
   auto client = greeted(daemon);
   for (int i = 0; i < 600; ++i)
@@ -333,7 +333,7 @@ TEST(DaemonObserver, IsDisconnectedWhenItDoesNotReadAndDelaysNobody) {
   EXPECT_EQ(quick->dump().endpoints.size(), 601u);
   EXPECT_TRUE(daemon.wait_for_log("an observer does not read"));
   EXPECT_TRUE(slow->wire.is_hung_up());
-  EXPECT_EQ(quick->dump().endpoints.size(), 601u) << "the one that reads stays";
+  EXPECT_EQ(quick->dump().endpoints.size(), 601u) << "the observer that reads stays";
 }
 
 TEST(DaemonObserver, IsDisconnectedWhenItAsksBeforeItHasRead) {

@@ -1,9 +1,9 @@
 // SPDX-License-Identifier: Apache-2.0
 //
-// Goal: every request is answered as docs/control-plane.md says, announcements come in its order
-// with descriptors that work and give no more than they should.
+// Goal: the daemon answers every request as docs/control-plane.md says, announcements come in its
+// order with descriptors that work and grant no more than they should.
 // Method: raw clients against the real daemon. "Nothing more came" is asked, not waited for: the
-// answer to a harmless question comes after everything that was sent before it.
+// answer to a harmless request comes after all earlier packets.
 
 #include <agnocast/abi/board.hpp>
 #include <agnocast/abi/client_region.hpp>
@@ -34,7 +34,7 @@ TEST(DaemonProtocol, WelcomesWithBoardRegionAndArena) {
   DaemonProcess daemon;
   Node node(daemon);
   EXPECT_EQ(node.welcome.fingerprint, abi::fingerprint());
-#if !defined(__SANITIZE_THREAD__)  // there the test's daemon is told another base
+#if !defined(__SANITIZE_THREAD__)  // there the test's daemon has another base
   EXPECT_EQ(node.welcome.arena_base, 0x200000000000u);
 #endif
   EXPECT_EQ(node.welcome.arena_bytes, std::uint64_t{64} << 30);
@@ -59,11 +59,11 @@ TEST(DaemonProtocol, RefusesAnotherLayoutAndNamesBoth) {
   std::snprintf(own, sizeof own, "0x%016llx", static_cast<unsigned long long>(abi::fingerprint()));
   EXPECT_NE(answer.refused_text().find(own), std::string::npos) << answer.refused_text();
   EXPECT_EQ(client.open_window(0).refused_code(), Errc::protocol_violation)
-      << "nothing else goes without hello";
+      << "no other request works without hello";
   EXPECT_TRUE(daemon.wait_for_log("code=layout_mismatch"));
 }
 
-// A hello that a child says on the connection of its parent: whose process is it?
+// A child says hello on its parent's connection: whose process is it?
 void say_hello_in_a_child(WireClient& client) {
   const pid_t pid = ::fork();
   if (pid == 0) {
@@ -82,7 +82,8 @@ TEST(DaemonProtocol, KnowsTheProcessThatConnectedOnEveryKernel) {
     DaemonProcess daemon;
     WireClient client(daemon.socket_path());
     say_hello_in_a_child(client);
-    EXPECT_EQ(client.next().opcode(), Opcode::welcome) << "the process that connected is known";
+    EXPECT_EQ(client.next().opcode(), Opcode::welcome)
+        << "the daemon knows the process that connected";
   }
   DaemonProcess daemon({.without_peer_pidfd = true});
   WireClient client(daemon.socket_path());
@@ -90,7 +91,7 @@ TEST(DaemonProtocol, KnowsTheProcessThatConnectedOnEveryKernel) {
   const Incoming refused = client.next();
   EXPECT_EQ(refused.refused_code(), Errc::permission_denied);
   EXPECT_EQ(refused.refused_text(), "the process that connected is not the one that says hello");
-  EXPECT_EQ(client.hello().opcode(), Opcode::welcome) << "itself it may";
+  EXPECT_EQ(client.hello().opcode(), Opcode::welcome) << "it may say hello itself";
   EXPECT_EQ(client.create_publisher("/topic").opcode(), Opcode::endpoint_created);
 }
 
@@ -150,7 +151,7 @@ TEST(DaemonProtocol, AnnouncesBothSidesInOrderWithWorkingDescriptors) {
   EXPECT_EQ(second.index, s.index);
   EXPECT_TRUE(publisher.wire.drain().empty());
 
-  // A late subscription hears of all publishers first, from their present head.
+  // A late subscription first gets all publishers, from their current head.
   const auto late = subscriber.subscription("/topic");
   for (const std::uint64_t index : {p.index, own.index}) {
     const auto about = subscriber.wire.expect<wire::Announcement>(Opcode::announce);
@@ -163,7 +164,7 @@ TEST(DaemonProtocol, AnnouncesBothSidesInOrderWithWorkingDescriptors) {
   EXPECT_EQ(publisher.wire.expect<wire::Announcement>(Opcode::announce).index, late.index);
 }
 
-TEST(DaemonProtocol, AnnouncesAWindowBeforeItsOwnerHasIt) {
+TEST(DaemonProtocol, AnnouncesAWindowBeforeItAnswersItsOwner) {
   DaemonProcess daemon;
   Node subscriber(daemon), publisher(daemon), stranger(daemon);
   subscriber.subscription("/topic");
@@ -183,7 +184,7 @@ TEST(DaemonProtocol, AnnouncesAWindowBeforeItsOwnerHasIt) {
   ASSERT_EQ(packet->fds.size(), 1u);
   EXPECT_TRUE(stranger.wire.drain().empty());
 
-  // The same memory behind both descriptors; asked again, the same window again.
+  // The same memory behind both descriptors; a repeated request returns the same window.
   ASSERT_EQ(opened.fds.size(), 2u);
   const char written = 'x';
   ASSERT_EQ(::pwrite(opened.fds[0].get(), &written, 1, 12345), 1);
@@ -199,7 +200,7 @@ TEST(DaemonProtocol, AnnouncesAWindowBeforeItsOwnerHasIt) {
   EXPECT_EQ(stranger.wire.open_window(0).as<wire::WindowOpened>().base, window.base + window.bytes);
 }
 
-TEST(DaemonProtocol, GivesAnotherUserTheDatagramBellAlone) {
+TEST(DaemonProtocol, GivesAnotherUserOnlyTheDatagramDoorbell) {
   if (::geteuid() != 0) GTEST_SKIP() << "needs root and another user";
   DaemonProcess daemon;
   Node subscriber(daemon);
@@ -220,7 +221,7 @@ TEST(DaemonProtocol, GivesAnotherUserTheDatagramBellAlone) {
   EXPECT_EQ(event.data.u64, 2u);
 }
 
-TEST(DaemonProtocol, RingsWhoseBellsSomebodyHasTidiedUp) {
+TEST(DaemonProtocol, RingsSubscriptionsWhoseDoorbellFilesWereRemoved) {
   if (::geteuid() != 0) GTEST_SKIP() << "needs root and another user";
   DaemonProcess daemon;
   const std::string bells = daemon.socket_path() + ".bells";
@@ -228,7 +229,7 @@ TEST(DaemonProtocol, RingsWhoseBellsSomebodyHasTidiedUp) {
   subscriber.subscription("/topic");
   const UniqueFd epoll(::epoll_create1(EPOLL_CLOEXEC));
   ASSERT_TRUE(subscriber.bells.add_to(epoll.get(), 1, 2));
-  // The daemon rings as well, when a publisher has ended, but by datagram alone.
+  // When a publisher has ended, the daemon rings as well, but only by datagram.
   const auto is_rung_by = [&](std::uint64_t tag) {
     epoll_event events[2]{};
     const int count = ::epoll_wait(epoll.get(), events, 2, 1000);
@@ -257,7 +258,7 @@ TEST(DaemonProtocol, RingsWhoseBellsSomebodyHasTidiedUp) {
   EXPECT_TRUE(is_rung_by(1));
   Node later(daemon);
   later.subscription("/later");
-  EXPECT_EQ(ring_with("/later", 2), 0) << "the directory is made again";
+  EXPECT_EQ(ring_with("/later", 2), 0) << "the directory is recreated";
 
   std::filesystem::remove_all(bells);
   ASSERT_TRUE(daemon.wait_for_next(daemon.kill_worker()));
@@ -265,7 +266,7 @@ TEST(DaemonProtocol, RingsWhoseBellsSomebodyHasTidiedUp) {
   EXPECT_TRUE(is_rung_by(1));
 }
 
-TEST(DaemonProtocol, TellsBothSidesOfAnotherType) {
+TEST(DaemonProtocol, NotifiesBothSidesOfAnotherType) {
   DaemonProcess daemon;
   Node publisher(daemon), wrong(daemon);
   const auto p = publisher.publisher("/topic");
@@ -290,14 +291,14 @@ TEST(DaemonProtocol, TellsBothSidesOfAnotherType) {
   other_layout.layout_hash = 2;
   EXPECT_EQ(wrong.wire.ask(Opcode::create_subscription, other_layout).refused_text(),
             text("test/msg/Type", "0x0000000000000002"));
-  EXPECT_TRUE(publisher.wire.drain().empty()) << "told once per process and topic";
+  EXPECT_TRUE(publisher.wire.drain().empty()) << "notified once per process and topic";
   // Another domain is another topic.
   Node elsewhere(daemon, 7);
   EXPECT_EQ(elsewhere.wire.ask(Opcode::create_publisher, other_name).opcode(),
             Opcode::endpoint_created);
 }
 
-TEST(DaemonProtocol, TellsBothSidesOfAnIncompatibleQuality) {
+TEST(DaemonProtocol, NotifiesBothSidesOfAnIncompatibleQuality) {
   DaemonProcess daemon;
   Node publisher(daemon), subscriber(daemon);
   publisher.publisher("/topic", best_effort);
@@ -321,7 +322,7 @@ TEST(DaemonProtocol, TellsBothSidesOfAnIncompatibleQuality) {
   EXPECT_STREQ(durable.text.text, "transient_local is requested, volatile is offered");
 }
 
-TEST(DaemonProtocol, RefusesWhatCannotBeCreated) {
+TEST(DaemonProtocol, RefusesImpossibleCreations) {
   DaemonProcess daemon;
   Node node(daemon);
   node.subscription("/topic");
@@ -342,12 +343,13 @@ TEST(DaemonProtocol, RefusesWhatCannotBeCreated) {
   unknown_executor.executor = 3;
   EXPECT_EQ(node.wire.ask(Opcode::create_subscription, unknown_executor).refused_code(),
             Errc::invalid_argument);
-  EXPECT_EQ(node.wire.open_executor().refused_code(), Errc::protocol_violation) << "open already";
+  EXPECT_EQ(node.wire.open_executor().refused_code(), Errc::protocol_violation)
+      << "it is already open";
   EXPECT_EQ(node.wire.hello().refused_code(), Errc::protocol_violation);
   EXPECT_EQ(subscription_word(node.board, 1, 0), 0u) << "a failed creation leaves no topic behind";
 }
 
-TEST(DaemonProtocol, RefusesToSpeakOfOthersEndpoints) {
+TEST(DaemonProtocol, RefusesRequestsAboutOthersEndpoints) {
   DaemonProcess daemon;
   Node owner(daemon), thief(daemon);
   const auto p = owner.publisher("/topic");
@@ -372,7 +374,7 @@ TEST(DaemonProtocol, RefusesToSpeakOfOthersEndpoints) {
   EXPECT_EQ(abi::state_of(publisher_word(owner.board, p.topic, p.index)), abi::MemberState::active);
 }
 
-TEST(DaemonProtocol, LetsASubscriptionLeaveAndUsesItsPlaceOnlyWhenItIsUnlinked) {
+TEST(DaemonProtocol, ReusesThePlaceOfASubscriptionOnlyWhenItIsUnlinked) {
   DaemonProcess daemon;
   Node subscriber(daemon), publisher(daemon);
   const auto p = publisher.publisher("/topic");
@@ -382,7 +384,7 @@ TEST(DaemonProtocol, LetsASubscriptionLeaveAndUsesItsPlaceOnlyWhenItIsUnlinked) 
   const auto state = [&](std::uint64_t index) {
     return abi::state_of(subscription_word(publisher.board, s.topic, index));
   };
-  // Whatever a process leaves in an extent, near and far.
+  // A process may leave any value in an extent, near and far.
   const std::uint64_t places[] = {s.extent,
                                   s.extent + abi::far_hold_offset(abi::publisher_count_max, 3, 0)};
   for (const std::uint64_t place : places)
@@ -396,7 +398,7 @@ TEST(DaemonProtocol, LetsASubscriptionLeaveAndUsesItsPlaceOnlyWhenItIsUnlinked) 
   EXPECT_EQ(kick.kind, Kind::publisher);
   EXPECT_EQ(kick.index, p.index);
   EXPECT_EQ(kick.generation, p.generation);
-  // A new one while the old one drains lies elsewhere.
+  // A new subscription lies elsewhere while the old one drains.
   const auto second = subscriber.subscription("/topic");
   EXPECT_NE(second.index, s.index);
   EXPECT_NE(second.extent, s.extent);
@@ -414,7 +416,7 @@ TEST(DaemonProtocol, LetsASubscriptionLeaveAndUsesItsPlaceOnlyWhenItIsUnlinked) 
   EXPECT_NE(third.index, s.index) << "the publisher has not unlinked";
   publisher.wire.drain();
   publisher.wire.unlinked(Kind::subscription, s.topic, s.index, s.generation);
-  publisher.wire.drain();  // it has been handled
+  publisher.wire.drain();  // the daemon has handled it
   const auto fourth = subscriber.subscription("/topic");
   EXPECT_EQ(fourth.index, s.index);
   EXPECT_EQ(fourth.extent, s.extent);
@@ -423,7 +425,7 @@ TEST(DaemonProtocol, LetsASubscriptionLeaveAndUsesItsPlaceOnlyWhenItIsUnlinked) 
     EXPECT_EQ(word(subscriber.region, place), 0u) << "lines and far hold words are zero at join";
 }
 
-TEST(DaemonProtocol, LetsAPublisherLeaveAndUsesItsPlaceOnlyWhenBothSidesAreDone) {
+TEST(DaemonProtocol, ReusesThePlaceOfAPublisherOnlyWhenBothSidesAreDone) {
   DaemonProcess daemon;
   Node subscriber(daemon), publisher(daemon);
   const auto s = subscriber.subscription("/topic");
@@ -446,7 +448,7 @@ TEST(DaemonProtocol, LetsAPublisherLeaveAndUsesItsPlaceOnlyWhenBothSidesAreDone)
   EXPECT_EQ(orphaned.generation, p.generation);
   EXPECT_EQ(orphaned.final_head, head);
   EXPECT_EQ(say(Opcode::drained).refused_text(), "the publisher's word is not free yet");
-  EXPECT_EQ(say(Opcode::leave).refused_code(), Errc::protocol_violation) << "twice";
+  EXPECT_EQ(say(Opcode::leave).refused_code(), Errc::protocol_violation) << "a second leave";
   EXPECT_NE(publisher.publisher("/topic").index, p.index);
   subscriber.wire.drain();
   publisher.wire.drain();
@@ -463,7 +465,7 @@ TEST(DaemonProtocol, LetsAPublisherLeaveAndUsesItsPlaceOnlyWhenBothSidesAreDone)
   static_cast<void>(s);
 }
 
-TEST(DaemonProtocol, IgnoresAnUnlinkedThatCrossedAnAnnouncement) {
+TEST(DaemonProtocol, IgnoresAnUnlinkedThatCrossesAnAnnouncement) {
   DaemonProcess daemon;
   Node subscriber(daemon), publisher(daemon);
   const auto p = publisher.publisher("/topic");
@@ -478,7 +480,7 @@ TEST(DaemonProtocol, IgnoresAnUnlinkedThatCrossedAnAnnouncement) {
   subscriber.wire.drain();
   EXPECT_EQ(abi::state_of(publisher_word(publisher.board, p.topic, p.index)),
             abi::MemberState::orphan)
-      << "what was announced later is not unlinked";
+      << "it acknowledged an older announcement";
   subscriber.wire.unlinked(Kind::publisher, p.topic, p.index, p.generation + 9);
   subscriber.wire.drain();
   EXPECT_EQ(abi::state_of(publisher_word(publisher.board, p.topic, p.index)),
@@ -491,11 +493,12 @@ TEST(DaemonProtocol, IgnoresAnUnlinkedThatCrossedAnAnnouncement) {
   subscriber.wire.unlinked(Kind::publisher, p.topic, p.index, p.generation, 1u << 20);
   const auto unasked = subscriber.wire.drain();
   ASSERT_EQ(unasked.size(), 1u);
-  EXPECT_EQ(unasked[0].refused_code(), Errc::protocol_violation) << "seen more than was sent";
+  EXPECT_EQ(unasked[0].refused_code(), Errc::protocol_violation)
+      << "it acknowledged more than the daemon sent";
   static_cast<void>(s);
 }
 
-TEST(DaemonProtocol, RefusesARegionUnlinkedWhileSomethingOfItIsLinked) {
+TEST(DaemonProtocol, RefusesToUnlinkARegionWithLinkedEndpoints) {
   DaemonProcess daemon;
   Node subscriber(daemon), publisher(daemon);
   publisher.publisher("/topic");

@@ -1,9 +1,9 @@
 // SPDX-License-Identifier: Apache-2.0
 //
-// Goal: each refusal is the same thing on both sides: a code of its own for who asked, and one line of the daemon's
-// log with that code and what it is about as fields. Method: for each bound and rule a real daemon that has it, a
-// client that goes one step too far, its answer, and the log. What the library makes of the codes is in
-// client/bad_input_test.cpp.
+// Goal: each refusal is the same on both sides: a code of its own for the client, and one line of
+// the daemon's log with that code and its details as fields. Method: for each bound and rule a
+// real daemon that has it, a client that goes one step too far, its answer, and the log.
+// client/bad_input_test.cpp covers the library's use of the codes.
 
 #include <tests/integration/raw_node.hpp>
 
@@ -31,7 +31,7 @@ struct Case {
   std::string config;
   Incoming (*provoke)(const DaemonProcess&, Clients&);
   Errc code;
-  std::string fields;  // behind pid and uid
+  std::string fields;  // after pid and uid
 };
 void PrintTo(const Case& which, std::ostream* out) { *out << which.name; }
 
@@ -39,7 +39,7 @@ const Case cases[] = {
     {"clients", "[quota]\nclients = 1\n",
      [](const DaemonProcess& daemon, Clients& clients) {
        greeted(daemon, clients);
-       // It may still look, so it is let in and says what it wants to be.
+       // It may still observe, so the daemon waits for its first request.
        clients.push_back(std::make_unique<WireClient>(daemon.socket_path()));
        return clients.back()->hello();
      },
@@ -124,7 +124,7 @@ const Case cases[] = {
 
 class Refusal : public testing::TestWithParam<Case> {};
 
-TEST_P(Refusal, HasOneCodeForWhoAsksAndInTheLog) {
+TEST_P(Refusal, HasOneCodeForTheClientAndInTheLog) {
   const Case& which = GetParam();
   const DaemonProcess daemon({.config = which.config});
   Clients clients;
@@ -138,8 +138,9 @@ TEST_P(Refusal, HasOneCodeForWhoAsksAndInTheLog) {
 INSTANTIATE_TEST_SUITE_P(Each, Refusal, testing::ValuesIn(cases),
                          [](const auto& which) { return which.param.name; });
 
-// Who has all connections and all observers is told at the door, before a first word.
-TEST(RefusalAtTheDoor, HasOneCodeForWhoConnectsAndInTheLog) {
+// A user that has all connections and all observers is refused at accept, before it sends
+// anything.
+TEST(RefusalAtTheDoor, HasOneCodeForTheConnectionAndInTheLog) {
   const DaemonProcess daemon({.config = "[quota]\nclients = 1\n"});
   Clients clients;
   greeted(daemon, clients);
@@ -157,7 +158,7 @@ TEST(RefusalAtTheDoor, HasOneCodeForWhoConnectsAndInTheLog) {
   EXPECT_TRUE(daemon.wait_for_log(line)) << daemon.log();
 }
 
-TEST(RefusalOfAnObserver, HasOneCodeForWhoLooksAndInTheLog) {
+TEST(RefusalOfAnObserver, HasOneCodeForTheObserverAndInTheLog) {
   const DaemonProcess daemon;
   Clients clients;
   wire::Observe observe{};
@@ -174,7 +175,8 @@ TEST(RefusalOfAnObserver, HasOneCodeForWhoLooksAndInTheLog) {
       << daemon.log();
 }
 
-// The kernel refuses before the daemon hears of it: there is no line, and nothing else is counted.
+// The kernel refuses before the daemon notices: there is no log line, and no other counter
+// changes.
 TEST(RefusalByTheSocket, HasItsOwnCodeAndDoesNotReachTheDaemon) {
   if (::geteuid() != 0) GTEST_SKIP() << "needs root to become another user";
   const DaemonProcess daemon({.config = "[daemon]\nsocket_mode = \"0600\"\n"});

@@ -1,7 +1,8 @@
 // SPDX-License-Identifier: Apache-2.0
 //
-// Goal: a process that comes back, and has to be told more than a connection may have waiting for one that
-// does not read, is told all of it as it reads; while it reads nothing it is nobody's hindrance.
+// Goal: a rejoining process for which the daemon has more packets than a connection may have
+// waiting for a client that does not read gets all of them as it reads; while it reads nothing it
+// delays nobody.
 // Method: a raw client whose publishers have tens of thousands of subscriptions, those of living
 // processes or of dead ones.
 
@@ -28,7 +29,7 @@ void read_all(RawNode& node) {
   }
 }
 
-/// 28 publishers of one topic, and as many subscriptions there as a topic can have.
+/// 28 publishers of one topic, and as many subscriptions as a topic can have.
 void fill_one_topic(RawNode& publisher, RawNode& subscriber) {
   for (std::size_t p = 0; p < publisher_count; ++p) publisher.publisher("/wide");
   for (std::size_t s = 0; s < abi::subscription_count_max; ++s) {
@@ -57,7 +58,7 @@ wire::Unlinked unlinked(Kind kind, std::uint32_t topic, std::uint64_t index,
   return body;
 }
 
-TEST(DaemonRejoinMany, LivingPeersAreToldAsTheProcessReads) {
+TEST(DaemonRejoinMany, LivingPeersAreAnnouncedAsTheProcessReads) {
   DaemonProcess daemon({.more_config = all_places});
   RawNode sender(daemon), many(daemon), corner(daemon);
   sender.publisher("/first");
@@ -74,7 +75,7 @@ TEST(DaemonRejoinMany, LivingPeersAreToldAsTheProcessReads) {
   for (; packet.opcode() == Opcode::own; packet = sender.wire.next()) ++owned;
   ASSERT_EQ(packet.opcode(), Opcode::announce);
   ASSERT_EQ(packet.as<wire::Announcement>().generation, first.generation);
-  // All that it knows of this process now is over for it; but more will come.
+  // It acknowledges all that it knows of this process now; but more will come.
   const std::uint64_t seen = sender.wire.seen();
   sender.wire.send(Opcode::unlinked,
                    unlinked(Kind::subscription, first.topic, first.index, first.generation, seen));
@@ -91,7 +92,7 @@ TEST(DaemonRejoinMany, LivingPeersAreToldAsTheProcessReads) {
   EXPECT_TRUE(sender.wire.drain().empty());
 }
 
-TEST(DaemonRejoinMany, DeadPeersAreToldAsTheProcessReads) {
+TEST(DaemonRejoinMany, DeadPeersAreAnnouncedAsTheProcessReads) {
   constexpr std::size_t topics = 22, topics_of_one = 4;
   constexpr std::size_t dead_count = topics * abi::subscription_count_max;
   static_assert(dead_count > daemon::Session::queue_count_max + 500, "small packets");
@@ -126,7 +127,7 @@ TEST(DaemonRejoinMany, DeadPeersAreToldAsTheProcessReads) {
   EXPECT_TRUE(sender.wire.drain().empty());
 }
 
-/// In a process of its own; whether it was admitted.
+/// In its own process; returns whether it was admitted.
 bool publishes_and_ends(const DaemonProcess& daemon) {
   const pid_t pid = ::fork();
   if (pid == 0) {
@@ -142,7 +143,7 @@ bool publishes_and_ends(const DaemonProcess& daemon) {
 }
 
 // It is stopped: packets wait for it, and still it does not keep the places of others.
-TEST(DaemonRejoinMany, WhoReadsNothingOfItIsPutOutLikeAnybodyElse) {
+TEST(DaemonRejoinMany, AProcessThatReadsNothingIsRevokedLikeAnyOther) {
   DaemonProcess daemon({.config = "[limits]\npublishers_per_topic = 28\n"
                                   "[quota]\npublishers_per_topic = \"unlimited\"\n"
                                   "subscriptions_per_topic = \"unlimited\"\n"});

@@ -1,7 +1,7 @@
 // SPDX-License-Identifier: Apache-2.0
 //
-// Goal: a process that lost its connection is the client it was when it comes back, is told
-// everything that happened meanwhile, and is answered once whatever it asks twice.
+// Goal: a process that lost its connection rejoins as the same client, gets every event since
+// then, and each repeated request is carried out once.
 // Method: raw clients against the real daemon; connections are closed and opened again. "Nothing
 // more came" is asked, not waited for.
 
@@ -76,7 +76,7 @@ struct Node {
   std::vector<UniqueFd> bells;
 };
 
-/// Everything of one kind that came unasked.
+/// Returns all unasked packets of one kind.
 template <class Body>
 std::vector<Body> of_kind(const std::deque<Incoming>& packets, Opcode opcode) {
   std::vector<Body> found;
@@ -113,7 +113,7 @@ std::string order_of(const std::deque<Incoming>& packets) {
   return order;
 }
 
-TEST(DaemonRejoin, AProcessFindsEverythingAsItWas) {
+TEST(DaemonRejoin, AProcessFindsItsSessionUnchanged) {
   DaemonProcess daemon;
   Node sender(daemon), receiver(daemon);
   const auto publisher = sender.publisher("/t");
@@ -152,10 +152,10 @@ TEST(DaemonRejoin, AProcessFindsEverythingAsItWas) {
   EXPECT_EQ(order_of(to_sender), "own announce region ");
   EXPECT_EQ(of_kind<wire::Announcement>(to_sender, Opcode::announce)[0].generation,
             subscription.generation);
-  EXPECT_EQ(to_sender[1].fds.size(), 3u) << "region and two bells";
+  EXPECT_EQ(to_sender[1].fds.size(), 3u) << "region and two doorbells";
 }
 
-TEST(DaemonRejoin, BellsWhoseNamesWereRemovedAreMadeAnew) {
+TEST(DaemonRejoin, DoorbellsWhoseNamesWereRemovedAreRecreated) {
   DaemonProcess daemon;
   Node sender(daemon), receiver(daemon);
   sender.publisher("/t");
@@ -178,7 +178,7 @@ TEST(DaemonRejoin, BellsWhoseNamesWereRemovedAreMadeAnew) {
   EXPECT_EQ(packets[0].as<wire::BellsRenewed>().executor, 0u);
   ASSERT_EQ(packets[0].fds.size(), 2u);
   DoorbellReceiver bells(std::move(packets[0].fds[0]), std::move(packets[0].fds[1]));
-  // Its publishers are told once more, and ring the new socket.
+  // The daemon repeats it to its publishers, which ring the new socket.
   std::vector<UniqueFd> fds;
   const auto again = sender.wire.expect<wire::Announcement>(Opcode::announce, &fds);
   EXPECT_EQ(again.generation, first[0].generation);
@@ -192,13 +192,13 @@ TEST(DaemonRejoin, BellsWhoseNamesWereRemovedAreMadeAnew) {
   EXPECT_EQ(::read(eventfd.get(), &after, sizeof after), static_cast<ssize_t>(sizeof after))
       << "it is the same eventfd";
 
-  // Nothing is lost any more.
+  // No further packet is lost.
   receiver.lose_connection();
   receiver.come_back();
   EXPECT_EQ(order_of(receiver.wire.drain()), "own announce region ");
 }
 
-TEST(DaemonRejoin, WhoThrowsNewBellsAwayGetsThemThreeTimes) {
+TEST(DaemonRejoin, AClientThatDropsNewDoorbellsGetsThemThreeTimes) {
   DaemonProcess daemon;
   Node sender(daemon), receiver(daemon);
   sender.publisher("/t");
@@ -206,7 +206,7 @@ TEST(DaemonRejoin, WhoThrowsNewBellsAwayGetsThemThreeTimes) {
   receiver.bells.clear();
   receiver.lose_connection();
   receiver.come_back();
-  EXPECT_EQ(order_of(receiver.wire.drain()), "own announce region ") << "it had them";
+  EXPECT_EQ(order_of(receiver.wire.drain()), "own announce region ") << "it already had them";
   ASSERT_TRUE(daemon.wait_for_next(daemon.kill_worker()));
   for (const char* expected : {"212 own announce region ", "212 own announce region ",
                                "212 own announce region ", "own announce region "}) {
@@ -217,18 +217,19 @@ TEST(DaemonRejoin, WhoThrowsNewBellsAwayGetsThemThreeTimes) {
 }
 
 TEST(DaemonRejoin, TheNewConnectionTakesThePlaceOfTheOldOne) {
-  // Places for two processes, and for one that looks on: connections that come back need no more.
+  // Places for two processes, and for one observer: rejoining connections need no more.
   DaemonProcess daemon({.config = "[quota]\nclients = 2\n[heap]\nwindow_bytes = \"64MiB\"\n"});
   Node node(daemon), other(daemon);
   node.subscription("/t");
-  constexpr int times = 9;  // both loops together: what a process may at once
+  // both loops together: a process's reconnections at once
+  constexpr int times = 9;
   for (int i = 0; i < times; ++i) {
     PacketSocket before(node.wire.socket().release());
-    node.come_back();  // before the daemon can know that the old one is of no use any more
+    node.come_back();  // before the daemon can know that the old connection is dead
     std::array<std::byte, wire::packet_bytes_max> buffer;
     Result<Packet> packet = before.receive(buffer, Wait::yes);
     while (packet && packet->kind == Packet::Kind::data) packet = before.receive(buffer, Wait::yes);
-    EXPECT_TRUE(packet && packet->kind == Packet::Kind::end) << "the old connection is over";
+    EXPECT_TRUE(packet && packet->kind == Packet::Kind::end) << "the old connection has ended";
   }
   for (int i = 0; i < times; ++i) {
     node.lose_connection();
@@ -242,21 +243,21 @@ TEST(DaemonRejoin, TheNewConnectionTakesThePlaceOfTheOldOne) {
   EXPECT_EQ(third.hello().refused_code(), Errc::quota_exceeded);
 }
 
-TEST(DaemonRejoin, AProcessThatSaysHelloAgainHasOnePlace) {
+TEST(DaemonRejoin, AProcessThatSendsHelloAgainHasOnePlace) {
   DaemonProcess daemon({.config = "[quota]\nclients = 1\n[heap]\nwindow_bytes = \"64MiB\"\n",
                         .arguments = {"--log-level", "debug"}});
   Node first(daemon);
   first.lose_connection();
   ASSERT_TRUE(daemon.wait_for_log("connection closed"));
   EXPECT_EQ(WireClient(daemon.socket_path()).hello().refused_code(), Errc::quota_exceeded)
-      << "the first one has its region still";
+      << "the first one still has its region";
   first.region = Mapping();
   const Node again(daemon);
   EXPECT_EQ(again.welcome.client, first.welcome.client);
   EXPECT_NE(again.welcome.client_generation, first.welcome.client_generation);
 }
 
-TEST(DaemonRejoin, NobodyElseComesBackInItsPlace) {
+TEST(DaemonRejoin, NoOtherProcessRejoinsInItsPlace) {
   DaemonProcess daemon;
   Node node(daemon);
   node.subscription("/t");
@@ -287,7 +288,7 @@ TEST(DaemonRejoin, NobodyElseComesBackInItsPlace) {
   EXPECT_EQ(node.wire.open_window(0).opcode(), Opcode::window_opened) << "nothing has changed";
 }
 
-TEST(DaemonRejoin, WhoeverCameMeanwhileIsAnnounced) {
+TEST(DaemonRejoin, EndpointsCreatedMeanwhileAreAnnounced) {
   DaemonProcess daemon;
   Node node(daemon), other(daemon);
   node.subscription("/a");
@@ -303,7 +304,7 @@ TEST(DaemonRejoin, WhoeverCameMeanwhileIsAnnounced) {
   EXPECT_EQ(announced[1].generation, subscription.generation);
 }
 
-TEST(DaemonRejoin, NoticesThatCameMeanwhileAreSaidOnce) {
+TEST(DaemonRejoin, NoticesSentMeanwhileArriveOnce) {
   DaemonProcess daemon;
   Node node(daemon), other(daemon);
   Qos best_effort = reliable;
@@ -341,7 +342,7 @@ TEST(DaemonRejoin, TheLastMessagesOfTheDeadAreAnnounced) {
   const region::PublisherWords<SharedMemory> words{third->region.base(), unknown.extent};
   words.head().store(abi::pack_entry(unknown.first_sequence + 5, 3));
   third->lose_connection();
-  third->region = Mapping();  // the daemon takes it for a process that is over
+  third->region = Mapping();  // the daemon treats the process as ended
   other->lose_connection();
   other->region = Mapping();
   ASSERT_TRUE(daemon.wait_for_log("client gone client=1"));
@@ -360,13 +361,13 @@ TEST(DaemonRejoin, TheLastMessagesOfTheDeadAreAnnounced) {
   EXPECT_EQ(orphaned.at(1).generation, unknown.generation);
   EXPECT_EQ(abi::sequence_of(orphaned.at(1).final_head), unknown.first_sequence + 5);
 
-  // A subscription that joins now gets nothing of them, neither now nor on the next connection.
+  // A subscription that joins now gets none of them, neither now nor on the next connection.
   node.subscription("/t");
   node.lose_connection();
   node.come_back();
   EXPECT_EQ(of_kind<wire::Announcement>(node.wire.drain(), Opcode::announce).size(), 2u);
 
-  // Its places and descriptors are used again when it has let go of them.
+  // Its places and descriptors are reused after the acknowledged unmap.
   const std::size_t descriptors = daemon.descriptor_count();
   for (const auto& made : {known, unknown})
     node.wire.unlinked(Kind::publisher, made.topic, made.index, made.generation);
@@ -377,7 +378,7 @@ TEST(DaemonRejoin, TheLastMessagesOfTheDeadAreAnnounced) {
   EXPECT_EQ(Node(daemon).publisher("/t").index, known.index);
 }
 
-TEST(DaemonRejoin, WhatIsOverIsForgottenAndWhatLeavesIsAnnounced) {
+TEST(DaemonRejoin, EndedEndpointsAreForgottenAndLeavingOnesAnnounced) {
   DaemonProcess daemon;
   Node node(daemon), other(daemon);
   const auto publisher = node.publisher("/t");
@@ -403,7 +404,7 @@ TEST(DaemonRejoin, WhatIsOverIsForgottenAndWhatLeavesIsAnnounced) {
   EXPECT_EQ(of_kind<wire::Announcement>(packets, Opcode::announce).at(0).generation,
             leaving.generation);
   EXPECT_EQ(of_kind<wire::Reference>(packets, Opcode::forget).at(0).generation, over.generation);
-  // On every connection again, until it is unlinked.
+  // Sent on every new connection until it is unlinked.
   node.lose_connection();
   node.come_back();
   EXPECT_EQ(order_of(node.wire.drain()), "own announce forget region ");
@@ -415,7 +416,7 @@ TEST(DaemonRejoin, WhatIsOverIsForgottenAndWhatLeavesIsAnnounced) {
   EXPECT_EQ(of_kind<wire::Own>(last, Opcode::own).at(0).generation, publisher.generation);
 }
 
-TEST(DaemonRejoin, WhatIsSaidOfARegionBeforeEverythingWasReadIsVoid) {
+TEST(DaemonRejoin, AnUnlinkedRegionIsIgnoredBeforeAllPacketsWereRead) {
   DaemonProcess daemon;
   Node node(daemon);
   node.publisher("/t");
@@ -424,13 +425,13 @@ TEST(DaemonRejoin, WhatIsSaidOfARegionBeforeEverythingWasReadIsVoid) {
   node.wire.drain();
   node.lose_connection();
   other->lose_connection();
-  other->region = Mapping();  // the daemon takes it for a process that is over
+  other->region = Mapping();  // the daemon treats the process as ended
   ASSERT_TRUE(daemon.wait_for_log("client gone client=1"));
   node.come_back();
   const auto let_go_of_region = [&] {
     node.wire.unlinked(Kind::region, 0, other->welcome.client, other->welcome.client_generation);
   };
-  let_go_of_region();  // nothing but rejoined was read
+  let_go_of_region();  // it has read nothing but `rejoined`
   EXPECT_EQ(order_of(node.wire.drain()), "own forget region ") << "nothing was refused";
   node.wire.unlinked(Kind::subscription, subscription.topic, subscription.index,
                      subscription.generation);
@@ -454,7 +455,7 @@ TEST(DaemonRejoin, APublisherThatWasNotDrainedKeepsNoRegionTaken) {
   other->wire.drain();
   other->wire.unlinked(Kind::publisher, publisher.topic, publisher.index, publisher.generation);
   other->wire.drain();
-  // Its index is free on the board; it was about to say drained, and had let go of everything.
+  // Its index is free on the board; it was about to send `drained`, and had unmapped everything.
   node.lose_connection();
   node.come_back();
   const auto packets = node.wire.drain();
@@ -465,7 +466,7 @@ TEST(DaemonRejoin, APublisherThatWasNotDrainedKeepsNoRegionTaken) {
   EXPECT_EQ(order_of(node.wire.drain()), "") << "nothing was refused";
 }
 
-TEST(DaemonRejoin, AWindowThatCameMeanwhileComesWithTheAnnouncement) {
+TEST(DaemonRejoin, AWindowOpenedMeanwhileComesWithTheAnnouncement) {
   DaemonProcess daemon;
   Node node(daemon), other(daemon);
   other.publisher("/t");
@@ -479,7 +480,7 @@ TEST(DaemonRejoin, AWindowThatCameMeanwhileComesWithTheAnnouncement) {
   EXPECT_EQ(packets.at(1).fds.size(), 3u);
 }
 
-TEST(DaemonRejoin, WhatIsAskedTwiceIsDoneOnce) {
+TEST(DaemonRejoin, ARepeatedRequestIsCarriedOutOnce) {
   DaemonProcess daemon;
   Node node(daemon), other(daemon);
   const auto theirs = other.publisher("/t");
@@ -496,7 +497,7 @@ TEST(DaemonRejoin, WhatIsAskedTwiceIsDoneOnce) {
   EXPECT_EQ(again.generation, first.generation);
   EXPECT_EQ(again.extent, first.extent);
   const auto announced = of_kind<wire::Announcement>(node.wire.drain(), Opcode::announce);
-  ASSERT_EQ(announced.size(), 1u) << "earlier it could not know for whom";
+  ASSERT_EQ(announced.size(), 1u) << "earlier it could not know the recipient";
   EXPECT_EQ(announced[0].generation, theirs.generation);
   const auto same = Node::made(node.wire.ask_again(
       Opcode::create_publisher, WireClient::endpoint("/u", reliable), publisher_creation));
@@ -506,12 +507,12 @@ TEST(DaemonRejoin, WhatIsAskedTwiceIsDoneOnce) {
   const auto never_heard = Node::made(
       node.wire.ask_again(Opcode::create_publisher, WireClient::endpoint("/u", reliable), 1000));
   EXPECT_NE(never_heard.generation, publisher.generation);
-  EXPECT_EQ(never_heard.index, publisher.index + 1) << "this one did not arrive before";
+  EXPECT_EQ(never_heard.index, publisher.index + 1) << "the first request did not arrive";
 
   wire::ExecutorRequest executor{};
   EXPECT_EQ(node.wire.ask_again(Opcode::open_executor, executor, 1001).refused_code(),
             Errc::protocol_violation)
-      << "a subscription rings there";
+      << "a subscription uses that executor";
   executor.executor = 1;
   ASSERT_EQ(node.wire.open_executor(1).opcode(), Opcode::executor_opened);
   const std::uint64_t opening = node.wire.last_request();
@@ -538,7 +539,7 @@ TEST(DaemonRejoin, WhatIsAskedTwiceIsDoneOnce) {
   }
   EXPECT_EQ(node.wire.ask_again(Opcode::leave, reference(Kind::publisher, theirs), 1003).opcode(),
             Opcode::done)
-      << "of others' endpoints nothing is left here";
+      << "no endpoint of others is left here";
   EXPECT_EQ(abi::state_of(region::TopicWords<SharedMemory>{node.board.base(),
                                                               abi::topic_offset(theirs.topic)}
                               .publisher(theirs.index, offsetof(abi::PublisherEntry, word))

@@ -1,7 +1,7 @@
 // SPDX-License-Identifier: Apache-2.0
 //
-// What the tests of the daemon's restart have in common: processes that exchange messages and must not be
-// disturbed, ways to have the daemon away, and words to its supervisor.
+// Helpers of the tests of the daemon's restart: processes that exchange messages and must not be
+// disturbed, ways to keep the daemon away, and orders to its supervisor.
 #pragma once
 
 #include <base/pidfd.hpp>
@@ -30,7 +30,7 @@ namespace agnocast::test {
 inline constexpr abi::Qos deep{10, false, true, false, false};
 inline constexpr const char* topic_name = "/restart";
 
-inline char answer(bool done) { return testing::Test::HasFailure() ? '!' : done ? '+' : '-'; }
+using sweep::answer;
 
 // A publisher in a process of its own, because no two clients of one process could have the same
 // window: w until a subscription is attached · p publish.
@@ -77,7 +77,7 @@ struct Pair {
   sweep::Child publisher, subscriber;
 };
 
-// The daemon is away as long as this lives.
+// Keeps the daemon away until destroyed.
 class Absence {
  public:
   explicit Absence(DaemonProcess& daemon) : daemon_(daemon), old_(daemon.pid()) {
@@ -109,7 +109,7 @@ inline void restart(DaemonProcess& daemon, bool politely = false) {
   ASSERT_TRUE(daemon.wait_for_next(old)) << daemon.log();
 }
 
-// The address that the worker was given, seen from here.
+// Returns the worker's address of the supervisor, seen from here.
 inline sockaddr_un address_of_supervisor(const DaemonProcess& daemon) {
   std::ifstream file("/proc/" + std::to_string(daemon.pid()) + "/environ", std::ios::binary);
   std::ostringstream text;
@@ -126,7 +126,7 @@ inline sockaddr_un address_of_supervisor(const DaemonProcess& daemon) {
   return address;
 }
 
-/// Says something to the supervisor in the name of its worker. Needs root.
+/// Sends an order to the supervisor in the name of its worker. Needs root.
 inline void order_as_worker(const DaemonProcess& daemon, const std::string& order) {
   sockaddr_un address = address_of_supervisor(daemon);
   const UniqueFd socket(::socket(AF_UNIX, SOCK_DGRAM | SOCK_CLOEXEC, 0));

@@ -1,8 +1,8 @@
 // SPDX-License-Identifier: Apache-2.0
 //
-// Goal: the daemon may die at any step of its start, be it the first one, the founding of another life, or
-// going on. Method: as daemon_restart_test.cpp, with a daemon that dies at the n-th crash point, for
-// n = 1, 2, 3 … until it survives.
+// Goal: the daemon may die at any step of its start, be it the first one, the founding of an
+// incarnation, or a continuation. Method: as daemon_restart_test.cpp, with a daemon that dies at
+// the n-th crash point, for n = 1, 2, 3 … until it survives.
 
 #include <daemon/state/steps.hpp>
 #include <tests/integration/daemon_restart.hpp>
@@ -33,7 +33,8 @@ std::size_t count_of(const std::string& text, const std::string& part) {
   return count;
 }
 
-/// The deaths at n = 1, 2, 3 … until `life(control, n, survived)` says that the daemon survived.
+/// Returns the deaths at n = 1, 2, 3 … until `life(control, n, survived)` reports that the daemon
+/// survived.
 template <class Life>
 unsigned deaths_of(Life life) {
   unsigned deaths = 0;
@@ -49,9 +50,9 @@ unsigned deaths_of(Life life) {
   return deaths;
 }
 
-// What the daemon has to do when it goes on: two processes have ended, each with an endpoint that the other knows, and a living pair
-// must not notice.
-TEST(DaemonRestart, MayDieAtAnyStepOfGoingOn) {
+// The daemon's work when it continues: two processes have ended, each with an endpoint that the
+// other knows, and a living pair must not notice.
+TEST(DaemonRestart, MayDieAtAnyStepOfItsContinuation) {
   const unsigned deaths = deaths_of([](CrashControl& control, std::uint64_t n, bool& survived) {
     DaemonProcess daemon({.program = AGNOCAST_TEST_CRASHING_DAEMON});
     Pair pair(daemon, "/living");
@@ -66,7 +67,7 @@ TEST(DaemonRestart, MayDieAtAnyStepOfGoingOn) {
       dead_subscriber.end();
       control.arm(n);
     }
-    control.arm(0);  // it serves: the rest is for the sweep of serving
+    control.arm(0);  // it serves: another test sweeps serving
     const std::string log = daemon.log();
     survived = count_of(log, "worker died") == 1;
     const WireDump all = wire_dump(daemon.socket_path());
@@ -85,9 +86,9 @@ TEST(DaemonRestart, MayDieAtAnyStepOfGoingOn) {
   EXPECT_GT(deaths, 60u);
 }
 
-// The same with the founding of a life: what was kept is of no use without the board, so the next
-// daemon lets go of it and begins with nothing. Whatever of that it died in, the one after it founds one
-// life, keeps what belongs to it and nothing else, and serves.
+// The same with the founding of an incarnation: the store is useless without the board, so the
+// next daemon releases it and begins with nothing. Wherever that daemon dies, the one after it
+// founds one incarnation, keeps exactly the descriptors of it, and serves.
 TEST(DaemonRestart, MayDieAtAnyStepOfFounding) {
   if (::geteuid() != 0) GTEST_SKIP() << "needs root";
   const unsigned deaths = deaths_of([](CrashControl& control, std::uint64_t n, bool& survived) {
@@ -107,12 +108,12 @@ TEST(DaemonRestart, MayDieAtAnyStepOfFounding) {
     control.arm(0);
     survived = count_of(daemon.log(), "worker died") == 1;
     const WireDump all = wire_dump(daemon.socket_path());
-    EXPECT_TRUE(incarnations.insert(all.incarnation).second) << "the board is another one";
+    EXPECT_TRUE(incarnations.insert(all.incarnation).second) << "the board is a new one";
     EXPECT_TRUE(all.processes.empty());
     EXPECT_TRUE(std::filesystem::is_empty(daemon.socket_path() + ".bells"));
     EXPECT_EQ(daemon.kept_count(), kept);
     EXPECT_EQ(run_daemon({"--socket", daemon.socket_path(), "--fd-store=none"}).status, 1);
-    // It is a life to go on with.
+    // The incarnation can continue.
     Pair pair(daemon);
     pair.exchange();
     restart(daemon);
@@ -124,7 +125,7 @@ TEST(DaemonRestart, MayDieAtAnyStepOfFounding) {
   EXPECT_GT(deaths, 15u);
 }
 
-// Before any daemon was ready nothing is kept for the next one: what is left lies in the directory.
+// Before any daemon was ready the store is empty: leftovers lie in the directory.
 TEST(DaemonRestart, MayDieAtAnyStepOfTheFirstStart) {
   const unsigned deaths = deaths_of([](CrashControl& control, std::uint64_t n, bool& survived) {
     const TemporaryDirectory directory;
@@ -147,7 +148,7 @@ TEST(DaemonRestart, MayDieAtAnyStepOfTheFirstStart) {
         return survived || process->ended();
       }));
       if (survived) {
-        // The worker ends with its supervisor, a moment later; until then it has the lock.
+        // The worker ends shortly after its supervisor; until then it has the lock.
         const std::string pid = std::to_string(first.pid());
         pid_t worker = -1;
         std::ifstream("/proc/" + pid + "/task/" + pid + "/children") >> worker;
@@ -156,7 +157,7 @@ TEST(DaemonRestart, MayDieAtAnyStepOfTheFirstStart) {
         first.kill();
         EXPECT_TRUE(eventually([&] { return serving->ended(); }));
       } else {
-        EXPECT_EQ(first.wait(), 1) << "whoever started it is told";
+        EXPECT_EQ(first.wait(), 1) << "its caller gets the failure";
       }
     }
     DaemonProcess second({.socket = socket});
@@ -167,9 +168,10 @@ TEST(DaemonRestart, MayDieAtAnyStepOfTheFirstStart) {
   EXPECT_GT(deaths, 7u);
 }
 
-// Who sleeps must look once more: the record says that the publisher is gone, and no daemon has rung for
-// it yet. Nobody has a connection then, and the publisher's own bell went with it.
-TEST(DaemonRestart, ASleeperIsRungByTheNextDaemonIfTheFormerOneDiedBeforeItsRing) {
+// A sleeping subscription must look again: the redo log says that the publisher is gone, and no
+// daemon has rung for it yet. Nobody has a connection then, and the publisher's doorbell went with
+// it.
+TEST(DaemonRestart, TheNextDaemonRingsForAPredecessorThatDiedBeforeItsRing) {
   const TemporaryDirectory directory;
   CrashControl control(directory.path() + "/control");
   DaemonProcess daemon({.program = AGNOCAST_TEST_CRASHING_DAEMON});
@@ -193,7 +195,7 @@ TEST(DaemonRestart, ASleeperIsRungByTheNextDaemonIfTheFormerOneDiedBeforeItsRing
   publisher.end();
   ASSERT_TRUE(daemon.wait_for_next(former)) << daemon.log();
   ASSERT_TRUE(control.died_at(steps::B_ring));
-  EXPECT_EQ(::poll(&rung, 1, 10'000), 1) << "nobody rings\n" << daemon.log();
+  EXPECT_EQ(::poll(&rung, 1, 10'000), 1) << "the daemon does not ring\n" << daemon.log();
 }
 
 }  // namespace

@@ -1,7 +1,8 @@
 // SPDX-License-Identifier: Apache-2.0
 //
-// Goal: the supervisor starts what is installed, however often that fails, takes orders from its worker
-// alone, and keeps no more than it can hand on; a program of another layout is refused and harms nothing.
+// Goal: the supervisor starts the installed program, however often that fails, takes orders from
+// its worker alone, and keeps no more than it can hand on; a program of another layout is refused
+// and harms nothing.
 // Method: as daemon_restart_test.cpp; the program is replaced as an installation does it.
 
 #include <agnocast/abi/fingerprint.hpp>
@@ -21,7 +22,7 @@
 namespace agnocast::test {
 namespace {
 
-// A program of our own that can be replaced.
+// A program of the test's own that can be replaced.
 class Program {
  public:
   Program() : directory_(make_directory()) { put(AGNOCAST_TEST_DAEMON); }
@@ -29,7 +30,7 @@ class Program {
   Program(const Program&) = delete;
   Program& operator=(const Program&) = delete;
   std::string path() const { return directory_ + "/agnocastd"; }
-  /// As an installation does it: a new file under the old name.
+  /// Replaces the program as an installation does: a new file under the old name.
   void put(const std::string& other) const {
     std::filesystem::copy_file(other, path() + ".new");
     std::filesystem::rename(path() + ".new", path());
@@ -43,7 +44,8 @@ class Program {
   std::string directory_;
 };
 
-// Who would not survive a restart of the daemon is refused, and not lost at the restart.
+// The daemon refuses a process that would not survive its restart, instead of losing it at the
+// restart.
 TEST(DaemonRestart, KeepsNoMoreThanItsLimitOfOpenFilesCanHandOn) {
   const std::string directory = make_directory();
   const std::string program = directory + "/agnocastd";
@@ -52,7 +54,7 @@ TEST(DaemonRestart, KeepsNoMoreThanItsLimitOfOpenFilesCanHandOn) {
   {
     DaemonProcess daemon({.program = program});
     std::vector<std::unique_ptr<WireClient>> clients;
-    std::vector<Incoming> welcomes;  // with the regions, and without them nobody is a member
+    std::vector<Incoming> welcomes;  // with the regions, without which no process has a session
     Errc refused = Errc::ok;
     while (refused == Errc::ok && clients.size() < 50) {
       clients.push_back(std::make_unique<WireClient>(daemon.socket_path()));
@@ -61,7 +63,7 @@ TEST(DaemonRestart, KeepsNoMoreThanItsLimitOfOpenFilesCanHandOn) {
       for (std::uint64_t w = 0; refused == Errc::ok && w < abi::window_count_max; ++w)
         refused = clients.back()->open_window(w).refused_code();
     }
-    EXPECT_EQ(refused, Errc::quota_exceeded) << "one user's share of what can be handed on";
+    EXPECT_EQ(refused, Errc::quota_exceeded) << "one user's share of the descriptors that can be handed on";
     std::vector<Mapping> regions;
     for (const Incoming& welcome : welcomes) {
       if (welcome.opcode() == wire::Opcode::welcome)
@@ -77,7 +79,7 @@ TEST(DaemonRestart, KeepsNoMoreThanItsLimitOfOpenFilesCanHandOn) {
   remove_directory(directory);
 }
 
-// exec of such a program forgets what the supervisor's child asked for before it.
+// exec of such a program resets the parent-death signal that the supervisor's child has set.
 TEST(DaemonRestart, DoesNotOutliveItsSupervisorWithFileCapabilitiesEither) {
   if (::geteuid() != 0) GTEST_SKIP() << "needs root";
   Program program;
@@ -95,7 +97,7 @@ TEST(DaemonRestart, DoesNotOutliveItsSupervisorWithFileCapabilitiesEither) {
   EXPECT_EQ(::poll(&entry, 1, 10'000), 1);
 }
 
-TEST(DaemonRestart, TakesUpAReplacedProgramAndGoesOnWithoutOne) {
+TEST(DaemonRestart, StartsAReplacedProgramAndGoesOnWithoutOne) {
   Program program;
   DaemonProcess daemon({.program = program.path()});
   WireNode node(daemon.socket_path());
@@ -107,13 +109,13 @@ TEST(DaemonRestart, TakesUpAReplacedProgramAndGoesOnWithoutOne) {
   EXPECT_EQ(Program::inode(exe()), Program::inode(program.path()));
   std::filesystem::remove(program.path());
   restart(daemon);
-  EXPECT_EQ(Program::inode(exe()), first) << "what the supervisor itself is";
+  EXPECT_EQ(Program::inode(exe()), first) << "the supervisor's own program";
   const WireDump all = wire_dump(daemon.socket_path());
   EXPECT_EQ(all.incarnation, node.welcome().incarnation);
   EXPECT_EQ(all.processes.size(), 1u);
 }
 
-TEST(DaemonRestart, IsTriedAgainWhenItFailsAndGoesOnOnceItCan) {
+TEST(DaemonRestart, IsRetriedWhenItFailsAndContinuesOnceItCan) {
   Program program;
   DaemonProcess daemon({.program = program.path()});
   WireNode node(daemon.socket_path());
@@ -121,13 +123,13 @@ TEST(DaemonRestart, IsTriedAgainWhenItFailsAndGoesOnOnceItCan) {
   program.put("/bin/false");
   daemon.kill_worker();
   EXPECT_TRUE(daemon.wait_for_log("failures=3"));
-  EXPECT_TRUE(daemon.is_running()) << "what it keeps cannot be got back";
+  EXPECT_TRUE(daemon.is_running()) << "its store cannot be recovered";
   program.put(AGNOCAST_TEST_DAEMON);
   ASSERT_TRUE(daemon.wait_for_next(old));
   EXPECT_EQ(wire_dump(daemon.socket_path()).incarnation, node.welcome().incarnation);
 }
 
-TEST(DaemonRestart, DeathsOfReadyDaemonsDoNotMakeThePauseLong) {
+TEST(DaemonRestart, DeathsOfReadyDaemonsDoNotLengthenThePause) {
   Program program;
   DaemonProcess daemon({.program = program.path()});
   for (int death = 1; death <= 10; ++death) {
@@ -150,8 +152,8 @@ DaemonOptions watched(const std::string& seconds) {
                     AGNOCAST_TEST_ARENA_BASE};
 }
 
-// A worker that is stopped answers nothing, not even signals.
-TEST(DaemonRestart, AWorkerThatHangsHoldsUpNeitherARestartNorTheEnd) {
+// A stopped worker answers nothing, not even signals.
+TEST(DaemonRestart, AHangingWorkerDelaysNeitherARestartNorTheEnd) {
   DaemonProcess daemon;
   Pair pair(daemon);
   const std::uint64_t incarnation = wire_dump(daemon.socket_path()).incarnation;
@@ -169,7 +171,7 @@ TEST(DaemonRestart, AWorkerThatHangsHoldsUpNeitherARestartNorTheEnd) {
   EXPECT_TRUE(worker->ended());
 }
 
-TEST(DaemonRestart, AWorkerThatHangsIsReplacedWithoutBeingTold) {
+TEST(DaemonRestart, AHangingWorkerIsReplacedWithoutAnOrder) {
   DaemonProcess daemon(watched("4"));
   Pair pair(daemon);
   const std::uint64_t incarnation = wire_dump(daemon.socket_path()).incarnation;
@@ -183,7 +185,7 @@ TEST(DaemonRestart, AWorkerThatHangsIsReplacedWithoutBeingTold) {
   EXPECT_EQ(wire_dump(daemon.socket_path()).incarnation, incarnation);
 }
 
-TEST(DaemonRestart, NobodyLooksWhetherAWorkerHangsWhereItIsSwitchedOff) {
+TEST(DaemonRestart, AHangingWorkerStaysWhereTheWatchdogIsSwitchedOff) {
   DaemonProcess daemon(watched("\"off\""));
   std::ifstream file("/proc/" + std::to_string(daemon.pid()) + "/environ", std::ios::binary);
   std::ostringstream text;
@@ -210,7 +212,7 @@ TEST(DaemonRestart, RefusesTheTablesOfAnotherBuildAndHarmsNothing) {
     EXPECT_NE(hello.refused_text().find(own), std::string::npos) << hello.refused_text();
     EXPECT_NE(hello.refused_text().find("this agnocastd has layout 0x"), std::string::npos);
     wire::Rejoin rejoin{};
-    // Layout_mismatch would be for good: the process would not come back to the former build.
+    // layout_mismatch would be final: the process would not rejoin the previous build.
     EXPECT_EQ(client.ask(wire::Opcode::rejoin, rejoin).refused_code(), Errc::daemon_not_running);
     wire::Observe observe{};
     EXPECT_EQ(client.ask(wire::Opcode::observe, observe).refused_code(), Errc::layout_mismatch);
@@ -249,7 +251,7 @@ TEST(DaemonRestart, TakesOrdersFromItsWorkerAlone) {
   EXPECT_EQ(daemon.log().find("former life lost"), std::string::npos);
 }
 
-TEST(DaemonRestart, IsOneProcessThatKeepsNothingIfThatIsWanted) {
+TEST(DaemonRestart, IsOneProcessWithoutAStoreIfConfigured) {
   DaemonProcess daemon({.arguments = {"--fd-store=none"}});
   EXPECT_EQ(daemon.pid(), daemon.supervisor_pid());
   std::ifstream children("/proc/" + std::to_string(daemon.pid()) + "/task/" +

@@ -1,11 +1,11 @@
 // SPDX-License-Identifier: Apache-2.0
 //
-// Goal: the daemon may die or be restarted at any moment; the same incarnation goes on, with every place,
-// window, address and count, data flows meanwhile, and whoever ended while it was away is repaired. What
-// is damaged is refused and not touched.
-// Method: the real supervisor and its worker; SIGKILL and SIGHUP; real client processes. To keep the
-// daemon away for a while, its supervisor is stopped. Other programs, and what the supervisor does:
-// daemon_restart_supervisor_test.cpp. A death at each step: daemon_restart_steps_test.cpp.
+// Goal: the daemon may die or be restarted at any moment; the same incarnation continues, with
+// every place, window, address and count, data flows meanwhile, and the daemon repairs processes
+// that ended while it was away. It refuses damaged state and does not touch it.
+// Method: the real supervisor and its worker; SIGKILL and SIGHUP; real client processes. To keep
+// the daemon away for a while, the test stops its supervisor. Other programs, and the supervisor's
+// part: daemon_restart_supervisor_test.cpp. A death at each step: daemon_restart_steps_test.cpp.
 
 #include <agnocast/abi/fingerprint.hpp>
 #include <tests/integration/daemon_restart.hpp>
@@ -30,7 +30,7 @@ namespace {
 using sweep::Child;
 using sweep::serve;
 
-TEST(DaemonRestart, GoesOnAsTheSameIncarnationWithEverythingItKnew) {
+TEST(DaemonRestart, ContinuesTheSameIncarnationWithItsWholeState) {
   for (const bool politely : {false, true}) {
     SCOPED_TRACE(politely ? "SIGHUP" : "SIGKILL");
     DaemonProcess daemon;
@@ -46,7 +46,7 @@ TEST(DaemonRestart, GoesOnAsTheSameIncarnationWithEverythingItKnew) {
     EXPECT_EQ(after.daemon.pid, static_cast<unsigned>(daemon.pid()));
     EXPECT_NE(after.daemon.pid, before.daemon.pid);
     EXPECT_EQ(after.daemon.windows_used, 1u);
-    EXPECT_EQ(after.daemon.counters.clients_registered, 2u) << "counters are the incarnation's";
+    EXPECT_EQ(after.daemon.counters.clients_registered, 2u) << "counters belong to the incarnation";
     EXPECT_EQ(after.daemon.counters.clients_died, 0u);
     EXPECT_GE(after.daemon.uptime_ns, before.daemon.uptime_ns);
     ASSERT_EQ(after.processes.size(), 2u);
@@ -55,7 +55,7 @@ TEST(DaemonRestart, GoesOnAsTheSameIncarnationWithEverythingItKnew) {
       EXPECT_EQ(after.processes[i].pid, before.processes[i].pid);
       EXPECT_GE(after.processes[i].age_ns, before.processes[i].age_ns);
       EXPECT_EQ(after.processes[i].executors, before.processes[i].executors);
-      EXPECT_EQ(after.processes[i].state, wire::ProcessState::orphaned) << "has no connection";
+      EXPECT_EQ(after.processes[i].state, wire::ProcessState::orphaned) << "it has no connection";
       EXPECT_EQ(after.processes[i].region_count, 1u);
     }
     ASSERT_EQ(after.endpoints.size(), 2u);
@@ -64,7 +64,7 @@ TEST(DaemonRestart, GoesOnAsTheSameIncarnationWithEverythingItKnew) {
       EXPECT_EQ(after.endpoints[i].member, before.endpoints[i].member);
       EXPECT_EQ(after.endpoints[i].extent, before.endpoints[i].extent);
     }
-    // A newcomer gets what nobody has, and meets who is there.
+    // A new process gets unused resources, and its endpoints match those present.
     WireNode late(daemon.socket_path());
     EXPECT_EQ(late.welcome().incarnation, before.incarnation);
     EXPECT_EQ(late.welcome().client, 2u);
@@ -76,7 +76,8 @@ TEST(DaemonRestart, GoesOnAsTheSameIncarnationWithEverythingItKnew) {
     WireClient other(daemon.socket_path());
     EXPECT_EQ(other.hello().opcode(), wire::Opcode::welcome);
     const auto window = other.open_window(0).as<wire::WindowOpened>();
-    EXPECT_EQ(window.base, late.welcome().arena_base + window.bytes) << "the first one is taken";
+    EXPECT_EQ(window.base, late.welcome().arena_base + window.bytes)
+        << "the first window is in use";
     EXPECT_EQ(daemon.log().find(" board_words_repaired=0 ") != std::string::npos, true);
     EXPECT_EQ(daemon.log().find("client lost"), std::string::npos) << daemon.log();
     EXPECT_EQ(daemon.stop(), 0);
@@ -85,14 +86,14 @@ TEST(DaemonRestart, GoesOnAsTheSameIncarnationWithEverythingItKnew) {
   }
 }
 
-TEST(DaemonRestart, LetsWhoConnectsMeanwhileWaitInsteadOfFail) {
+TEST(DaemonRestart, LetsConnectionsWaitMeanwhileInsteadOfFail) {
   DaemonProcess daemon;
   const std::uint64_t incarnation = wire_dump(daemon.socket_path()).incarnation;
   std::optional<PacketSocket> early;
   {
     Absence away(daemon);
     auto socket = PacketSocket::connect(daemon.socket_path());
-    ASSERT_TRUE(socket) << "the listening socket is the supervisor's as well";
+    ASSERT_TRUE(socket) << "the supervisor has the listening socket as well";
     early = std::move(*socket);
   }
   wire::Hello hello{};
@@ -109,7 +110,7 @@ TEST(DaemonRestart, LetsWhoConnectsMeanwhileWaitInsteadOfFail) {
   EXPECT_EQ(welcome.incarnation, incarnation);
 }
 
-TEST(DaemonRestart, RepairsWhoEndedWhileItWasAwayAndDeliversWhatTheyHadCommitted) {
+TEST(DaemonRestart, RepairsProcessesThatEndedMeanwhileAndDeliversTheirCommittedMessages) {
   DaemonProcess daemon;
   const std::size_t kept = daemon.kept_count();
   WireNode subscriber(daemon.socket_path());
@@ -129,7 +130,7 @@ TEST(DaemonRestart, RepairsWhoEndedWhileItWasAwayAndDeliversWhatTheyHadCommitted
   }
   const WireDump after = wire_dump(daemon.socket_path());
   EXPECT_EQ(after.daemon.counters.clients_died, 2u);
-  // Nobody was told of the bystander: nothing of it is left. The publisher is being drained.
+  // No peer knew the bystander: nothing of it is left. The publisher is being drained.
   ASSERT_EQ(after.processes.size(), 2u);
   EXPECT_EQ(after.process(1)->state, wire::ProcessState::dead);
   EXPECT_EQ(after.topics.size(), 1u);
@@ -141,18 +142,18 @@ TEST(DaemonRestart, RepairsWhoEndedWhileItWasAwayAndDeliversWhatTheyHadCommitted
   EXPECT_EQ(subscriber.take(), 2u);
   EXPECT_EQ(subscriber.take(), std::nullopt);
   pollfd bell{subscriber.bells().datagram_fd(), POLLIN, 0};
-  EXPECT_EQ(::poll(&bell, 1, 10'000), 1) << "it was not rung";
-  // Of the subscriber region, pidfd and eventfd; of the publisher region and window, because whoever
-  // was told of them may have to be told again; of the bystander nothing.
+  EXPECT_EQ(::poll(&bell, 1, 10'000), 1) << "the daemon did not ring it";
+  // The subscriber's region, pidfd and eventfd; the publisher's region and window, which the
+  // daemon may have to announce again to its peers; nothing of the bystander.
   EXPECT_TRUE(eventually([&] { return daemon.kept_count() == kept + 5; }))
       << daemon.kept_count() << " of " << kept;
-  // Its place is not given to anybody as long as the subscriber has it.
+  // The daemon gives its place to no process as long as the subscriber has it.
   WireClient next(daemon.socket_path());
   EXPECT_EQ(next.hello().as<wire::Welcome>().client, 2u);
   EXPECT_NE(next.open_window(0).as<wire::WindowOpened>().base, subscriber.welcome().arena_base);
 }
 
-TEST(DaemonRestart, TakesBackWhoComesAgainAndTellsHimWhatHappenedMeanwhile) {
+TEST(DaemonRestart, LetsProcessesRejoinAndAnnouncesWhatHappenedMeanwhile) {
   for (const bool meanwhile : {false, true}) {
     SCOPED_TRACE(meanwhile ? "the publisher ends while the daemon is away" : "everybody lives");
     DaemonProcess daemon;
@@ -174,12 +175,12 @@ TEST(DaemonRestart, TakesBackWhoComesAgainAndTellsHimWhatHappenedMeanwhile) {
     EXPECT_EQ(own.creation, creation);
     std::vector<UniqueFd> fds;
     const auto about = wire.expect<wire::Announcement>(wire::Opcode::announce, &fds);
-    EXPECT_EQ(fds.size(), 2u) << "region and window, also of the dead";
+    EXPECT_EQ(fds.size(), 2u) << "region and window, also of the dead process";
     if (meanwhile) {
       EXPECT_EQ(wire.expect<wire::Orphaned>(wire::Opcode::orphaned).generation, about.generation);
     }
     EXPECT_EQ(wire.expect<wire::Reference>(wire::Opcode::region).index, about.client);
-    // The answer to a creation of the former life, and a creation of this one.
+    // The answer to a creation before the restart, and a creation after it.
     const Incoming again = wire.ask_again(wire::Opcode::create_subscription,
                                           WireClient::endpoint(topic_name, deep), creation);
     EXPECT_EQ(again.as<wire::EndpointCreated>().generation, own.generation);
@@ -188,7 +189,7 @@ TEST(DaemonRestart, TakesBackWhoComesAgainAndTellsHimWhatHappenedMeanwhile) {
   }
 }
 
-TEST(DaemonRestart, NoticesThatAProcessBecameAnotherProgramMeanwhile) {
+TEST(DaemonRestart, NoticesAProcessThatExecutedAnotherProgramMeanwhile) {
   DaemonProcess daemon;
   Child publisher(0, [&](int commands, std::uint64_t) {
     ::prctl(PR_SET_PDEATHSIG, SIGKILL);
@@ -208,7 +209,7 @@ TEST(DaemonRestart, NoticesThatAProcessBecameAnotherProgramMeanwhile) {
   EXPECT_TRUE(eventually([&] { return wire_dump(daemon.socket_path()).processes.empty(); }));
 }
 
-TEST(DaemonRestart, StaysFlatWhenEverybodyDiesAtRandomMoments) {
+TEST(DaemonRestart, UsesNoMoreWhenProcessesDieAtRandomMoments) {
   DaemonProcess daemon;
   std::mt19937 random(17);
   const auto settled = [&] {
@@ -225,7 +226,7 @@ TEST(DaemonRestart, StaysFlatWhenEverybodyDiesAtRandomMoments) {
     ASSERT_EQ(subscriber.command('w'), '+');
     ASSERT_EQ(publisher.command('p'), '+');
     const pid_t old = daemon.pid();
-    // Death of the daemon somewhere in the two reaps, before, or after.
+    // The daemon dies somewhere in the two reaps, before, or after.
     if (random() % 4 == 0) daemon.kill_worker();
     publisher.end();
     ::usleep(static_cast<useconds_t>(random() % 1500));
@@ -247,7 +248,7 @@ TEST(DaemonRestart, StaysFlatWhenEverybodyDiesAtRandomMoments) {
   EXPECT_EQ(daemon.log().find("client lost"), std::string::npos) << daemon.log();
 }
 
-TEST(DaemonRestart, BeginsAnewWhenWhatWasKeptIsLost) {
+TEST(DaemonRestart, FoundsANewIncarnationWhenItsStoreIsLost) {
   std::uint64_t incarnation = 0;
   std::string left, socket;
   const std::string directory = make_directory();
@@ -256,7 +257,7 @@ TEST(DaemonRestart, BeginsAnewWhenWhatWasKeptIsLost) {
     WireNode node(first.socket_path());
     ASSERT_TRUE(node.create_subscription(topic_name, deep));
     incarnation = node.welcome().incarnation;
-    first.kill();  // its supervisor, and it dies with it
+    first.kill();  // its supervisor; the worker dies with it
     std::filesystem::rename(first.directory() + "/run", directory + "/run");
   }
   ASSERT_FALSE(std::filesystem::is_empty(directory + "/run/agnocastd.sock.bells"));
@@ -270,7 +271,7 @@ TEST(DaemonRestart, BeginsAnewWhenWhatWasKeptIsLost) {
   remove_directory(directory);
 }
 
-TEST(DaemonRestart, RefusesADamagedJournalAndSaysWhatIsWrong) {
+TEST(DaemonRestart, RefusesADamagedRedoLogAndNamesTheDamage) {
   DaemonProcess daemon;
   WireNode node(daemon.socket_path());
   const UniqueFd journal = descriptor_of(daemon.supervisor_pid(), "agnocast-journal");
@@ -282,7 +283,7 @@ TEST(DaemonRestart, RefusesADamagedJournalAndSaysWhatIsWrong) {
       Absence away(daemon);
       ASSERT_EQ(::pread(journal.get(), &before, sizeof before, offset), ssize_t{8});
       ASSERT_EQ(::pwrite(journal.get(), &value, sizeof value, offset), ssize_t{8});
-      // Not served: Absence waits for a ready one in vain, so it is left by hand.
+      // Not served: Absence would wait for a ready daemon in vain, so the test ends it by hand.
       ::kill(daemon.supervisor_pid(), SIGCONT);
       EXPECT_TRUE(daemon.wait_for_log(what)) << daemon.log();
       ASSERT_TRUE(eventually([&] { return daemon.pid() > 0; }));
@@ -307,7 +308,7 @@ TEST(DaemonRestart, RefusesADamagedJournalAndSaysWhatIsWrong) {
   with(64, 0, "has not committed");
 }
 
-TEST(DaemonRestart, MakesItsSocketAnewWhereItsNameWasRemoved) {
+TEST(DaemonRestart, RecreatesItsSocketWhereItsNameWasRemoved) {
   DaemonProcess daemon;
   WireNode node(daemon.socket_path());
   std::filesystem::remove(daemon.socket_path());
@@ -317,8 +318,8 @@ TEST(DaemonRestart, MakesItsSocketAnewWhereItsNameWasRemoved) {
   EXPECT_EQ(wire_dump(daemon.socket_path()).incarnation, node.welcome().incarnation);
 }
 
-// A daemon that dies right after it has made its socket anew leaves its name, and nobody behind it.
-TEST(DaemonRestart, MakesItsSocketAnewWhereItsNameLeadsToNobody) {
+// A daemon that dies right after it has recreated its socket leaves the name without a listener.
+TEST(DaemonRestart, RecreatesItsSocketWhereNobodyListens) {
   DaemonProcess daemon;
   WireNode node(daemon.socket_path());
   std::filesystem::remove(daemon.socket_path());
@@ -330,8 +331,8 @@ TEST(DaemonRestart, MakesItsSocketAnewWhereItsNameLeadsToNobody) {
   EXPECT_EQ(wire_dump(daemon.socket_path()).incarnation, node.welcome().incarnation);
 }
 
-// It may have died between the removal of the former socket from the store and the new one's arrival.
-TEST(DaemonRestart, MakesSocketAndLockAnewWhereTheyWereNotKept) {
+// It may have died after the previous socket left the store and before the new one arrived.
+TEST(DaemonRestart, RecreatesSocketAndLockWhereTheyWereNotKept) {
   if (::geteuid() != 0) GTEST_SKIP() << "needs root";
   for (const char* const lost : {"listen", "lock"}) {
     SCOPED_TRACE(lost);
@@ -349,11 +350,11 @@ TEST(DaemonRestart, MakesSocketAndLockAnewWhereTheyWereNotKept) {
     EXPECT_TRUE(eventually([&] { return daemon.kept_count() == kept; })) << daemon.kept_count();
     pair.exchange();
     EXPECT_EQ(run_daemon({"--socket", daemon.socket_path(), "--fd-store=none"}).status, 1)
-        << "another one while this one runs";
+        << "another daemon while this one runs";
   }
 }
 
-TEST(DaemonRestart, KeepsTheArenaOfItsIncarnationWhateverTheConfigurationSaysNow) {
+TEST(DaemonRestart, KeepsTheArenaOfItsIncarnationWhenTheConfigurationChanges) {
   DaemonProcess daemon;
   WireNode first(daemon.socket_path());
   ASSERT_TRUE(first.create_publisher(topic_name, deep));

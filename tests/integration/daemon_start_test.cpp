@@ -1,7 +1,7 @@
 // SPDX-License-Identifier: Apache-2.0
 //
-// Goal: agnocastd starts where it can, says in one clear line why it does not where it cannot, and
-// leaves nothing behind at its end. Method: the real program; exact text and exit status.
+// Goal: agnocastd starts where it can, reports in one clear line why it does not where it cannot,
+// and leaves nothing behind at its end. Method: the real program; exact text and exit status.
 
 #include <base/packet_socket.hpp>
 #include <tests/support/child.hpp>
@@ -54,7 +54,7 @@ mode_t mode_of(const std::string& path) {
   return ::lstat(path.c_str(), &entry) == 0 ? entry.st_mode & 07777 : 0;
 }
 
-TEST(DaemonStart, MakesDirectoryAndSocketWithTheirModesAndRemovesTheSocketAtItsEnd) {
+TEST(DaemonStart, CreatesDirectoryAndSocketWithTheirModesAndRemovesTheSocketAtItsEnd) {
   for (const int signal : {SIGTERM, SIGINT}) {
     DaemonProcess daemon({.config = "[daemon]\nsocket_mode = \"0640\"\n"});
     const std::string run = daemon.directory() + "/run";
@@ -77,7 +77,7 @@ TEST(DaemonStart, TakesThePlaceOfOneThatWasKilled) {
   {
     DaemonProcess first;
     first.kill();
-    // What it left: a socket that nobody answers, a lock that nobody has, a directory of bells.
+    // Its remains: a socket without a listener, a lock without an owner, a directory of doorbells.
     left = first.directory() + "/run";
     ASSERT_TRUE(exists(first.socket_path()));
     std::filesystem::rename(left, directory / "run");
@@ -88,7 +88,7 @@ TEST(DaemonStart, TakesThePlaceOfOneThatWasKilled) {
   EXPECT_TRUE(PacketSocket::connect(socket));
 }
 
-TEST(DaemonStart, SaysThatAnotherOneIsRunning) {
+TEST(DaemonStart, ReportsThatAnotherOneIsRunning) {
   DaemonProcess daemon;
   const Ended second = run_daemon({"--socket", daemon.socket_path()});
   EXPECT_EQ(second.status, 1);
@@ -107,7 +107,7 @@ TEST(DaemonStart, DoesNotTakeThePlaceOfOneWhoseSocketWasRemoved) {
             "agnocastd: another agnocastd is running at " + daemon.socket_path());
 }
 
-TEST(DaemonStart, LeavesASocketAloneThatSomebodyElseAnswers) {
+TEST(DaemonStart, LeavesTheSocketOfAnotherListenerAlone) {
   Directory directory;
   const std::string path = directory / "agnocastd.sock";
   const auto listener = test::listen_at(path);
@@ -132,7 +132,7 @@ TEST(DaemonStart, DoesNotReplaceAFileThatIsNoSocket) {
   EXPECT_EQ(content, "precious");
 }
 
-TEST(DaemonStart, SaysThatADirectoryCannotBeUsed) {
+TEST(DaemonStart, ReportsAnUnusableDirectory) {
   Directory directory;
   const auto first_line = [](const Ended& ended) {
     return ended.err.substr(0, ended.err.find('\n'));
@@ -160,8 +160,8 @@ TEST(DaemonStart, SaysThatADirectoryCannotBeUsed) {
                                     ": Permission denied");
 }
 
-// /tmp and the like: everybody may make names there, and nobody may remove another user's.
-TEST(DaemonStart, UsesAndChangesNothingThatAnotherUserPutThereFirst) {
+// /tmp and the like: every user may create names there, and none may remove another user's.
+TEST(DaemonStart, UsesAndChangesNoFileOfAnotherUser) {
   if (::geteuid() != 0) GTEST_SKIP() << "needs root";
   const auto content = [](const std::string& path) {
     std::string text;
@@ -186,7 +186,7 @@ TEST(DaemonStart, UsesAndChangesNothingThatAnotherUserPutThereFirst) {
   write_file(lock, "another's");
   ASSERT_EQ(::chown(lock.c_str(), other_uid, other_uid), 0);
   const std::string refused = refusal();
-  // The kernel may refuse before (fs.protected_regular).
+  // The kernel may refuse first (fs.protected_regular).
   EXPECT_TRUE(refused == "agnocastd: cannot use " + lock + ": it is not a file of this user" ||
               refused == "agnocastd: cannot write in directory " + directory.path() +
                              ": Permission denied")
@@ -222,7 +222,7 @@ TEST(DaemonStart, RefusesPathsThatDoNotFitIntoAnAddress) {
   EXPECT_NE(bells.err.find("must have at most"), std::string::npos) << bells.err;
 }
 
-TEST(DaemonStart, SaysEveryMistakeOfAConfiguration) {
+TEST(DaemonStart, ReportsEveryMistakeOfAConfiguration) {
   Directory directory;
   write_file(directory / "bad.toml", "[limits]\ndepth_max = 5000\n[quota]\nclinets = 3\n");
   const Ended ended =
@@ -247,7 +247,7 @@ TEST(DaemonStart, RefusesAnArenaThatDoesNotFit) {
             "agnocastd: the arena does not fit into the addresses of this machine");
 }
 
-TEST(DaemonStart, PrintsWhatItIsAskedForAndRefusesTheRest) {
+TEST(DaemonStart, PrintsVersionAndHelpAndRefusesUnknownOptions) {
   const Ended help = run_daemon({"--help"});
   EXPECT_EQ(help.status, 0);
   for (const char* option : {"--socket", "--config", "--foreground", "--log-level",
@@ -266,7 +266,7 @@ TEST(DaemonStart, PrintsWhatItIsAskedForAndRefusesTheRest) {
   EXPECT_EQ(unknown.err, "agnocastd: --sokcet: unknown option\nhint: agnocastd --socket\n");
 }
 
-TEST(DaemonStart, SaysWhatIsWrongInItsConfigurationAndUnderWhichCode) {
+TEST(DaemonStart, NamesMistakesOfItsConfigurationAndTheirCode) {
   Directory directory;
   const std::string file = directory / "c.toml";
   std::ofstream(file) << "[heap]\nwindow_bytes = 5\nwindows = 3\n";
@@ -279,7 +279,7 @@ TEST(DaemonStart, SaysWhatIsWrongInItsConfigurationAndUnderWhichCode) {
       << ended.err;
 }
 
-TEST(DaemonStart, WhoMayConnectIsNeverToldOtherwiseWhileItBegins) {
+TEST(DaemonStart, APermittedUserIsNeverRefusedWhileItStarts) {
   if (::geteuid() != 0) GTEST_SKIP() << "needs root and another user";
   Directory directory;
   const std::string path = directory / "agnocastd.sock";
@@ -318,7 +318,7 @@ TEST(DaemonStart, WhoMayConnectIsNeverToldOtherwiseWhileItBegins) {
 
 TEST(DaemonStart, NeedsNoRoot) {
   if (::geteuid() != 0)
-    GTEST_SKIP() << "needs root to become somebody else; without it every other test shows this";
+    GTEST_SKIP() << "needs root to become another user; without root every other test covers this";
   DaemonProcess daemon({.uid = other_uid});
   EXPECT_TRUE(PacketSocket::connect(daemon.socket_path()));
   EXPECT_NE(daemon.log().find("unprivileged=yes"), std::string::npos) << daemon.log();
@@ -326,8 +326,9 @@ TEST(DaemonStart, NeedsNoRoot) {
   EXPECT_EQ(daemon.stop(), 0);
 }
 
-TEST(DaemonStart, SaysOnceThatItsManagerKeepsNothingAndGoesOn) {
-  DaemonProcess daemon({.arguments = {"--fd-store=manager"}});  // the test closes what it is given
+TEST(DaemonStart, ReportsOnceThatItsManagerKeepsNothingAndGoesOn) {
+  // the test closes the sockets passed to it
+  DaemonProcess daemon({.arguments = {"--fd-store=manager"}});
   EXPECT_EQ(WireClient(daemon.socket_path()).hello().opcode(), wire::Opcode::welcome);
   const std::string log = daemon.log();
   const std::size_t said = log.find("warning nothing is kept");
@@ -335,10 +336,10 @@ TEST(DaemonStart, SaysOnceThatItsManagerKeepsNothingAndGoesOn) {
   EXPECT_EQ(log.find("nothing is kept", said + 20), std::string::npos);
   EXPECT_NE(log.find("FileDescriptorStoreMax="), std::string::npos) << log;
   EXPECT_EQ(daemon.stop(), 0);
-  EXPECT_FALSE(exists(daemon.socket_path())) << "nobody goes on with it";
+  EXPECT_FALSE(exists(daemon.socket_path())) << "no other process uses it";
 }
 
-TEST(DaemonStart, ListensAtASocketThatIsPassedAndLeavesItWhereItIs) {
+TEST(DaemonStart, ListensAtAPassedSocketAndLeavesItInPlace) {
   for (const std::string keeper : {"own", "none"}) {
     Directory directory;
     const std::string path = directory / "passed.sock";
@@ -362,17 +363,17 @@ TEST(DaemonStart, ListensAtASocketThatIsPassedAndLeavesItWhereItIs) {
     EXPECT_TRUE(exists(path + ".bells"));
     EXPECT_EQ(daemon.stop(), 0);
     EXPECT_FALSE(exists(path + ".bells"));
-    EXPECT_TRUE(PacketSocket::connect(path)) << "it is not the daemon's to remove";
+    EXPECT_TRUE(PacketSocket::connect(path)) << "the daemon does not remove a passed socket";
   }
 }
 
-TEST(DaemonStart, SaysWhatIsWrongWithASocketThatIsPassed) {
+TEST(DaemonStart, NamesTheFaultOfAPassedSocket) {
   Directory directory;
   const auto first = listen_at(directory / "first"), second = listen_at(directory / "second");
   const auto mute = PacketListener::bind(directory / "mute");
   const auto without_path = [](int type) {
     UniqueFd fd(::socket(AF_UNIX, type | SOCK_CLOEXEC, 0));
-    const sockaddr_un any{AF_UNIX, {}};  // of this length the kernel finds an abstract name
+    const sockaddr_un any{AF_UNIX, {}};  // for this length the kernel chooses an abstract name
     EXPECT_EQ(::bind(fd.get(), reinterpret_cast<const sockaddr*>(&any), sizeof(sa_family_t)), 0);
     EXPECT_EQ(::listen(fd.get(), 1), 0);
     return fd;
@@ -395,10 +396,10 @@ TEST(DaemonStart, SaysWhatIsWrongWithASocketThatIsPassed) {
             "hint: have one ListenSequentialPacket= in agnocastd.socket\n");
 }
 
-TEST(DaemonStart, NobodyWhoReadsWhatItSaysStopsNothing) {
+TEST(DaemonStart, ALogThatNobodyReadsStopsNothing) {
   int ends[2];
   ASSERT_EQ(::pipe2(ends, O_CLOEXEC), 0);
-  const UniqueFd reader(ends[0]), writer(ends[1]);  // as a shell leaves it to its children
+  const UniqueFd reader(ends[0]), writer(ends[1]);  // as a shell passes it to its children
   const auto own = [](const UniqueFd& end, int flags) {
     return UniqueFd(
         ::open(("/proc/self/fd/" + std::to_string(end.get())).c_str(), flags | O_NONBLOCK));
@@ -431,7 +432,7 @@ TEST(DaemonStart, NobodyWhoReadsWhatItSaysStopsNothing) {
     return exists(socket) && PacketSocket::connect(socket).has_value() &&
            WireClient(socket).hello().opcode() == wire::Opcode::welcome;
   };
-  ASSERT_TRUE(eventually(is_welcome)) << "the daemon says that it is ready";
+  ASSERT_TRUE(eventually(is_welcome)) << "the daemon logs that it is ready";
   const auto worker = [&]() -> pid_t {
     const std::string pid = std::to_string(daemon.pid());
     std::ifstream children("/proc/" + pid + "/task/" + pid + "/children");
@@ -443,7 +444,7 @@ TEST(DaemonStart, NobodyWhoReadsWhatItSaysStopsNothing) {
   ASSERT_GT(before, 0);
   ASSERT_EQ(::kill(before, SIGKILL), 0);
   ASSERT_TRUE(eventually([&] { return worker() != before && worker() > 0; }))
-      << "the supervisor says that it died";
+      << "the supervisor logs that it died";
   ASSERT_TRUE(eventually(is_welcome));
   std::string said = read_all();
   ASSERT_TRUE(is_welcome());

@@ -1,7 +1,7 @@
 // SPDX-License-Identifier: Apache-2.0
 //
-// Goal: a window is brought by nobody but its owner to no place but its own, and a heap that a reader
-// cannot map moves, with everybody told what concerns him. Method: as daemon_protocol_test.cpp.
+// Goal: only its owner can bring a window, only to its own place, and a heap that a reader cannot
+// map moves, with all affected processes notified. Method: as daemon_protocol_test.cpp.
 
 #include <base/memfd.hpp>
 #include <tests/integration/raw_node.hpp>
@@ -19,7 +19,7 @@ namespace {
 using wire::Opcode;
 using Node = RawNode;
 
-TEST(DaemonProtocol, TakesAWindowThatADaemonMadeAndNothingElse) {
+TEST(DaemonProtocol, AcceptsOnlyWindowsThatADaemonMade) {
   DaemonProcess former, daemon;
   Node owner(former);
   Incoming opened = owner.wire.open_window(0);
@@ -29,28 +29,28 @@ TEST(DaemonProtocol, TakesAWindowThatADaemonMadeAndNothingElse) {
 
   Node node(daemon);
   EXPECT_EQ(node.wire.bring_window(window, reader).refused_code(), Errc::permission_denied)
-      << "everybody who reads from its owner has it like that";
+      << "every reader of its owner has such a descriptor";
   EXPECT_EQ(node.wire.bring_window(window, node.fds[0].get()).refused_code(),
             Errc::permission_denied)
       << "a region";
   const UniqueFd own(::memfd_create("own", MFD_CLOEXEC | MFD_ALLOW_SEALING));
   ASSERT_EQ(::ftruncate(own.get(), static_cast<off_t>(window.bytes)), 0);
   EXPECT_EQ(node.wire.bring_window(window, own.get()).refused_code(), Errc::permission_denied)
-      << "its owner could cut it off under its readers";
+      << "its owner could truncate it under its readers";
   auto later = window;
   later.window = 1;
   EXPECT_EQ(node.wire.bring_window(later, writer).refused_code(), Errc::protocol_violation);
 
   EXPECT_EQ(node.wire.bring_window(window, writer).opcode(), Opcode::done);
-  EXPECT_EQ(node.wire.bring_window(window, writer).opcode(), Opcode::done) << "it is there";
+  EXPECT_EQ(node.wire.bring_window(window, writer).opcode(), Opcode::done) << "it is already there";
   Node other(daemon);
   EXPECT_EQ(other.wire.bring_window(window, writer).refused_code(), Errc::arena_occupied);
   const auto next = node.wire.open_window(1).as<wire::WindowOpened>();
   EXPECT_NE(next.base, window.base);
-  EXPECT_EQ(next.first, 0u) << "one group";
+  EXPECT_EQ(next.first, 0u) << "one window set";
 }
 
-TEST(DaemonProtocol, GivesAWindowThatIsBroughtNoPlaceButItsOwn) {
+TEST(DaemonProtocol, GivesABroughtWindowOnlyItsOwnPlace) {
   DaemonProcess former, daemon;
   Node owner(former), squatter(former);
   Incoming opened = owner.wire.open_window(0), another = squatter.wire.open_window(0);
@@ -78,7 +78,7 @@ TEST(DaemonProtocol, GivesAWindowThatIsBroughtNoPlaceButItsOwn) {
   EXPECT_EQ(second.wire.bring_window(window, opened.fds[0].get()).opcode(), Opcode::done);
 }
 
-TEST(DaemonProtocol, TakesNoWindowThatAnotherUserHasMade) {
+TEST(DaemonProtocol, AcceptsNoWindowThatAnotherUserMade) {
   if (::geteuid() != 0) GTEST_SKIP() << "needs root and another user";
   DaemonProcess former, daemon;
   Node owner(former), node(daemon);
@@ -98,10 +98,10 @@ TEST(DaemonProtocol, TakesNoWindowThatAnotherUserHasMade) {
   const UniqueFd others = made_by(65534), ours = made_by(0);
   EXPECT_EQ(node.wire.bring_window(window, others.get()).refused_code(), Errc::permission_denied);
   EXPECT_EQ(node.wire.bring_window(window, ours.get()).opcode(), Opcode::done)
-      << "or this test shows nothing";
+      << "bringing fails anyway, so the test proves nothing";
 }
 
-TEST(DaemonProtocol, TakesNoWindowFromAnotherUserThanItsOwner) {
+TEST(DaemonProtocol, AcceptsAWindowOnlyFromItsOwnersUser) {
   if (::geteuid() != 0) GTEST_SKIP() << "needs root and another user";
   DaemonProcess former, daemon;
   Node owner(former);
@@ -112,7 +112,7 @@ TEST(DaemonProtocol, TakesNoWindowFromAnotherUserThanItsOwner) {
     EXPECT_EQ(client.hello().opcode(), Opcode::welcome);
     return client.bring_window(window, opened.fds[0].get());
   };
-  const pid_t pid = ::fork();  // it has kept a descriptor of somebody else's
+  const pid_t pid = ::fork();  // it has kept a descriptor of another process
   if (pid == 0) {
     if (::setuid(65534) != 0) ::_exit(99);
     const bool is_refused = bring().refused_code() == Errc::permission_denied;
@@ -121,10 +121,10 @@ TEST(DaemonProtocol, TakesNoWindowFromAnotherUserThanItsOwner) {
   int status = -1;
   ASSERT_EQ(::waitpid(pid, &status, 0), pid);
   EXPECT_EQ(status, 0);
-  EXPECT_EQ(bring().opcode(), Opcode::done) << "or this test shows nothing";
+  EXPECT_EQ(bring().opcode(), Opcode::done) << "bringing fails anyway, so the test proves nothing";
 }
 
-TEST(DaemonProtocol, TakesARegionForNoWindowWhateverTheirSizes) {
+TEST(DaemonProtocol, AcceptsNoRegionAsAWindowWhateverTheirSizes) {
   const test::DaemonOptions options{
       .config =
           "[daemon]\nsocket_mode = \"0666\"\n[heap]\nwindow_bytes = \"1GiB\"\n"
@@ -185,17 +185,17 @@ TEST(DaemonProtocol, AsksAHeapToMoveForAReaderThatCannotMapIt) {
   EXPECT_EQ(publisher.expect<wire::MoveHeap>(Opcode::move_heap).window, 1u);
 
   const auto next = publisher.open_window(1).as<wire::WindowOpened>();
-  EXPECT_EQ(next.first, 1u) << "a group of its own";
-  EXPECT_EQ(next.base, window.base + 2 * window.bytes) << "where the reader has nothing";
+  EXPECT_EQ(next.first, 1u) << "a window set of its own";
+  EXPECT_EQ(next.base, window.base + 2 * window.bytes) << "where the reader has mapped nothing";
   const auto again = publisher.open_window(1).as<wire::WindowOpened>();
   EXPECT_EQ(again.first, 1u);
   const auto more = publisher.open_window(2).as<wire::WindowOpened>();
-  EXPECT_EQ(more.first, 1u) << "growth within the group";
+  EXPECT_EQ(more.first, 1u) << "growth within the window set";
   EXPECT_EQ(reader.expect<wire::WindowAnnounced>(Opcode::window_announced).first, 1u);
   EXPECT_EQ(reader.expect<wire::WindowAnnounced>(Opcode::window_announced).first, 1u);
 }
 
-TEST(DaemonProtocol, TellsNobodyOfAnotherUserWhatAProcessHasMapped) {
+TEST(DaemonProtocol, TellsNoOtherUserWhatAProcessHasMapped) {
   if (::geteuid() != 0) GTEST_SKIP() << "needs root and another user";
   DaemonProcess daemon;
   WireClient publisher(daemon.socket_path());
@@ -223,10 +223,10 @@ TEST(DaemonProtocol, TellsNobodyOfAnotherUserWhatAProcessHasMapped) {
   EXPECT_NE(told.find(std::to_string(abi::window_granule_bytes) + " bytes"), std::string::npos)
       << told;
   EXPECT_EQ(told.find("a test"), std::string::npos) << told;
-  EXPECT_NE(daemon.log().find("a test"), std::string::npos) << "the log has all";
+  EXPECT_NE(daemon.log().find("a test"), std::string::npos) << "the log has the whole text";
 }
 
-TEST(DaemonProtocol, TellsPublishersOnceOfARangeThatIsSaidAgainAndAgain) {
+TEST(DaemonProtocol, NotifiesPublishersOnceOfARangeThatIsReportedRepeatedly) {
   DaemonProcess daemon;
   WireClient publisher(daemon.socket_path()), reader(daemon.socket_path());
   publisher.hello();
@@ -242,7 +242,7 @@ TEST(DaemonProtocol, TellsPublishersOnceOfARangeThatIsSaidAgainAndAgain) {
   EXPECT_EQ(notices, 1u);
 }
 
-TEST(DaemonProtocol, RefusesBlockedRangesThatCannotBeAndLetsNobodyBlockEverything) {
+TEST(DaemonProtocol, RefusesImpossibleBlockedRangesAndLetsNobodyBlockEverything) {
   DaemonProcess daemon;
   WireClient hostile(daemon.socket_path()), honest(daemon.socket_path());
   const auto arena = hostile.hello().as<wire::Welcome>();
@@ -257,11 +257,12 @@ TEST(DaemonProtocol, RefusesBlockedRangesThatCannotBeAndLetsNobodyBlockEverythin
   EXPECT_TRUE(refused(arena.arena_base, 0));
   EXPECT_TRUE(refused(arena.arena_base, arena.arena_bytes + 1));
   EXPECT_TRUE(refused(~std::uint64_t{0}, ~std::uint64_t{0}));
-  EXPECT_FALSE(refused(arena.arena_base, arena.arena_bytes)) << "all of it";
+  EXPECT_FALSE(refused(arena.arena_base, arena.arena_bytes)) << "the whole arena";
   for (std::uint64_t i = 1; i < abi::blocked_count_max; ++i)
     EXPECT_FALSE(refused(arena.arena_base, i * abi::window_granule_bytes)) << i;
   EXPECT_TRUE(refused(arena.arena_base, 4096)) << "one too many";
-  EXPECT_EQ(hostile.open_window(0).refused_code(), Errc::arena_occupied) << "in its own way";
+  EXPECT_EQ(hostile.open_window(0).refused_code(), Errc::arena_occupied)
+      << "it blocks only its own windows";
   honest.hello();
   EXPECT_EQ(honest.open_window(0).opcode(), Opcode::window_opened);
 }

@@ -1,7 +1,8 @@
 // SPDX-License-Identifier: Apache-2.0
 //
-// Goal: whatever is wrong with the daemon, its limits or its host, doctor names exactly that, and its remedy
-// mends it. Method: each set-up broken for real; what the host says of itself comes from files of the test.
+// Goal: whatever is wrong with the daemon, its limits or its host, doctor names exactly that, and
+// its remedy repairs it. Method: each set-up broken for real; files of the test stand in for the
+// host's settings.
 
 #include <tests/integration/ctl_node.hpp>
 #include <tests/support/child.hpp>
@@ -34,8 +35,8 @@ class DoctorDaemon : public testing::Test {
   void SetUp() override {
     if (!Doctored::has_namespaces()) GTEST_SKIP() << "needs root: a mount namespace";
   }
-  /// Runs a remedy that makes the daemon read its configuration again. Our raw nodes do not come back by
-  /// themselves, so that they are gone is found then; what was mended is not.
+  /// Runs a remedy that makes the daemon read its configuration again. Our raw nodes do not rejoin
+  /// by themselves, so doctor then finds them missing, but no longer the repaired problem.
   static void expect_mended_by_reload(DaemonProcess& daemon, Doctored& doctor,
                                       const Findings& findings) {
     const std::string id = findings.ids()[0];
@@ -47,7 +48,7 @@ class DoctorDaemon : public testing::Test {
   }
 };
 
-TEST_F(DoctorDaemon, SaysWhichQuotaIsUsedUp) {
+TEST_F(DoctorDaemon, NamesTheQuotaThatIsUsedUp) {
   DaemonProcess daemon({.more_config = "[quota]\ntopics = 4\n"});
   Doctored doctor(daemon.socket_path());
   Node node(daemon.socket_path());
@@ -61,7 +62,7 @@ TEST_F(DoctorDaemon, SaysWhichQuotaIsUsedUp) {
   expect_mended_by_reload(daemon, doctor, findings);
 }
 
-TEST_F(DoctorDaemon, SaysWhichQuotaHasRefusedSomebody) {
+TEST_F(DoctorDaemon, NamesTheQuotaThatHasRefusedARequest) {
   DaemonProcess daemon({.more_config = "[quota]\nheld_messages = 10\n"});
   Doctored doctor(daemon.socket_path());
   Node node(daemon.socket_path());
@@ -76,7 +77,7 @@ TEST_F(DoctorDaemon, SaysWhichQuotaHasRefusedSomebody) {
   EXPECT_THAT(findings.remedies[0], HasSubstr("/^held_messages = .*/held_messages = 20/"));
 }
 
-TEST_F(DoctorDaemon, SaysWhichTableIsFull) {
+TEST_F(DoctorDaemon, NamesTheTableThatIsFull) {
   DaemonProcess daemon({.more_config = "[limits]\ntopics = 4\n"});
   Doctored doctor(daemon.socket_path());
   Node node(daemon.socket_path());
@@ -87,7 +88,7 @@ TEST_F(DoctorDaemon, SaysWhichTableIsFull) {
   expect_mended_by_reload(daemon, doctor, findings);
 }
 
-TEST_F(DoctorDaemon, SaysWhichDepthWasRefused) {
+TEST_F(DoctorDaemon, NamesTheDepthThatWasRefused) {
   DaemonProcess daemon({.more_config = "[limits]\ndepth_max = 10\n"});
   Doctored doctor(daemon.socket_path());
   Node node(daemon.socket_path());
@@ -98,10 +99,10 @@ TEST_F(DoctorDaemon, SaysWhichDepthWasRefused) {
   std::ifstream in(daemon.directory() + "/agnocastd.toml");
   const std::string config{std::istreambuf_iterator<char>(in), {}};
   EXPECT_THAT(config, HasSubstr("depth_max = 20\n"));
-  EXPECT_THAT(config, HasSubstr("window_bytes = \"64MiB\"\n")) << "what was set stays set";
+  EXPECT_THAT(config, HasSubstr("window_bytes = \"64MiB\"\n")) << "earlier settings stay";
 }
 
-TEST_F(DoctorDaemon, SaysThatAnUpdateAwaitsARestart) {
+TEST_F(DoctorDaemon, ReportsThatAnUpdateAwaitsARestart) {
   const std::string directory = make_directory(), program = directory + "/agnocastd";
   std::filesystem::copy_file(AGNOCAST_TEST_DAEMON, program);
   {
@@ -117,7 +118,7 @@ TEST_F(DoctorDaemon, SaysThatAnUpdateAwaitsARestart) {
   remove_directory(directory);
 }
 
-TEST_F(DoctorDaemon, SaysThatNothingIsKept) {
+TEST_F(DoctorDaemon, ReportsThatNothingIsKept) {
   DaemonProcess daemon({.arguments = {"--fd-store=none"}});
   Doctored doctor(daemon.socket_path());
   const pid_t old = daemon.pid();
@@ -131,7 +132,7 @@ TEST_F(DoctorDaemon, SaysThatNothingIsKept) {
   EXPECT_THAT(doctor.look().all, IsEmpty());
 }
 
-TEST_F(DoctorDaemon, SaysThatTheDaemonDiesAgainAndAgain) {
+TEST_F(DoctorDaemon, ReportsThatTheDaemonDiesRepeatedly) {
   DaemonProcess daemon;
   Doctored doctor(daemon.socket_path());
   for (int death = 0; death < 3; ++death) {
@@ -144,7 +145,7 @@ TEST_F(DoctorDaemon, SaysThatTheDaemonDiesAgainAndAgain) {
   EXPECT_THAT(findings.remedies[0], StartsWith("journalctl "));
 }
 
-TEST_F(DoctorDaemon, SaysThatDescriptorsRunOut) {
+TEST_F(DoctorDaemon, ReportsThatDescriptorsRunOut) {
   DaemonProcess daemon;
   Doctored doctor(daemon.socket_path());
   std::vector<std::unique_ptr<Node>> nodes;
@@ -163,7 +164,7 @@ TEST_F(DoctorDaemon, SaysThatDescriptorsRunOut) {
   EXPECT_THAT(doctor.look().all, IsEmpty());
 }
 
-TEST_F(DoctorDaemon, SaysThatTheLogIsLoud) {
+TEST_F(DoctorDaemon, ReportsAVerboseLog) {
   DaemonProcess daemon({.arguments = {"--log-level", "debug"}});
   Doctored doctor(daemon.socket_path());
   const Findings findings = doctor.look();
@@ -173,7 +174,7 @@ TEST_F(DoctorDaemon, SaysThatTheLogIsLoud) {
   EXPECT_THAT(doctor.look().all, IsEmpty());
 }
 
-TEST_F(DoctorDaemon, SaysThatTheStoreIsDamaged) {
+TEST_F(DoctorDaemon, ReportsADamagedStore) {
   DaemonProcess daemon;
   Doctored doctor(daemon.socket_path());
   const UniqueFd journal = descriptor_of(daemon.supervisor_pid(), "agnocast-journal");
@@ -193,9 +194,9 @@ TEST_F(DoctorDaemon, SaysThatTheStoreIsDamaged) {
   EXPECT_THAT(doctor.look().all, IsEmpty());
 }
 
-// The worker is stopped, which is the one way to make it hang from outside; doctor is shown a state that
-// does not say so, or it would find daemon-stopped.
-TEST_F(DoctorDaemon, MendsADaemonThatHangs) {
+// Stopping the worker is the only way to make it hang from outside; doctor reads a process state
+// that hides the stop, or it would find daemon-stopped.
+TEST_F(DoctorDaemon, RepairsADaemonThatHangs) {
   DaemonProcess daemon(
       {.config = "[daemon]\nsocket_mode = \"0666\"\nwatchdog_seconds = \"off\"\n"});
   Doctored doctor(daemon.socket_path());
@@ -208,7 +209,7 @@ TEST_F(DoctorDaemon, MendsADaemonThatHangs) {
   EXPECT_THAT(doctor.look().all, IsEmpty());
 }
 
-TEST_F(DoctorDaemon, SaysWhatTheHostDoesNotAllow) {
+TEST_F(DoctorDaemon, NamesTheSettingsThatTheHostLacks) {
   DaemonProcess daemon;
   Doctored doctor(daemon.socket_path());
   Node node(daemon.socket_path());
@@ -228,7 +229,7 @@ TEST_F(DoctorDaemon, SaysWhatTheHostDoesNotAllow) {
   EXPECT_EQ(findings.remedies[0], "sudo sysctl -w vm.max_map_count=262144");
 }
 
-TEST_F(DoctorDaemon, SaysThatReadersCouldKeepThePagesOfAnotherUser) {
+TEST_F(DoctorDaemon, ReportsThatReadersCouldKeepThePagesOfAnotherUser) {
   if (::geteuid() != 0) GTEST_SKIP() << "needs root, for a process of another user";
   DaemonProcess daemon({.config = "[daemon]\nsocket_mode = \"0666\"\n"});
   Doctored doctor(daemon.socket_path());
@@ -248,7 +249,7 @@ TEST_F(DoctorDaemon, SaysThatReadersCouldKeepThePagesOfAnotherUser) {
   EXPECT_THAT(findings.remedies[0], HasSubstr("- - - - deny'"));
   EXPECT_EQ(findings.result.status, 0) << "a warning";
   doctor.overlay()[shmem_enabled] = "always advise never [deny]\n";
-  EXPECT_THAT(doctor.look().all, IsEmpty()) << "nor are huge pages missed";
+  EXPECT_THAT(doctor.look().all, IsEmpty()) << "doctor does not ask for huge pages either";
 }
 
 }  // namespace

@@ -1,7 +1,8 @@
 // SPDX-License-Identifier: Apache-2.0
 //
-// Goal: whatever is wrong with this shell or with the way to the daemon, doctor names exactly that, and its
-// remedy mends it. Method: each set-up broken for real, agnocast-ctl as a program of its own.
+// Goal: whatever is wrong with this shell or with the way to the daemon, doctor names exactly
+// that, and its remedy repairs it. Method: each set-up broken for real, agnocast-ctl as a program
+// of its own.
 
 #include <base/unix_address.hpp>
 #include <tests/integration/ctl_node.hpp>
@@ -29,7 +30,7 @@ using Node = CtlNode;
 
 constexpr uid_t nobody = 65534;
 
-/// Ends the daemon that a remedy has started; true if there was one.
+/// Ends the daemon that a remedy has started; returns whether there was one.
 bool end_daemon_at(const std::string& socket) {
   const CtlResult status = run_ctl(socket, {"status", "-j"});
   if (status.status != 0) return false;
@@ -48,7 +49,7 @@ class DoctorDoor : public testing::Test {
   }
 };
 
-TEST_F(DoctorDoor, FindsNothingWhereAllIsWell) {
+TEST_F(DoctorDoor, FindsNothingInAHealthySystem) {
   DaemonProcess daemon;
   Doctored doctor(daemon.socket_path());
   const Findings findings = doctor.look();
@@ -58,7 +59,7 @@ TEST_F(DoctorDoor, FindsNothingWhereAllIsWell) {
   EXPECT_THAT(people.out, HasSubstr(" checks passed"));
 }
 
-TEST_F(DoctorDoor, SaysThatThereIsNoDaemonAndHowToStartOne) {
+TEST_F(DoctorDoor, ReportsAMissingDaemonAndHowToStartOne) {
   const std::string directory = make_directory(), socket = directory + "/agnocastd.sock";
   Doctored doctor(socket);
   const Findings findings = doctor.look();
@@ -73,7 +74,7 @@ TEST_F(DoctorDoor, SaysThatThereIsNoDaemonAndHowToStartOne) {
   remove_directory(directory);
 }
 
-TEST_F(DoctorDoor, SaysThatNobodyListens) {
+TEST_F(DoctorDoor, ReportsASocketWithoutAListener) {
   DaemonProcess daemon;
   daemon.kill();
   Doctored doctor(daemon.socket_path());
@@ -85,7 +86,7 @@ TEST_F(DoctorDoor, SaysThatNobodyListens) {
   EXPECT_TRUE(end_daemon_at(daemon.socket_path()));
 }
 
-TEST_F(DoctorDoor, SaysThatSomethingElseIsThere) {
+TEST_F(DoctorDoor, ReportsThatAnotherFileIsThere) {
   const std::string directory = make_directory(), path = directory + "/thing";
   std::ofstream(path) << "no socket";
   Doctored doctor(path);
@@ -120,7 +121,7 @@ TEST_F(DoctorDoor, SaysThatSomethingElseIsThere) {
   remove_directory(directory);
 }
 
-TEST_F(DoctorDoor, SaysWhichGroupIsMissing) {
+TEST_F(DoctorDoor, NamesTheMissingGroup) {
   const group* const games = ::getgrnam("games");
   if (games == nullptr) GTEST_SKIP() << "there is no group games here";
   DaemonProcess daemon({.config = "[daemon]\nsocket_mode = \"0660\"\nsocket_group = \"games\"\n"});
@@ -129,14 +130,14 @@ TEST_F(DoctorDoor, SaysWhichGroupIsMissing) {
   const Findings findings = doctor.look();
   EXPECT_THAT(findings.ids(), ElementsAre("not-in-group"));
   EXPECT_EQ(findings.remedies[0], "sudo usermod -aG games nobody");
-  // As that command leaves it behind: the shell is older.
+  // The state after that command: the shell is older.
   doctor.overlay()["/etc/group"] = "games:x:" + std::to_string(games->gr_gid) + ":nobody\n";
   const Findings later = doctor.look();
   EXPECT_THAT(later.ids(), ElementsAre("group-not-in-shell"));
   EXPECT_EQ(later.remedies[0], "newgrp games");
 }
 
-TEST_F(DoctorDoor, SaysWhatKeepsTheUserOut) {
+TEST_F(DoctorDoor, NamesThePermissionThatKeepsTheUserOut) {
   DaemonProcess daemon({.config = "[daemon]\nsocket_mode = \"0600\"\n"});
   Doctored doctor(daemon.socket_path());
   doctor.set_user(nobody);
@@ -153,17 +154,17 @@ TEST_F(DoctorDoor, SaysWhatKeepsTheUserOut) {
   EXPECT_THAT(doctor.look().all, IsEmpty());
 }
 
-TEST_F(DoctorDoor, SaysThatTheDaemonIsStopped) {
+TEST_F(DoctorDoor, ReportsThatTheDaemonIsStopped) {
   DaemonProcess daemon;
   Doctored doctor(daemon.socket_path());
   ASSERT_EQ(::kill(daemon.pid(), SIGSTOP), 0);
-  const Findings findings = doctor.look();  // whether or not it stands still already
+  const Findings findings = doctor.look();  // whether or not it has stopped already
   ASSERT_THAT(findings.ids(), ElementsAre("daemon-stopped"));
   const Remedy remedy(findings.remedies[0]);
   EXPECT_THAT(doctor.look().all, IsEmpty());
 }
 
-TEST_F(DoctorDoor, SaysThatTheDaemonHasAnotherLayout) {
+TEST_F(DoctorDoor, ReportsThatTheDaemonHasAnotherLayout) {
   DaemonProcess daemon({.program = AGNOCAST_TEST_OTHER_DAEMON});
   Doctored doctor(daemon.socket_path());
   const Findings findings = doctor.look();
@@ -174,7 +175,7 @@ TEST_F(DoctorDoor, SaysThatTheDaemonHasAnotherLayout) {
   EXPECT_TRUE(end_daemon_at(daemon.socket_path()));
 }
 
-TEST_F(DoctorDoor, SaysWhoServesAndIsNotTrusted) {
+TEST_F(DoctorDoor, NamesAListenerThatIsNotTrusted) {
   if (::geteuid() != 0) GTEST_SKIP() << "needs root, for a daemon of another user";
   constexpr uid_t other = 65534;
   DaemonProcess daemon({.uid = other});
@@ -192,7 +193,7 @@ TEST_F(DoctorDoor, SaysWhoServesAndIsNotTrusted) {
   EXPECT_THAT(doctor.look().ids(), testing::Not(testing::Contains("daemon-untrusted")));
 }
 
-TEST_F(DoctorDoor, SaysThatNoDescriptorArrivesAndWhatKeepsThemAway) {
+TEST_F(DoctorDoor, ReportsThatNoDescriptorArrivesAndWhy) {
   DaemonProcess daemon;
   const std::string path = daemon.directory() + "/proxy.sock";
   Doctored doctor(path);
@@ -204,12 +205,12 @@ TEST_F(DoctorDoor, SaysThatNoDescriptorArrivesAndWhatKeepsThemAway) {
   EXPECT_EQ(findings.remedies[0], "sudo ss -xlp src " + path);
   const Remedy remedy(findings.remedies[0]);
   EXPECT_EQ(remedy.status(), 0);
-  // What the kernel says of a shell with a profile; this one need not have such a module.
+  // The kernel's report about a shell with a profile; this kernel need not have such a module.
   const std::string says = "/proc/self/attr/current";
   doctor.overlay()[says] = "/opt/my node (enforce)\n";
   const Findings confined = doctor.look();
   if (confined.remedies == findings.remedies)
-    GTEST_SKIP() << "this kernel has no " << says << " that could be another";
+    GTEST_SKIP() << "this kernel has no " << says << " with another value";
   EXPECT_THAT(confined.remedies[0], HasSubstr("grep -rlF '/opt/my node' /etc/apparmor.d"));
   doctor.overlay()[says] = "my-node (enforce)\n";
   findings = doctor.look();
@@ -223,8 +224,8 @@ TEST_F(DoctorDoor, SaysThatNoDescriptorArrivesAndWhatKeepsThemAway) {
   EXPECT_THAT(Doctored(daemon.socket_path()).look().all, IsEmpty()) << "without the proxy";
 }
 
-// The kernel cuts descriptors off for both reasons with the same flag; which one it was is seen here.
-TEST_F(DoctorDoor, TellsAProfileFromALimitOfOpenFiles) {
+// The kernel drops descriptors for both reasons with the same flag; doctor has to tell them apart.
+TEST_F(DoctorDoor, DistinguishesAProfileFromALimitOfOpenFiles) {
   DaemonProcess daemon;
   // The standard three and the connection.
   const CtlResult result = run_ctl(daemon.socket_path(), {"doctor", "-j"}, {}, {}, nullptr, [] {
@@ -249,7 +250,7 @@ TEST_F(DoctorDoor, TellsAProfileFromALimitOfOpenFiles) {
             0);
 }
 
-TEST_F(DoctorDoor, SaysThatTooManyLook) {
+TEST_F(DoctorDoor, ReportsTooManyObservers) {
   DaemonProcess daemon;
   std::vector<std::unique_ptr<WireClient>> observers;
   for (std::uint32_t i = 0; i < abi::observer_count_max; ++i) {
@@ -267,7 +268,7 @@ TEST_F(DoctorDoor, SaysThatTooManyLook) {
   EXPECT_TRUE(soon([&] { return doctor.look().all.empty(); }));
 }
 
-TEST_F(DoctorDoor, SaysThatTheShellGoesToAnotherDaemonThanTheSystem) {
+TEST_F(DoctorDoor, ReportsThatTheShellUsesAnotherDaemonThanTheSystem) {
   DaemonProcess own, systems;
   Doctored doctor(own.socket_path());
   doctor.directories()["/run/agnocast"] = systems.directory() + "/run";
@@ -294,7 +295,7 @@ TEST_F(DoctorDoor, FindsTheUsersDaemonWithoutARuntimeDirectory) {
   EXPECT_THAT(doctor.look({"AGNOCAST_SOCKET", "XDG_RUNTIME_DIR=" + home}).all, IsEmpty());
 }
 
-TEST_F(DoctorDoor, SaysWhatIsWrongWithTheDomain) {
+TEST_F(DoctorDoor, NamesTheFaultOfTheDomain) {
   DaemonProcess daemon;
   Doctored doctor(daemon.socket_path());
   for (const std::string domain : {"seven", "233", "7 ", "-1"}) {
@@ -310,7 +311,7 @@ TEST_F(DoctorDoor, SaysWhatIsWrongWithTheDomain) {
   EXPECT_THAT(doctor.look({"ROS_DOMAIN_ID=7"}).all, IsEmpty());
 }
 
-TEST_F(DoctorDoor, SaysThatTheShellIsSwitchedOff) {
+TEST_F(DoctorDoor, ReportsThatTheShellIsSwitchedOff) {
   DaemonProcess daemon;
   Doctored doctor(daemon.socket_path());
   EXPECT_THAT(doctor.look({"AGNOCAST=off"}).ids(), ElementsAre("switched-off"));
@@ -318,10 +319,10 @@ TEST_F(DoctorDoor, SaysThatTheShellIsSwitchedOff) {
   EXPECT_THAT(doctor.look({"AGNOCAST=on"}).all, IsEmpty());
 }
 
-TEST_F(DoctorDoor, SaysWhatIsWrongWithThePreload) {
+TEST_F(DoctorDoor, NamesTheFaultOfThePreload) {
   DaemonProcess daemon;
   Doctored doctor(daemon.socket_path());
-  // The loader complains of files that are not there, and goes on.
+  // The loader reports missing files, and goes on.
   Findings findings = doctor.look({"LD_PRELOAD=/nonexistent/libagnocast_heaphook.so"});
   EXPECT_THAT(findings.ids(), ElementsAre("hook-not-there"));
   findings = doctor.look({"LD_PRELOAD=libjemalloc.so.99:libagnocast_heaphook.so"});
@@ -330,7 +331,7 @@ TEST_F(DoctorDoor, SaysWhatIsWrongWithThePreload) {
   EXPECT_THAT(doctor.look({findings.remedies[0].substr(7)}).all, IsEmpty());
 }
 
-TEST_F(DoctorDoor, SaysThatTheConfigurationIsWrong) {
+TEST_F(DoctorDoor, ReportsAWrongConfiguration) {
   DaemonProcess daemon;
   Doctored doctor(daemon.socket_path());
   const std::string file = daemon.directory() + "/agnocastd.toml";

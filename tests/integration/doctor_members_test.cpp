@@ -1,10 +1,11 @@
 // SPDX-License-Identifier: Apache-2.0
 //
-// Goal: whatever is wrong with a process, or between two of them, doctor names exactly that, and its remedy
-// mends it. Method: raw clients in processes of their own, which do to themselves what breaks them.
+// Goal: whatever is wrong with a process, or between two of them, doctor names exactly that, and
+// its remedy repairs it. Method: raw clients in processes of their own, which break themselves.
 //
-// A remedy that starts a process anew would start this test program, as that is what runs here; of it only
-// what ends the process is run. doctor_live_test.cpp runs such remedies to their end.
+// A remedy that restarts a process would start this test program, as that is the running one; the
+// test runs only the part that ends the process. doctor_live_test.cpp runs such remedies
+// completely.
 
 #include <tests/support/doctored.hpp>
 #include <tests/support/member.hpp>
@@ -48,7 +49,7 @@ class DoctorMembers : public testing::Test {
   Doctored doctor_;
 };
 
-TEST_F(DoctorMembers, FindNothingWhereMessagesPass) {
+TEST_F(DoctorMembers, FindsNothingWhereMessagesArrive) {
   Node a(socket()), b(socket());
   a.open_window();
   const auto p = a.publisher("/points", {7}, "/lidar");
@@ -60,7 +61,7 @@ TEST_F(DoctorMembers, FindNothingWhereMessagesPass) {
   EXPECT_EQ(findings.result.status, 0);
 }
 
-TEST_F(DoctorMembers, SaysWhoIsStopped) {
+TEST_F(DoctorMembers, NamesAStoppedProcess) {
   const Member member(socket(), [](Node& node) { node.publisher("/points"); });
   EXPECT_THAT(doctor_.look().all, IsEmpty());
   member.kill(SIGSTOP);
@@ -74,7 +75,7 @@ TEST_F(DoctorMembers, SaysWhoIsStopped) {
   EXPECT_TRUE(is_well());
 }
 
-TEST_F(DoctorMembers, SaysWhoHasNoConnection) {
+TEST_F(DoctorMembers, NamesAProcessWithoutAConnection) {
   Member member(socket(), [](Node& node) {
     node.publisher("/points");
     node.wire.socket().close();
@@ -87,7 +88,7 @@ TEST_F(DoctorMembers, SaysWhoHasNoConnection) {
   EXPECT_TRUE(is_well());
 }
 
-TEST_F(DoctorMembers, SaysWhoWasPutOut) {
+TEST_F(DoctorMembers, NamesARevokedProcess) {
   Member member(socket(), [](Node& node) { node.publisher("/points"); });
   ASSERT_EQ(run_ctl(socket(), {"process", "revoke", "-j", std::to_string(member.pid())}).status,
             0);
@@ -99,7 +100,7 @@ TEST_F(DoctorMembers, SaysWhoWasPutOut) {
   EXPECT_TRUE(is_well());
 }
 
-TEST_F(DoctorMembers, SaysWhoKeepsTheMemoryOfTheDead) {
+TEST_F(DoctorMembers, NamesAProcessThatKeepsTheMemoryOfTheDead) {
   Member publisher(socket(), [](Node& node) {
     node.open_window();
     node.commit(node.publisher("/points", {7}, "/lidar"), 2);
@@ -131,8 +132,8 @@ TEST_F(DoctorMembers, SaysWhoKeepsTheMemoryOfTheDead) {
   EXPECT_TRUE(is_well());
 }
 
-// Root may lock what it likes.
-TEST_F(DoctorMembers, SaysWhoMayNotLockMore) {
+// Root may lock any amount.
+TEST_F(DoctorMembers, NamesAProcessThatMayNotLockMoreMemory) {
   constexpr uid_t nobody = 65534;
   ASSERT_EQ(::chmod(daemon_.socket_path().c_str(), 0666), 0);
   const Member member(socket(), [](Node& node) {
@@ -157,7 +158,7 @@ TEST_F(DoctorMembers, SaysWhoMayNotLockMore) {
   EXPECT_TRUE(is_well());
 }
 
-TEST_F(DoctorMembers, SaysWhoHasNoAddressesLeft) {
+TEST_F(DoctorMembers, NamesAProcessWithoutFreeAddresses) {
   const Member member(socket(), [](Node& node) {
     node.publisher("/points");
     rlimit limit{};
@@ -173,8 +174,8 @@ TEST_F(DoctorMembers, SaysWhoHasNoAddressesLeft) {
   EXPECT_TRUE(is_well());
 }
 
-TEST_F(DoctorMembers, SaysWhoseClocksAreOthers) {
-  // The children of a process that asks for a time namespace are in it, the process is not.
+TEST_F(DoctorMembers, NamesAProcessWithOtherClocks) {
+  // The children of a process that asks for a time namespace are in it; the process itself is not.
   Child outer([&] {
     ::prctl(PR_SET_PDEATHSIG, SIGKILL);
     if (::unshare(CLONE_NEWTIME) != 0) return 1;
@@ -183,7 +184,7 @@ TEST_F(DoctorMembers, SaysWhoseClocksAreOthers) {
   });
   if (!soon([&] { return run_ctl(socket(), {"processes", "-j"}).json()["process_count"] == 1; })) {
     outer.kill();
-    GTEST_SKIP() << "this kernel has no time namespaces, or lets nobody have one";
+    GTEST_SKIP() << "this kernel has no time namespaces, or permits none";
   }
   const Findings findings = doctor_.look();
   ASSERT_THAT(findings.ids(), ElementsAre("time-namespace"));
@@ -191,7 +192,7 @@ TEST_F(DoctorMembers, SaysWhoseClocksAreOthers) {
   EXPECT_TRUE(is_well());
 }
 
-TEST_F(DoctorMembers, SaysWhichNodeIsThereTwice) {
+TEST_F(DoctorMembers, NamesADuplicateNode) {
   const Member first(socket(), [](Node& node) { node.publisher("/points", {7}, "/lidar"); });
   Node own(socket());
   own.publisher("/points", {7}, "/viewer");
@@ -205,7 +206,7 @@ TEST_F(DoctorMembers, SaysWhichNodeIsThereTwice) {
   EXPECT_TRUE(is_well());
 }
 
-TEST_F(DoctorMembers, SaysWhichQualitiesDoNotMatch) {
+TEST_F(DoctorMembers, NamesQualitiesThatDoNotMatch) {
   Node a(socket()), b(socket());
   const Qos reliable{5, false, true, false, false}, best_effort{5, false, false, false, false};
   a.publisher("/points", best_effort, "/lidar");
@@ -220,7 +221,7 @@ TEST_F(DoctorMembers, SaysWhichQualitiesDoNotMatch) {
   EXPECT_EQ(remedy.status(), 0) << findings.remedies[0];
 }
 
-TEST_F(DoctorMembers, SaysWhoCameWithAnotherTypeOrLibrary) {
+TEST_F(DoctorMembers, NamesAProcessWithAnotherTypeOrLibrary) {
   {
     Node a(socket());
     a.publisher("/points");
@@ -242,7 +243,7 @@ TEST_F(DoctorMembers, SaysWhoCameWithAnotherTypeOrLibrary) {
   EXPECT_THAT(findings.remedies[0], StartsWith("kill " + std::to_string(::getpid()) + " && "));
 }
 
-TEST_F(DoctorMembers, SaysWhichRuleRefusedSomebody) {
+TEST_F(DoctorMembers, NamesTheRuleThatRefusedARequest) {
   DaemonProcess daemon(
       {.config = "[daemon]\nsocket_mode = \"0666\"\n[[access]]\ntopic = \"/x\"\npublish = [\"*\"]\n"
                  "[[access]]\ntopic = \"/lidar/**\"\npublish = [\"uid:4711\"]\n"});
@@ -255,7 +256,7 @@ TEST_F(DoctorMembers, SaysWhichRuleRefusedSomebody) {
                                                "/agnocastd.toml && "));
 }
 
-TEST_F(DoctorMembers, SaysWhatIsNotZeroCopyOrCannotBeReached) {
+TEST_F(DoctorMembers, NamesPairsThatAreNotZeroCopyOrCannotConnect) {
   Node a(socket()), b(socket());
   a.open_window();
   const auto p = a.publisher("/points", {7}, "/lidar");
@@ -275,7 +276,7 @@ TEST_F(DoctorMembers, SaysWhatIsNotZeroCopyOrCannotBeReached) {
   ASSERT_THAT(findings.ids(), ElementsAre("unreachable"));
 }
 
-TEST_F(DoctorMembers, SaysWhomAPublisherServesNoMore) {
+TEST_F(DoctorMembers, NamesAWithdrawnSubscription) {
   Node a(socket()), b(socket());
   a.open_window();
   const auto p = a.publisher("/points", {7}, "/lidar");
@@ -290,7 +291,7 @@ TEST_F(DoctorMembers, SaysWhomAPublisherServesNoMore) {
   EXPECT_TRUE(is_well());
 }
 
-TEST_F(DoctorMembers, SaysWhoReadsTooSlowlyOrHoldsTooMuch) {
+TEST_F(DoctorMembers, NamesASubscriptionThatReadsTooSlowlyOrHoldsTooMuch) {
   Node a(socket());
   a.open_window();
   const auto p = a.publisher("/points", {20}, "/lidar");
@@ -318,10 +319,10 @@ TEST_F(DoctorMembers, SaysWhoReadsTooSlowlyOrHoldsTooMuch) {
   EXPECT_EQ(remedy.status(), 0) << findings.remedies[0];
   EXPECT_TRUE(soon([&] {
     return doctor_.look().ids() == std::vector<std::string>{"process-revoked"};
-  })) << "it has to be restarted, and is told so";
+  })) << "doctor says that it has to be restarted";
 }
 
-TEST_F(DoctorMembers, SaysWhoCannotBeRung) {
+TEST_F(DoctorMembers, NamesAMuteSubscription) {
   Node a(socket());
   a.open_window();
   a.publisher("/points", {20}, "/lidar");
@@ -343,7 +344,7 @@ TEST_F(DoctorMembers, SaysWhoCannotBeRung) {
   EXPECT_TRUE(is_well());
 }
 
-TEST_F(DoctorMembers, SaysWhoseHeapIsFull) {
+TEST_F(DoctorMembers, NamesAProcessWithAFullHeap) {
   DaemonProcess daemon({.more_config = "windows_per_process = 1\n"});
   Doctored doctor(daemon.socket_path());
   Node a(daemon.socket_path());

@@ -1,7 +1,8 @@
 // SPDX-License-Identifier: Apache-2.0
 //
-// Goal: what doctor says that it checks is what it checks: the list, the answer and docs/doctor.md have the
-// same checks, and each has a cause and a command. Method: agnocast-ctl as a program, and the table.
+// Goal: doctor checks exactly what it documents: the list, the answer and docs/doctor.md have the
+// same checks, and each has a cause and a command. Method: agnocast-ctl as a program, and the
+// table.
 
 #include <ctl/doctor/doctor.hpp>
 #include <tests/support/ctl.hpp>
@@ -25,7 +26,7 @@ std::string row_of(const ctl::Check& check) {
          std::string(check.title) + " | " + std::string(check.cause) + " | `" + remedy + "` |";
 }
 
-TEST(DoctorTable, IsWhatTheDocumentSays) {
+TEST(DoctorTable, AgreesWithTheDocument) {
   std::ifstream in(AGNOCAST_TEST_DOCUMENT);
   std::string rows, expected;
   for (std::string line; std::getline(in, line);) {
@@ -46,7 +47,7 @@ TEST(DoctorTable, NamesEachCheckOnceWithCauseAndCommand) {
   EXPECT_GE(ids.size(), 25u);
 }
 
-TEST(DoctorTable, HasNoRowThatNoTestBuilds) {
+TEST(DoctorTable, HasATestForEachRow) {
   std::string sources;
   for (const char* const name :
        {"doctor_daemon_test.cpp", "doctor_door_test.cpp", "doctor_members_test.cpp",
@@ -63,7 +64,7 @@ TEST(DoctorTable, HasNoRowThatNoTestBuilds) {
   }
 }
 
-TEST(DoctorTable, IsWhatTheListSays) {
+TEST(DoctorTable, AgreesWithTheList) {
   const CtlResult list = run_ctl("/nonexistent/socket", {"doctor", "--list", "-j"});
   EXPECT_EQ(list.status, 0);
   EXPECT_EQ(list.json()["schema"], "agnocast.doctor-list/1");
@@ -79,7 +80,7 @@ TEST(DoctorTable, IsWhatTheListSays) {
               testing::HasSubstr("no-daemon (failed): there is a socket of agnocastd\n"));
 }
 
-TEST(DoctorTable, SkipsWhatNeedsADaemon) {
+TEST(DoctorTable, SkipsChecksThatNeedADaemon) {
   const auto report = run_ctl("/nonexistent/socket", {"doctor", "-j"}).json();
   const auto all = ctl::all_checks();
   ASSERT_EQ(report["checks"].size(), all.size());

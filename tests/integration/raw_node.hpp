@@ -1,6 +1,6 @@
 // SPDX-License-Identifier: Apache-2.0
 //
-// RawNode: a greeted raw client with board and region mapped, and what tests of the protocol look at there.
+// RawNode: a greeted raw client with board and region mapped, and helpers of the protocol tests.
 #pragma once
 
 #include <agnocast/abi/board.hpp>
@@ -39,8 +39,8 @@ inline std::uint64_t subscription_word(const Mapping& board, std::uint32_t topic
                          abi::subscription_entry_offset(abi::publisher_count_max, index));
 }
 
-// Runs in a process of another user (as far as the test may); what it returns is the exit status, if
-// nothing failed there.
+// Runs the body in a process of another user (as far as the test may); returns its result, unless
+// an expectation failed there.
 inline int in_other_user(const std::function<int()>& body) {
   const pid_t pid = ::fork();
   if (pid == 0) {

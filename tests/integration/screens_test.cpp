@@ -1,8 +1,8 @@
 // SPDX-License-Identifier: Apache-2.0
 //
-// Goal: the screens in docs/screens.md are what agnocast-ctl shows. Method: the system that the document
-// tells of, made of raw clients in processes of their own; every block whose first line is a command is run
-// again and compared, without numbers. AGNOCAST_RECORD=1 writes them anew.
+// Goal: the screens in docs/screens.md equal the output of agnocast-ctl. Method: the system that
+// the document describes, made of raw clients in processes of their own; every block whose first
+// line is a command is run again and compared, without numbers. AGNOCAST_RECORD=1 rewrites them.
 
 #include <tests/support/doctored.hpp>
 #include <tests/support/member.hpp>
@@ -26,7 +26,7 @@ constexpr std::uint64_t second_ns = 1'000'000'000;
 constexpr const char* cloud = "sensor_msgs/msg/PointCloud2";
 constexpr const char* image = "sensor_msgs/msg/Image";
 
-/// Without what is another each time: numbers with their units, and the widths of columns.
+/// Removes the parts that vary: numbers with their units, and the widths of columns.
 std::string shape_of(std::string text) {
   for (const auto& [pattern, with] :
        {std::pair("([0-9a-f]{2}\\.){15}[0-9a-f]{2}", "GID"), std::pair("0x[0-9a-f]+", "#"),
@@ -36,7 +36,7 @@ std::string shape_of(std::string text) {
   return text;
 }
 
-TEST(Screens, AreWhatIsShown) {
+TEST(Screens, EqualTheOutput) {
   if (!Doctored::has_namespaces()) GTEST_SKIP() << "needs root: a mount namespace";
   const DaemonProcess daemon({.config = "", .more_config = ""});
   const std::string& socket = daemon.socket_path();
@@ -114,14 +114,14 @@ TEST(Screens, AreWhatIsShown) {
     for (const std::string place = daemon.directory() + "/run";
          shown.find(place) != std::string::npos;)
       shown.replace(shown.find(place), place.size(), "/run/agnocast");
-    // How the camera was started is how this program was.
+    // The camera's command line is replaced by this program's.
     shown =
         std::regex_replace(shown, std::regex("(agnocast-run --scope all ).* &"), "$1./camera &");
     while (std::getline(file, next) && next != "```") written += next + '\n';
     recorded += shown + "```\n";
     if (record) continue;
     EXPECT_EQ(shape_of(written), shape_of(shown))
-        << line << "\nif this is meant: AGNOCAST_RECORD=1 ctest -R integration_doctor";
+        << line << "if this is intended: AGNOCAST_RECORD=1 ctest -R integration_doctor";
   }
   EXPECT_EQ(count, 4U);
   if (record) std::ofstream(AGNOCAST_TEST_SCREENS) << recorded;

@@ -1,7 +1,8 @@
 // SPDX-License-Identifier: Apache-2.0
 //
-// Goal: nobody changes the contract between processes by accident. Method: the fingerprint of every size, offset, limit and number is written
-// down here. If this test fails, the layout changed: was it meant? Then this is the new value, and docs and byte drawings change with it.
+// Goal: the contract between processes never changes by accident. Method: this test records the
+// fingerprint of every size, offset, limit and number. If it fails, the layout changed. If that
+// was intended, record the new value, and update docs and byte drawings.
 
 #include <agnocast/abi/fingerprint.hpp>
 
@@ -10,7 +11,7 @@
 namespace agnocast::abi {
 namespace {
 
-TEST(Layout, HasTheFingerprintThatIsWrittenDown) {
+TEST(Layout, HasTheRecordedFingerprint) {
   EXPECT_EQ(fingerprint(), 0x362c93b5a7fb23acu) << std::hex << "it is 0x" << fingerprint();
 }
 

@@ -1,8 +1,8 @@
 #!/usr/bin/env python3
 # SPDX-License-Identifier: Apache-2.0
 #
-# Goal: scripts/layers accepts this tree and refuses what breaks its rules. Method: the real tree; then small trees with
-# the real table, each with one thing wrong.
+# Goal: scripts/layers accepts this tree and refuses violations of its rules. Method: the real
+# tree; then small trees with the real table, each with one violation.
 import importlib.machinery
 import importlib.util
 import os
@@ -19,7 +19,7 @@ loader.exec_module(layers)
 
 class Layers(unittest.TestCase):
     def found(self, files, change=lambda text: text):
-        """The problems of a tree of these files, whose ARCHITECTURE.md is the real one, changed so."""
+        """Returns the problems of a tree of these files with the real ARCHITECTURE.md, changed by `change`."""
         with open(os.path.join(ROOT, "docs/ARCHITECTURE.md"), encoding="utf-8") as document:
             files = dict(files, **{"docs/ARCHITECTURE.md": change(document.read())})
         with tempfile.TemporaryDirectory() as tree:

@@ -1,8 +1,9 @@
 // SPDX-License-Identifier: Apache-2.0
 //
-// Goal: docs/regions.md says what the headers say. Method: the offset, name and size of every field, taken from the compiler, are compared
-// with the first three columns of the table under the heading that names the struct; every heading must name a struct of this list, and
-// every gap between two fields must be an alignment.
+// Goal: docs/regions.md agrees with the headers. Method: compare the offset, name and size of
+// every field, taken from the compiler, with the first three columns of the table under the
+// heading that names the struct; every heading must name a struct of this list, and every gap
+// between two fields must be an alignment.
 
 #include <agnocast/abi/board.hpp>
 #include <agnocast/abi/client_region.hpp>
@@ -113,7 +114,7 @@ TEST(RegionsDocument, HasTheFieldsOfTheHeaders) {
   EXPECT_EQ(documented.size(), in_headers().size());
 }
 
-TEST(RegionsDocument, LeavesNoFieldOut) {
+TEST(RegionsDocument, OmitsNoField) {
   for (const auto& [name, it] : in_headers()) {
     std::size_t end = 0;
     for (const std::string& field : it.fields) {
@@ -125,11 +126,11 @@ TEST(RegionsDocument, LeavesNoFieldOut) {
       EXPECT_GE(offset, end) << name << ' ' << field;
       end = offset + bytes;
     }
-    EXPECT_LE(it.bytes - end, cache_line_bytes) << name << ": something is missing at the end";
+    EXPECT_LE(it.bytes - end, cache_line_bytes) << name << ": a field is missing at the end";
   }
 }
 
-TEST(RegionsDocument, SaysTheBoundsOfTheHeaders) {
+TEST(RegionsDocument, HasTheLimitsOfTheHeaders) {
   const std::string text = document();
   const auto says = [&](const std::string& words) { EXPECT_THAT(text, testing::HasSubstr(words)); };
   const auto number = [](std::uint64_t value) { return std::to_string(value); };

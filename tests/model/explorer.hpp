@@ -4,16 +4,16 @@
 // fingerprints of whole states).
 //
 // A scenario S gives
-//   S::State                     everything but memory and threads: private states, messages on
-//                                their way, ghosts; plain data
+//   S::State                     everything but memory and threads: private states, messages in
+//                                transit, ghosts; plain data
 //   S::word_count, S::thread_count
 //   runnable(world, thread)      may it take a step now (asked only between two operations)?
 //   run(world, thread)           performs its next operation on the machine; the completion of
 //                                the operation changes pc and private state
 //   moves(world, emit)           further moves: emit(thread, argument) for deaths and the like
-//   perform(world, move)         carries one out
+//   perform(world, move)         performs one
 //   quiet(world, thread, words)  per word: 1 when no other living process can change it
-//   finished(world)              called where nothing can move; checks what must hold in the end
+//   finished(world)              called when no move is left; checks the final invariants
 #pragma once
 
 #include <tests/model/machine.hpp>
@@ -47,7 +47,7 @@ struct Report {
   std::uint64_t depth = 0;
   bool complete = true;            // false: the limit on states was reached first
   std::string violation;           // empty: none
-  std::vector<std::string> trace;  // how to get there
+  std::vector<std::string> trace;  // the moves that lead there
 };
 
 /// Open addressing, 8 bytes per state.
@@ -147,8 +147,8 @@ class Explorer {
     Move moves[move_capacity];
     std::size_t move_count = 0;
     std::size_t next = 0;
-    bool moved = false;  // something other than a death was possible here
-    Access access;       // what the move under way did
+    bool moved = false;  // a move other than a death was possible here
+    Access access;       // access of the current move
     BufferedStore drained{};
 
     void add(const Move& move) {
@@ -228,7 +228,7 @@ class Explorer {
   void operate(std::uint8_t t) {
     if (_setjmp(machine.stop) != 0) return;
     scenario_.run(next_, t);
-    next_.threads[t].log_count = 0;  // the operation is complete: its reads are history
+    next_.threads[t].log_count = 0;  // the operation is complete: its reads no longer matter
     std::memset(next_.threads[t].log, 0, sizeof next_.threads[t].log);
   }
 

@@ -2,17 +2,17 @@
 //
 // Machine: a modelled memory on which the data plane's templates run unchanged.
 //
-// An operation is an ordinary function (publish, take, …). It cannot be stopped half way and kept,
-// so the machine remembers what the operation has read so far: a thread's position inside an
-// operation is the private state at its start plus the list of values its shared accesses returned.
-// To take one more step the operation runs again from its start with the recorded values, performs
-// one further access for real, goes on to the next one and is abandoned there. Two states with
-// equal private state, list and memory behave alike for ever, so that is what gets hashed. Nothing
-// is paraphrased: the code that runs is the code that ships.
+// An operation is an ordinary function (publish, take, …). It cannot be suspended half way, so the
+// machine remembers what the operation has read so far: a thread's position inside an operation is
+// the private state at its start plus the list of values its shared accesses returned. To take one
+// more step the operation runs again from its start with the recorded values, performs one further
+// access for real, continues to the next one and is abandoned there. Two states with equal private
+// state, list and memory behave alike for ever, so that is what gets hashed. Nothing is
+// reimplemented: the code that runs is the code that ships.
 //
 // Stores go through a TSO store buffer per thread and reach memory one by one in separate steps;
-// read-modify-writes, seq_cst stores and fences drain it. (Without store buffers, for larger plans,
-// every store is a step of its own that takes effect at once.) A thread that dies leaves a prefix
+// read-modify-writes, seq_cst stores and fences drain it. (Without store buffers, for larger
+// plans, every store is its own step and takes effect at once.) A thread that dies leaves a prefix
 // of its buffer: exactly what a SIGKILL between two instructions leaves.
 #pragma once
 
@@ -46,14 +46,14 @@ struct Thread {
   BufferedStore buffer[buffer_capacity] = {};
 };
 
-/// One change to the shipped statements, to see whether the explorer notices.
+/// A change to the shipped statements, to see whether the explorer notices it.
 struct Mutation {
   enum class Kind : std::uint8_t { none, leave_out, force_true, force_false };
   Step step = no_step;
   Kind kind = Kind::none;
 };
 
-/// The access being made, for traces.
+/// The current access, for traces.
 struct Access {
   const char* what = "";
   std::uint64_t word = 0;
@@ -62,12 +62,12 @@ struct Access {
 };
 
 struct Machine {
-  // Of the world being stepped.
+  // --- the world being stepped
   std::uint64_t* memory = nullptr;
   const std::uint8_t* word_is_quiet_for_thread =
       nullptr;  // loads that no other living process can influence
   Thread* thread = nullptr;
-  // Of this run.
+  // --- this run
   std::uint64_t position = 0;
   bool live = false;
   bool stepped = false;
@@ -76,11 +76,11 @@ struct Machine {
   std::uint64_t choice = 0;
   std::uint64_t choice_count = 0;
   jmp_buf stop;
-  // Settings.
+  // --- settings
   bool store_buffers = true;
   std::uint64_t ring = 4;
   Mutation mutation;
-  // Findings.
+  // --- findings
   const char* violation = nullptr;
   Step last_step = no_step;
   Access access;
@@ -102,7 +102,7 @@ struct Machine {
       position = 1;
       return;
     }
-    append(0);  // from here on the operation has begun, also when it stops before its first access
+    append(0);  // from here on the operation has begun, even if it stops before its first access
   }
 
   void fail(const char* text) {
@@ -122,15 +122,15 @@ struct Machine {
     live = true;
   }
 
-  /// True when the access was made before and `value` is what it returned.
+  /// Returns whether the access was made before; then `value` is what it returned.
   bool replayed(std::uint64_t& value) {
     if (position == thread->log_count) return false;
     value = thread->log[position++];
     return true;
   }
 
-  /// The step that others may come before: one per run. What an operation stores before its first
-  /// such step is a run of its own.
+  /// The step before which other threads may run: one per run. What an operation stores before its
+  /// first such step is a run of its own.
   void scheduling_point() {
     if (stepped || (starting && thread->buffer_count != buffer_at_start)) _longjmp(stop, 1);
     stepped = true;
@@ -223,7 +223,7 @@ struct Machine {
     append(choice);
     return choice;
   }
-  /// A value of the outside world at this moment, remembered for the runs to come.
+  /// Returns the current value of the outside world and remembers it for later runs.
   std::uint64_t remember(std::uint64_t now) {
     std::uint64_t value = 0;
     if (replayed(value)) return value;
@@ -251,7 +251,7 @@ struct Machine {
 
 inline Machine machine;
 
-/// Where modelled words lie: (region, byte offset) → word number. Filled once per scenario; unknown
+/// Maps modelled words: (region, byte offset) → word number. Filled once per scenario; unknown
 /// offsets are an error.
 struct AddressMap {
   static constexpr std::uint32_t region_count = 4;

@@ -1,9 +1,9 @@
 // SPDX-License-Identifier: Apache-2.0
 //
-// Goal: the explorer would notice if a statement of the protocol were missing or a decision wrong;
-// so its green runs mean something. Method: leave out each named statement and fence in turn, force
-// each named decision to true and to false in turn, and demand a violation in one of the small
-// plans. A mutant that survives must be listed below with the reason why it changes nothing.
+// Goal: the explorer would notice a missing statement or a wrong decision of the protocol, so its
+// green runs mean something. Method: leave out each named statement and fence in turn, force each
+// named decision to true and to false in turn, and demand a violation in one of the small plans. A
+// mutant that survives must be listed below with the reason why it changes nothing.
 
 #include <tests/model/plans.hpp>
 #include <tests/model/reuse_scenario.hpp>
@@ -28,8 +28,8 @@ struct Equivalent {
   const char* reason;
 };
 
-// Survivors, each with the reason. A mutant listed here that is noticed after all fails the test as
-// well: then the list is out of date.
+// Surviving mutants, each with the reason. A listed mutant that is noticed also fails the test:
+// then the list is out of date.
 const Equivalent equivalent[] = {
     {{steps::P7_changed, Mutation::Kind::force_true}, "reads the same words again"},
     {{steps::P7_seen, Mutation::Kind::leave_out},
@@ -68,8 +68,8 @@ const char* kind_name(Mutation::Kind kind) {
   return "unchanged";
 }
 
-// Which steps are statements and which are decisions is learned from running the code, so none can
-// be forgotten here.
+// Running the code shows which steps are statements and which are decisions, so the test cannot
+// miss one.
 std::vector<Mutation> learn_mutants() {
   machine.mutation = {};
   machine.statements = {};
@@ -91,8 +91,8 @@ std::vector<Mutation> learn_mutants() {
   return mutants;
 }
 
-// States of each plan, in turn: most are noticed early by some plan. An equivalent mutant would be explored to the end of
-// every plan; that it is not noticed early says enough about the list below.
+// States of each plan, in turn: some plan notices most mutants early. An equivalent mutant would
+// be explored to the end of every plan; that no plan notices it early is enough for the list.
 std::vector<std::uint64_t> limits_for(const Mutation& mutation) {
   if (reason_to_survive(mutation) != nullptr) return {300'000};
   return {30'000, 6'000'000};
@@ -105,7 +105,7 @@ TEST(ModelMutants, EveryStatementFenceAndDecisionOfTheProtocolIsNeeded) {
   for (const NamedStep& named : all_steps) {
     const Step step = named.step;
     const char kind = named.name[0];
-    // The redo log and the control plane: the crash sweeps kill at each.
+    // The redo log and the control plane: the crash sweeps kill at each of their steps.
     if (kind == 'W' || kind == 'B' || kind == 'C') continue;
     const bool reached =
         kind == 'R' ? machine.has_stated(step) || machine.has_decided(step)
@@ -113,7 +113,7 @@ TEST(ModelMutants, EveryStatementFenceAndDecisionOfTheProtocolIsNeeded) {
                                   [&](const Mutation& mutant) { return mutant.step == step; });
     EXPECT_TRUE(reached) << named.name << " is never reached";
   }
-  // Plans that have noticed one notice the next: they come first.
+  // Plans that noticed one mutant often notice the next: they come first.
   std::vector<const QueuePlan*> plans;
   for (const QueuePlan& plan : mutant_plans) plans.push_back(&plan);
   unsigned killed = 0;
@@ -150,7 +150,7 @@ TEST(ModelMutants, EveryStatementFenceAndDecisionOfTheProtocolIsNeeded) {
       std::printf("survives  %-16s %-12s %s\n", name_of(mutation.step), kind_name(mutation.kind),
                   reason != nullptr ? reason : "UNEXPLAINED");
       EXPECT_NE(reason, nullptr) << name_of(mutation.step) << " " << kind_name(mutation.kind)
-                                 << " changes nothing that is checked";
+                                 << " changes nothing that the plans check";
     }
     std::fflush(stdout);
   }

@@ -1,8 +1,8 @@
 // SPDX-License-Identifier: Apache-2.0
 //
-// The configurations that the explorer runs. Letters: M messages, K publisher depth, D subscription
-// depth; s0 was subscribed before the publisher came and links at any time, s1 joins while it
-// publishes.
+// The configurations that the explorer runs. Letters: M messages, K publisher depth, D
+// subscription depth; s0 was subscribed before the publisher came and links at any time, s1 joins
+// while it publishes.
 #pragma once
 
 #include <tests/model/queue_scenario.hpp>
@@ -66,8 +66,7 @@ constexpr SubscriptionPlan without_window(SubscriptionPlan plan, std::uint32_t w
   return plan;
 }
 
-// Small enough to be run once per mutant, together wide enough to notice each. Ordered by what they
-// cost.
+// Small enough to run once per mutant, together wide enough to notice each. Ordered by cost.
 inline constexpr QueuePlan mutant_plans[] = {
     {.name = "s0 M=2 K=1 D=2", .messages = 2, .sub = {early(2), none_planned}},
     {.name = "s0 M=3 K=1 D=1 volatile, holds 2, sleeps while holding",
@@ -176,8 +175,8 @@ inline constexpr QueuePlan mutant_plans[] = {
      .publisher_leaves = true},
 };
 
-// Two subscriptions of one process: one sleep word, one number of the publisher's, one bell. Lazy
-// passes, so that the schedules are about rings.
+// Two subscriptions of one process: one sleep word, one number at the publisher, one doorbell.
+// Deferred scans, so that the schedules are about rings.
 inline constexpr QueuePlan one_executor_for_linked = {
     .name = "one executor for s0 and s1, both linked: M=3 D=2/1",
     .messages = 3,
@@ -193,7 +192,7 @@ inline constexpr QueuePlan one_executor_for_late = {
     .store_buffers = false,
     .one_executor = true};
 
-// The proof proper.
+// The actual proof.
 inline constexpr QueuePlan proof_plans[] = {
     {.name = "s0 M=4 K=1 D=3 ring exactly D+1, P and S die",
      .messages = 4,
@@ -353,8 +352,8 @@ inline constexpr QueuePlan proof_plans[] = {
      .store_buffers = false},
 };
 
-// Broken on purpose, and what must be noticed: sleepers are numbered, and two subscriptions may
-// share a number and a bell.
+// Deliberate faults, each with the violation that must be noticed: the publisher numbers wait
+// sets, and two subscriptions may share a number and a doorbell.
 struct FaultyPlan {
   const char* name;
   QueuePlan plan;

@@ -1,8 +1,8 @@
 // SPDX-License-Identifier: Apache-2.0
 //
-// Goal: no interleaving of publish, take, release, sleep, join, leave, growth and deaths of anybody
-// breaks an invariant. Method: every plan is explored to the end on the shipped templates; the
-// numbers of states are printed.
+// Goal: no interleaving of publish, take, release, sleep, join, leave, growth and deaths of any
+// process breaks an invariant. Method: every plan is explored to the end on the shipped templates;
+// the numbers of states are printed.
 
 #include <tests/model/plans.hpp>
 
@@ -18,8 +18,8 @@ void PrintTo(const QueuePlan& plan, std::ostream* out) { *out << plan.name; }
 
 namespace {
 
-// Twice the largest plan (13 M states, 80 MB of fingerprints): more means that somebody made the
-// scenario wider without noticing.
+// Twice the largest plan (13 M states, 80 MB of fingerprints): more means that somebody widened
+// the scenario by mistake.
 constexpr std::uint64_t state_limit = 20'000'000;
 
 class QueueModel : public testing::TestWithParam<QueuePlan> {};
@@ -36,11 +36,11 @@ TEST_P(QueueModel, HasNoBadInterleaving) {
   std::string trace;
   for (const std::string& line : report.trace) trace += line + "\n";
   EXPECT_EQ(report.violation, "") << "after\n" << trace;
-  EXPECT_TRUE(report.complete) << "the limit of states was reached";
-  EXPECT_GT(report.endings, 0u) << "nothing ever came to an end";
+  EXPECT_TRUE(report.complete) << "the exploration reached the state limit";
+  EXPECT_GT(report.endings, 0u) << "no run reached an end";
 }
 
-TEST(QueueModelFaults, ARingLostOrRepeatedBySharingANumberIsNoticed) {
+TEST(QueueModelFaults, NoticeRingsLostOrRepeatedBySharingANumber) {
   for (const FaultyPlan& faulty : faulty_plans) {
     QueuePlan plan = faulty.plan;
     plan.fault = faulty.fault;

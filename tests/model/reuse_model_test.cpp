@@ -1,7 +1,7 @@
 // SPDX-License-Identifier: Apache-2.0
 //
-// Goal: nothing is used again while somebody may still look at it, and nothing is lost for ever
-// (rule RU). Method: explore the handshake with deaths of everybody on the shipped sets; then leave
+// Goal: memory is never reused while another process may still look at it, and never lost (rule
+// RU). Method: explore the handshake with deaths of all processes on the shipped sets; then leave
 // out each of its statements in turn.
 
 #include <tests/model/reuse_scenario.hpp>
@@ -51,7 +51,7 @@ TEST(ReuseModel, HasNoBadInterleaving) {
   }
 }
 
-TEST(ReuseModel, NoticesAPublisherThatBeginsOnTheLineOfAnOlderOne) {
+TEST(ReuseModel, NoticesAPublisherThatStartsOnTheLineOfAnOlderOne) {
   machine.mutation = {};
   ReusePlan plan = plans[0];
   plan.says_unlinked_first = true;

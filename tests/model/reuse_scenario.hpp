@@ -1,16 +1,17 @@
 // SPDX-License-Identifier: Apache-2.0
 //
-// Reuse scenario (rule RU): publishers come and go on one index whose region is used again in
-// place; a subscriber links, drains, unlinks, dies and comes back, loses its connection and connects
-// again; the daemon dies between any two of its steps and starts again from its tables. Publishers
-// come and go also while the subscriber has no connection: it is told all the same, and announced
-// what its bit in the set says when it is back.
+// Reuse scenario (rule RU): publishers come and go on one index whose region is reused in place; a
+// subscriber links, drains, unlinks, dies and comes back, loses its connection and reconnects; the
+// daemon dies between any two of its steps and restarts from its tables. Publishers also come and
+// go while the subscriber is disconnected: it is notified all the same, and on reconnection the
+// daemon announces what its bit in the set says.
 //
-// What runs is the shipped AnnounceSet and AnnouncementBook, and link(), release() and unlink() of
-// LinkCore on the one link line that all these publishers share. Checked: a linked subscriber never sees the
-// region of another generation, and links every generation that it was told of, once; every publisher
-// finds the line zero, and it stays its own until its link is gone; in the end every generation could be created (no index is lost). The queue scenario
-// begins with such a line and one publisher; so it speaks of every publisher of the index.
+// The scenario runs the shipped AnnounceSet and AnnouncementBook, and link(), release() and
+// unlink() of LinkCore on the one link line that all these publishers share. Checked: a linked
+// subscriber never sees the region of another generation, and links every generation that it was
+// notified of, once; every publisher finds the line zero and owns it until its link is gone; in
+// the end every generation could be created (no index is lost). The queue scenario begins with
+// such a line and one publisher, so it covers every publisher of the index.
 #pragma once
 
 #include <dataplane/subscription_core.hpp>
@@ -28,7 +29,7 @@ struct ReusePlan {
   std::uint64_t daemon_deaths = 2;
   std::uint64_t subscriber_lives = 2;
   std::uint64_t disconnections = 0;
-  bool says_unlinked_first = false;  // wrong: while its line is still that of the old link
+  bool says_unlinked_first = false;  // a fault: while its line still belongs to the old link
 };
 
 class ReuseScenario {
@@ -69,25 +70,25 @@ class ReuseScenario {
   };
   enum PublisherState : std::uint64_t { free_index, active, orphan };
   struct State {
-    // the daemon's journaled tables
+    // the daemon's tables under the redo log
     journal::AnnounceSet<ModelMemory, 64> set;
     std::uint64_t publisher_state = free_index;
-    std::uint64_t told[4] = {};  // per client: the generation it was told about last
+    std::uint64_t told[4] = {};  // per client: the generation of its last notification
     // the world
     std::uint64_t publisher_alive = 0;
     std::uint64_t region_owner = 0;
     Channel to_subscriber, to_daemon;
     std::uint64_t connected = 0;
-    std::uint64_t known_life = 0;          // the last one that has connected
-    std::uint64_t linked_generations = 0;  // one bit each, of this life
+    std::uint64_t known_life = 0;          // the last incarnation that has connected
+    std::uint64_t linked_generations = 0;  // one bit each, of this incarnation
     std::uint64_t disconnections = 0;
     std::uint64_t life = 1;  // of the subscriber = its client index
     std::uint64_t dead_unnoticed =
         0;  // client index of a dead subscriber that the daemon has not reaped
     journal::AnnouncementBook<ModelMemory> book;
     std::uint64_t linking_generation = 0;   // announced, about to be linked
-    std::uint64_t unlinked_generation = 0;  // about to be said
-    std::uint64_t addressee = 0;  // of the announcement about to be sent; dies with the daemon
+    std::uint64_t unlinked_generation = 0;  // about to be reported
+    std::uint64_t addressee = 0;  // of the announcement about to be sent; lost with the daemon
     std::uint64_t daemon_deaths = 0;
   };
   using W = World<ReuseScenario>;
@@ -147,7 +148,7 @@ class ReuseScenario {
       case daemon_dies:
         world.threads[daemon_main].pc = down;
         ++state.daemon_deaths;
-        disconnect(state);  // a fresh connection implies a fresh, empty channel
+        disconnect(state);  // a new connection has a new, empty channel
         return false;
       case connection_ends:
         ++state.disconnections;
@@ -160,7 +161,7 @@ class ReuseScenario {
         state.book = {};
         state.linking_generation = 0;
         state.unlinked_generation = 0;
-        // The next one has a region and a line of its own.
+        // The next process has its own region and line.
         world.threads[subscriber] = {};
         world.threads[subscriber].pc = unconnected;
         for (std::uint64_t field = 0; field < 3; ++field) line(world, field) = 0;
@@ -177,7 +178,7 @@ class ReuseScenario {
     } else {
       run_subscriber(world);
     }
-    // A linked subscriber may look at the region at any moment.
+    // A linked subscriber may read the region at any moment.
     const std::uint64_t linked = world.state.book.current();
     if (linked != 0 && world.state.region_owner != linked)
       machine.fail("a linked subscriber reads a region that was used again");
@@ -265,7 +266,7 @@ class ReuseScenario {
     if (is(state.publisher_state == orphan && state.set.reusable())) return free_it;
     if (is(state.publisher_state == free_index && state.set.generation() < plan_.generations))
       return create;
-    // A process that is alive, connected or not.
+    // A living process, connected or not.
     if (is(state.publisher_state == active && state.known_life == state.life &&
            state.told[state.life] != state.set.generation()))
       return announce;
@@ -282,7 +283,7 @@ class ReuseScenario {
         thread.pc = idle;
         break;
       case send_announcement:
-        // Into the connection of the process that was told; it may be gone by now.
+        // Into the connection of the notified process, which may be gone by now.
         if (state.connected == state.addressee) state.to_subscriber.push(state.set.generation());
         state.addressee = 0;
         thread.pc = idle;
@@ -320,7 +321,7 @@ class ReuseScenario {
             break;
           case announce:
             state.addressee = state.life;
-            state.set.tell(state.life);  // (a) journaled; sent in a step of its own
+            state.set.tell(state.life);  // (a) logged; sent in a separate step
             state.told[state.life] = state.set.generation();
             thread.pc = send_announcement;
             break;
@@ -375,14 +376,14 @@ class ReuseScenario {
           machine.fail("a generation is linked twice");
         state.linked_generations |= std::uint64_t{1} << state.linking_generation;
         state.book.linked(state.linking_generation);
-        line(world, 2) = 1;  // holds a message for as long as it is linked
+        line(world, 2) = 1;  // holds a message while it is linked
         state.linking_generation = 0;
         thread.pc = serving;
         break;
       case unlink_line:
         if (!plan_.says_unlinked_first) let_go_of(state.unlinked_generation);
         state.book.unlinked(
-            state.unlinked_generation);  // (b) the link is gone; said in a step of its own
+            state.unlinked_generation);  // (b) the link is gone; reported in a separate step
         thread.pc = say_unlinked;
         break;
       case say_unlinked:
@@ -405,8 +406,8 @@ class ReuseScenario {
     State& state = world.state;
     state.connected = state.life;
     state.known_life = state.life;
-    // (c) the daemon sends every member its announcement again; a newcomer is told by the task
-    // `announce`.
+    // (c) the daemon repeats the announcement to every client in the set; the task `announce`
+    // notifies a new one.
     if (state.set.contains(state.life) && machine.step(steps::R8_again))
       state.to_subscriber.push(state.set.generation());
     world.threads[subscriber].pc = serving;

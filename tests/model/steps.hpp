@@ -1,7 +1,7 @@
 // SPDX-License-Identifier: Apache-2.0
 //
-// Steps that only the explorer has: statements and decisions of what it models around the shipped
-// templates (queue_scenario.hpp, reuse_scenario.hpp). What a step is: base/step.hpp.
+// Steps that only the explorer has: statements and decisions that it models around the shipped
+// templates (queue_scenario.hpp, reuse_scenario.hpp). base/step.hpp defines a step.
 #pragma once
 
 #include <base/step.hpp>

@@ -1,5 +1,6 @@
-# Goal: the installed agnocast-run preloads the hook beside it, wherever that is, hands through what its command says, and refuses what it
-# does not understand. Method: run it; copy the installation elsewhere; call it by a link.
+# Goal: the installed agnocast-run preloads the hook beside it, wherever that is, passes on its
+# command's output and status, and refuses unknown options. Method: run it; copy the installation
+# elsewhere; call it by a link.
 . "$(dirname "$0")/support.sh"
 run=$PREFIX/$BINDIR/agnocast-run
 

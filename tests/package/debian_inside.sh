@@ -1,13 +1,15 @@
 # SPDX-License-Identifier: Apache-2.0
 #
-# Runs inside the machine of debian_test.sh. Beside it lie the packages, in first/ and next/, and what a user has.
+# Runs inside the machine of debian_test.sh. Beside it lie the packages, in first/ and next/, and a
+# user's files.
 #
-#   debian_inside.sh DIRECTORY…     what must not be seen here: where agnocast was built
+#   debian_inside.sh DIRECTORY…     directories to hide here: where agnocast was built
 . "$(dirname "$0")/support.sh"
 for directory in "$@"; do
   if [ -d "$directory" ]; then mount -t tmpfs hidden "$directory"; fi
 done
-# A container says that no service is to be started and that documents are left out; nor do we need an index of manual pages.
+# A container's configuration starts no service and leaves out documents; nor do we need an index
+# of manual pages.
 rm -f /usr/sbin/policy-rc.d /etc/dpkg/dpkg.cfg.d/* /var/lib/man-db/auto-update
 export DEBIAN_FRONTEND=noninteractive
 
@@ -17,19 +19,20 @@ say() { echo "== $1 (${SECONDS} s)"; }
 dpkg_quietly() { dpkg "$@" >"$work/dpkg" 2>&1 </dev/null || { cat "$work/dpkg"; fail "dpkg $1"; }; }
 units() { systemctl "$1" agnocastd.socket agnocastd.service 2>&1 | sort -u; }
 main_pid() { systemctl show --value -p MainPID agnocastd; }
-# To be called in a subshell of its own: it becomes the command.
+# Call it in a subshell of its own: it becomes the command.
 become() { exec setpriv --reuid="$1" --regid="$1" --init-groups env HOME=/opt/agnocast/home "${@:2}"; }
 as() { (become "$@"); }
 
-# Every file where packages may leave some, but those that machine and dpkg write about themselves.
+# Lists the files in places where packages may leave some, except those that machine and dpkg write
+# about themselves.
 files() {
   find /etc /usr /var -xdev \( -path /var/lib/dpkg -o -path /var/cache -o -path /var/log -o -path /var/tmp \) -prune -o \
     ! -type d ! -path '/etc/*-' ! -path /etc/.pwd.lock ! -path '/etc/ld.so.cache*' -print | sort
 }
-# What is there and was not before the first package: one line each.
+# Lists the files added since before the first package: one line each.
 left() { comm -13 "$work/before" <(files); }
 
-# A node of tests/hostile that is told what to do: start_node NAME USER; ask NAME WORDS… prints its answer.
+# A node of tests/hostile, steered: start_node NAME USER; ask NAME WORDS… prints its answer.
 start_node() {
   mkfifo "$work/$1.in" "$work/$1.out"
   become "$2" /opt/agnocast/honest_node 0 <"$work/$1.in" >"$work/$1.out" 2>"$work/$1.err" &
@@ -46,7 +49,7 @@ ask() {
 # The publisher: PUBLISHED REFUSED. The subscriber: RECEIVED WRONG LOST.
 sent() { ask publisher state | cut -d ' ' -f 1,2; }
 got() { ask subscriber state | cut -d ' ' -f 3-5; }
-# eventually TEXT COMMAND…: until the command prints this.
+# eventually TEXT COMMAND…: waits until the command prints this.
 eventually() {
   local said=
   for _ in $(seq 600); do
@@ -182,7 +185,7 @@ expect 1 "agnocastd does not answer" as one "$nodes/lidar" 1
 dpkg_quietly -r $library
 
 say "what is left"
-# What an administrator said about the units is remembered as well.
+# dpkg remembers an administrator's settings of the units as well.
 left | grep -vE -e ^/var/lib/systemd/deb-systemd-helper-enabled/ -e '^/etc/systemd/system/.*[.]wants/agnocast(d|-bridge)[.]' >"$work/left"
 [ "$(cat "$work/left")" = "$(printf '%s\n' /etc/agnocast/agnocastd.toml ${bridge:+/etc/agnocast/bridge.toml})" ] || { cat "$work/left"; fail "a removal leaves this"; }
 dpkg_quietly -P $bridge agnocastd agnocast-ctl libagnocast-dev libagnocast-heaphook $library

@@ -1,9 +1,11 @@
 #!/usr/bin/env bash
 # SPDX-License-Identifier: Apache-2.0
 #
-# Goal: the Debian packages are clean, can be installed, upgraded under traffic, removed and purged, and are all that a user needs to build
-# and run a workspace of his own. Method: cpack makes them from this build tree twice, as one version and the next; lintian reads them;
-# dpkg installs them in a machine of its own, with a real systemd, in which debian_inside.sh does the rest.
+# Goal: the Debian packages are clean, can be installed, upgraded under traffic, removed and
+# purged, and are all that a user needs to build and run a workspace of his own. Method: cpack
+# makes them from this build tree twice, as one version and the next; lintian reads them; dpkg
+# installs them in a machine of its own, with a real systemd, in which debian_inside.sh does the
+# rest.
 #
 #   debian_test.sh BUILD_DIRECTORY SOURCE_DIRECTORY HONEST_NODE
 set -euo pipefail
@@ -15,7 +17,7 @@ skip() { echo "SKIPPED: $1"; exit 77; }
 [ "$(id -u)" -eq 0 ] || skip "needs root: it boots a systemd"
 [ -x /usr/lib/systemd/systemd ] || skip "needs systemd"
 for tool in lintian dpkg cpack unshare nsenter pivot_root setpriv; do command -v "$tool" >/dev/null || skip "needs $tool"; done
-# A sandbox may have root and no right to mount.
+# In a sandbox root may lack the right to mount.
 unshare --mount --pid --fork true 2>/dev/null || skip "needs the right to make namespaces"
 
 dir=$(mktemp -d)
@@ -31,8 +33,9 @@ make_packages first
 make_packages next -D CPACK_DEBIAN_PACKAGE_RELEASE=0upstream2
 lintian --allow-root --no-cfg --fail-on error,warning "$here"/first/*.deb
 
-# Whatever an ordinary installation has is in a package, except for examples, demo and benchmark, which need message packages that are none of
-# Debian's. Debian has libraries and units elsewhere.
+# The packages have every file of an ordinary installation, except for examples, demo and
+# benchmark, which need message packages that Debian lacks. Debian has libraries and units
+# elsewhere.
 files_of() { sed -E '/\/$/d; s,^\./(usr/)?,,; s,^lib/[^/]*-linux-gnu[^/]*/,lib/,' | sort -u; }
 DESTDIR=$dir/plain cmake --install "$build" --prefix /usr >/dev/null
 (cd "$dir/plain" && find . ! -type d) | files_of >"$dir/installed"
@@ -41,7 +44,7 @@ forgotten=$(comm -23 "$dir/installed" "$dir/packaged" |
   grep -vxE 'bin/(talker|listener|cloud_(publisher|subscriber)|add_two_ints_(server|client)|agnocast-bench(-plot)?)|share/agnocast/schemas/bench-1.json|libexec/agnocast/(agnocast_)?demo.*|share/doc/agnocast/LICENSE') || true
 [ -z "$forgotten" ] || { echo "FAILED: in no package: $forgotten"; exit 1; }
 
-# What a user has: a workspace, and message packages that are no packages of Debian yet.
+# A user's files: a workspace, and message packages that are no packages of Debian yet.
 cp -r "$source/tests/package/workspace" "$here/workspace"
 IFS=: read -r -a prefixes <<<"${AMENT_PREFIX_PATH:-}"
 for prefix in "${prefixes[@]}"; do

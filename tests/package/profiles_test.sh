@@ -1,6 +1,7 @@
-# Goal: the profiles that are installed compile, let through every file that a publisher, a subscription and the daemon open,
-# and no memory for code. Method: the tools of AppArmor and SELinux; strace of the installed programs, compared with the rules.
-# That a kernel enforces them so is not tested: it needs one with such a module.
+# Goal: the installed profiles compile, permit every file that a publisher, a subscription and the
+# daemon open, and permit no memory for code. Method: the tools of AppArmor and SELinux; strace of
+# the installed programs, compared with the rules. Enforcement by a kernel is not tested: it needs
+# a kernel with such a module.
 . "$(dirname "$0")/support.sh"
 share=$PREFIX/share/agnocast
 for file in apparmor/agnocast apparmor/usr.bin.agnocastd selinux/agnocast.te selinux/agnocast.fc; do
@@ -11,7 +12,7 @@ for tool in apparmor_parser checkmodule semodule_package strace; do
   command -v $tool >/dev/null || { echo "skipped: $tool is not installed (scripts/install-dependencies)"; exit 77; }
 done
 
-# --- they compile; and what is wrong does not
+# --- they compile; and a wrong rule does not
 compiles() { apparmor_parser --skip-kernel-load --skip-cache "$1" 2>"$work/parser"; }
 node_profile() {
   printf 'abi <abi/3.0>,\ninclude <tunables/global>\nprofile node /usr/bin/node {\n  include <abstractions/base>\n  include "%s"\n}\n' "$1"
@@ -23,7 +24,7 @@ for profile in "$work/node" "$share/apparmor/usr.bin.agnocastd"; do
   compiles "$profile" || { cat "$work/parser" >&2; fail "$profile does not compile"; }
 done
 ! compiles "$work/wrong" || fail "a wrong rule compiles"
-# As doctor's remedy puts it into a profile that was without it.
+# As doctor's remedy adds it to a profile that lacks it.
 printf 'include <tunables/global>\nprofile node /usr/bin/node {\n  include <abstractions/base>\n}\n' >"$work/mended"
 sed -i "\\|node.*{|a include \"$share/apparmor/agnocast\"" "$work/mended"
 grep -q "apparmor/agnocast" "$work/mended" && compiles "$work/mended" || fail "the remedy of doctor makes a profile that does not compile"
@@ -35,7 +36,7 @@ semodule_package -o "$work/agnocast.pp" -m "$work/agnocast.mod" -f "$share/selin
 sed 's/agnocastd_tmpfs_t : file {/no_such_t : file {/' "$share/selinux/agnocast.te" >"$work/agnocast.te"
 ! module "$work/agnocast.te" || fail "a wrong rule compiles"
 
-# --- what programs open is what the rules have
+# --- the rules cover every file that the programs open
 strace -o "$work/probe" true 2>"$work/probe.log" || { echo "skipped: strace may not trace here"; exit 77; }
 use_prefix "$PREFIX"
 export AGNOCAST_SOCKET=$work/agnocast/agnocastd.sock
@@ -43,7 +44,8 @@ strace -f -qq -y -e trace=%file,%desc,%network -o "$work/daemon.trace" agnocastd
 tracer=$!
 wait_for "$work/daemon.log" " ready "
 daemon=$(sed -n 's/.* ready pid=\([0-9]*\) .*/\1/p' "$work/daemon.log")
-# start_tool NAME FIRST…: a client tool (tests/integration/client), traced, and the first lines that it is told.
+# start_tool NAME FIRST…: a traced client tool (tests/integration/client), and the first lines of
+# its input.
 start_tool() {
   local name=$1 line
   shift
@@ -104,7 +106,7 @@ def opened(name):
         what, rest = call[1], call[2]
         if what in ("open", "openat"):
             path = re.search(r'"([^"]*)"', rest)[1]
-            # Rules name a directory with a slash behind it.
+            # Rules name a directory with a slash at its end.
             if "O_DIRECTORY" in rest: path = path.rstrip("/") + "/"
             yield path, "rw" if re.search("O_RDWR", rest) else "w" if "O_WRONLY" in rest else "r"
         elif what in ("connect", "bind") and "AF_UNIX" in rest and 'sun_path="' in rest:
@@ -115,7 +117,7 @@ def opened(name):
         elif what == "fcntl" and "OFD_SETLK" in rest:
             yield re.search(r"<(/memfd:[^>]*)>", rest)[1].replace(" (deleted)", ""), "k"
 
-# Of every program: abstractions/base has them. (Python's own files are not in the traces.)
+# Common to all programs: abstractions/base has them. (Python's own files are not in the traces.)
 common = re.compile(r"/(usr/)?lib\d*/|/etc/(ld\.so|localtime|nsswitch|group|passwd|gcrypt)|/usr/share/(zoneinfo|locale)|/dev/(null|urandom)|/etc/selinux|/sys/fs/selinux|/proc/sys/crypto|/proc/filesystems|/proc/mounts|/proc/thread-self|/(usr|lib|etc|run|var|sys|dev)?\Z")
 missing, count = set(), 0
 for program, profile in (("publisher", "agnocast"), ("subscriber", "agnocast"), ("daemon", "usr.bin.agnocastd")):
@@ -126,7 +128,7 @@ for program, profile in (("publisher", "agnocast"), ("subscriber", "agnocast"), 
         path = re.sub(r".*/(libagnocast[^/]*)\Z", r"/usr/lib/\1", path)
         path = re.sub(r".*/agnocastd\Z", "/usr/bin/agnocastd", path)
         if common.match(path) and "agnocast" not in path: continue
-        # A socket by its descriptor: what counts is its name, with which it was bound.
+        # A socket by its descriptor: the rules apply to the name that it was bound to.
         if re.match("/proc/1/fd/[0-9]+\\Z", path) and rights == "rw": continue
         if not path.startswith("/") and path != "memory for code": continue
         count += 1

@@ -1,8 +1,9 @@
 # SPDX-License-Identifier: Apache-2.0
 #
-# Goal: the CMake lines of the README work wherever another python3 is first in PATH, and a Python that the user names is used.
-# Method: a python3 without ament's modules goes first in PATH; configure the project by its preset and as the benchmark is
-# configured, and a message package; look which Python the cache has.
+# Goal: the CMake lines of the README work wherever another python3 is first in PATH, and CMake
+# uses the Python that the user names.
+# Method: a python3 without ament's modules goes first in PATH; configure the project by its preset
+# and as for the benchmark, and a message package; check which Python the cache has.
 #
 #   python_test.sh SOURCES
 . "$(dirname "$0")/support.sh"
@@ -17,7 +18,7 @@ chmod +x "$work/first/python3"
 export PATH=$work/first:$PATH
 python3 -c "$modules" 2>/dev/null && fail "the first python3 has the modules"
 
-# chosen BUILD: the Python that the CMake code of ament runs there.
+# chosen BUILD: prints the Python that the CMake code of ament runs there.
 chosen() { sed -n 's/^Python3_EXECUTABLE:[A-Z]*=//p' "$work/$1/CMakeCache.txt"; }
 configured() {
   local build=$1

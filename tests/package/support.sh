@@ -1,5 +1,6 @@
-# Read by the tests of this folder. PREFIX: where agnocast is installed; BINDIR, LIBDIR inside it; PROJECT, BUILT: sources and build tree.
-# Gives a directory of their own, $work, that goes with the test, and these functions.
+# Sourced by the tests of this folder. PREFIX: the installation; BINDIR, LIBDIR inside it; PROJECT,
+# BUILT: sources and build tree. Provides a private directory, $work, which is removed at the end
+# of the test, and these functions.
 set -euo pipefail
 here=$(dirname "$(readlink -f "$0")")
 work=$(mktemp -d)
@@ -12,13 +13,14 @@ trap finish EXIT
 
 fail() { echo "FAILED: $*" >&2; exit 1; }
 
-# What sourcing a workspace's setup.bash does about an installed package, for the installation under $1.
+# Sets the variables that a workspace's setup.bash sets for an installed package, for the
+# installation under $1.
 use_prefix() {
   export PATH=$1/$BINDIR:$PATH CMAKE_PREFIX_PATH=$1${CMAKE_PREFIX_PATH:+:$CMAKE_PREFIX_PATH}
   export LD_LIBRARY_PATH=$1/$LIBDIR${LD_LIBRARY_PATH:+:$LD_LIBRARY_PATH}
 }
 
-# The installed daemon, private; AGNOCAST_SOCKET is set when it serves.
+# Starts a private instance of the installed daemon; AGNOCAST_SOCKET is set when it serves.
 start_daemon() {
   export AGNOCAST_SOCKET=$work/agnocastd.sock
   agnocastd --socket "$AGNOCAST_SOCKET" --log-level debug 2>"$work/daemon.log" &
@@ -26,7 +28,7 @@ start_daemon() {
   wait_for "$work/daemon.log" " ready "
 }
 
-# wait_for FILE TEXT: until the file holds the text.
+# wait_for FILE TEXT: waits until the file holds the text.
 wait_for() {
   for _ in $(seq 600); do
     grep -qF -- "$2" "$1" 2>/dev/null && return 0
@@ -36,7 +38,7 @@ wait_for() {
   fail "'$2' did not appear in $1"
 }
 
-# expect STATUS TEXT COMMAND…: exit status and a text that it prints (stdout or stderr).
+# expect STATUS TEXT COMMAND…: checks the exit status, and a text in stdout or stderr.
 expect() {
   local wanted=$1 text=$2 status=0
   shift 2

@@ -1,4 +1,5 @@
-# Goal: units that are installed under any prefix start what is installed there and point to its documents. Method: read them.
+# Goal: units installed under any prefix start the programs installed there and point to their
+# documents. Method: read them.
 . "$(dirname "$0")/support.sh"
 units=$PREFIX/lib/systemd/system
 grep -qx "ExecStart=$PREFIX/$BINDIR/agnocastd --fd-store=manager" "$units/agnocastd.service" || fail "agnocastd.service starts something else"

@@ -1,6 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
 #
-# Goal: the version number has one home. Method: package.xml must repeat what include/agnocast/version.hpp says.
+# Goal: the version number has one home. Method: package.xml must repeat the one of
+# include/agnocast/version.hpp.
 import pathlib
 import re
 import sys

@@ -1,6 +1,8 @@
-# Goal: who uses agnocast in a colcon workspace of his own needs `<depend>agnocast</depend>`, find_package(agnocast) and nothing else.
-# Method: build such a workspace on top of the installation, start its nodes with the installed agnocastd and agnocast-run, look at what
-# they say. Where this is the project's own colcon build, the underlay is its install/setup.bash, else an installation by itself.
+# Goal: a user of agnocast in a colcon workspace needs `<depend>agnocast</depend>`,
+# find_package(agnocast) and nothing else.
+# Method: build such a workspace on top of the installation, start its nodes with the installed
+# agnocastd and agnocast-run, and check their output. In the project's own colcon build the
+# underlay is its install/setup.bash, else an installation by itself.
 . "$(dirname "$0")/support.sh"
 export PATH=/usr/bin:$PATH
 if [ "$BUILT" = "$PROJECT/build/agnocast" ] && [ -f "$PROJECT/install/setup.bash" ]; then

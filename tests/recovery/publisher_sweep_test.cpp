@@ -1,11 +1,12 @@
 // SPDX-License-Identifier: Apache-2.0
 //
 // Goal: a publisher may be killed at any crash point of publish, retire, free, growth, attach and
-// detach; what it committed arrives, what it had not does not, and its queue is consistent after
-// recovery. Method: a child process runs a script and is killed with SIGKILL at its n-th crash
-// point, for n = 1, 2, 3 … until it survives. The parent is daemon and subscriber: it recovers,
-// verifies, drains, and compares with what the publisher had acknowledged.
+// detach; its committed messages arrive, no others do, and its queue is consistent after recovery.
+// Method: a child process runs a script and is killed with SIGKILL at its n-th crash point, for
+// n = 1, 2, 3 … until it survives. The parent is daemon and subscriber: it recovers, verifies,
+// drains, and compares with what the publisher had acknowledged.
 
+#include <tests/recovery/one_sided_script.hpp>
 #include <tests/recovery/stage.hpp>
 
 #include <algorithm>
@@ -16,22 +17,10 @@
 namespace agnocast::sweep {
 namespace {
 
-// Commands. Publisher (child): p publish · g grow, then publish · x pass · a attach · d detach ·
-// e withdraw · i disregard · s serve again.
-// Subscriber and daemon (parent): j subscribe and link · t take · T take, and there is one · 0 take, and there is none · r release · z sleep · w wake · l
-// leave · u unlink, subscription over.
-struct Script {
-  const char* name;
-  Setup setup;
-  const char* commands;
-};
-
-void PrintTo(const Script& script, std::ostream* out) { *out << script.name; }
-
-constexpr abi::Qos keep_last(std::uint32_t depth, bool transient_local = false) {
-  return {depth, transient_local, true, false, false};
-}
-
+// Commands. Publisher (child): p publish · g grow, then publish · x scan · a attach · d detach ·
+// e withdraw · i disregard · s serve again. Subscriber and daemon (parent): j subscribe and link ·
+// t take · T take, must find a message · 0 take, must find none · r release · z sleep · w wake ·
+// l leave · u unlink, subscription over.
 const Script scripts[] = {
     {"volatile, everything read and released", {keep_last(1), keep_last(5)}, "japtrptrptrx"},
     {"volatile, held while more is published", {keep_last(1), keep_last(5)}, "japptptprrptrrx"},
@@ -63,7 +52,7 @@ struct Totals {
   unsigned points = 0, untouched = 0, rolled_back = 0, rolled_forward = 0;
 };
 
-/// One run with a death at crash point n (0 = none). True when the child survived the script.
+/// Runs the script with a death at crash point n (0 = none). Returns whether the child survived.
 bool run(const Script& script, std::uint64_t n, Totals& totals) {
   Stage stage(script.setup);
   Child child(n, [&](int socket, std::uint64_t crash_at) {
@@ -85,7 +74,7 @@ bool run(const Script& script, std::uint64_t n, Totals& totals) {
         case 'd':
           publisher.detach(generation);
           return '+';
-        case 'e':  // it may not have been attached yet
+        case 'e':  // the subscription may not be attached yet
           return publisher.withdraw(std::max(generation, std::uint64_t{1})) ? '+' : '-';
         case 'i':
           publisher.disregard(std::max(generation, std::uint64_t{1}));
@@ -100,7 +89,7 @@ bool run(const Script& script, std::uint64_t n, Totals& totals) {
 
   auto subscriber = std::optional<SubscriberSide>(std::in_place, stage);
   std::uint64_t generation = 0, committed = 0, last = 0;
-  std::uint64_t served_from = 0;  // what came before was for others
+  std::uint64_t served_from = 0;  // earlier messages were for others
   bool linked = false, leaving = false, in_flight = false, alive = true;
   const auto take = [&] {
     std::uint64_t number = 0;
@@ -115,7 +104,7 @@ bool run(const Script& script, std::uint64_t n, Totals& totals) {
       case SubscriberSide::Found::intact:
         break;
     }
-    EXPECT_GT(number, last) << "a message came twice or out of order";
+    EXPECT_GT(number, last) << "a message arrived twice or out of order";
     last = number;
     const std::uint64_t head =
         abi::sequence_of(stage.words().head().load(std::memory_order_acquire));
@@ -197,7 +186,7 @@ bool run(const Script& script, std::uint64_t n, Totals& totals) {
 
   if (!alive) {
     ++totals.points;
-    EXPECT_TRUE(child.was_killed()) << "the publisher did not die of its crash point";
+    EXPECT_TRUE(child.was_killed()) << "the publisher did not die at its crash point";
     std::uint64_t final_head = 0;
     switch (journal::recover_queue(stage.words(), slot_count, final_head)) {
       case journal::IntentDecision::nothing:
@@ -215,7 +204,7 @@ bool run(const Script& script, std::uint64_t n, Totals& totals) {
     }
     stage.board_steps().orphan_publisher(0, Stage::publisher_generation, final_head);
     const std::uint64_t final_number = abi::sequence_of(final_head) - Stage::first_sequence();
-    EXPECT_GE(final_number, committed) << "an acknowledged message is gone";
+    EXPECT_GE(final_number, committed) << "an acknowledged message was lost";
     EXPECT_LE(final_number, committed + (in_flight ? 1 : 0))
         << "more was committed than was published";
     // Recovery of recovery: nothing is left to do.
@@ -231,7 +220,7 @@ bool run(const Script& script, std::uint64_t n, Totals& totals) {
     while (take()) {
     }
     if (!alive) {
-      EXPECT_TRUE(subscriber->drained()) << "what was committed was not delivered";
+      EXPECT_TRUE(subscriber->drained()) << "a committed message was not delivered";
     }
   }
   while (linked && subscriber->held_count() != 0)
@@ -250,7 +239,7 @@ TEST_P(PublisherSweep, SurvivesDeathAtEveryCrashPoint) {
   std::printf("%-40s %4u deaths: %3u nothing to do, %3u rolled back, %3u rolled forward\n",
               GetParam().name, totals.points, totals.untouched, totals.rolled_back,
               totals.rolled_forward);
-  EXPECT_GT(totals.points, 20u) << "hardly any crash point was reached";
+  EXPECT_GT(totals.points, 20u) << "too few crash points were reached";
 }
 
 INSTANTIATE_TEST_SUITE_P(Scripts, PublisherSweep, testing::ValuesIn(scripts));

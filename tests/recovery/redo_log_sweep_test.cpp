@@ -1,9 +1,9 @@
 // SPDX-License-Identifier: Apache-2.0
 //
-// Goal: a daemon may be killed at any store of its redo log, also while it redoes; every committed
-// change is made exactly, no other. Method: a child makes changes to a table through the log and is
+// Goal: a daemon may be killed at any store of its redo log, also while it redoes; exactly the
+// committed changes are made. Method: a child makes changes to a table through the log and is
 // killed at its n-th crash point; a second child redoes and is killed at its m-th; then the parent
-// redoes and compares with the changes that the log says were committed.
+// redoes and compares with the changes that the log shows as committed.
 
 #include <base/mapping.hpp>
 #include <base/memfd.hpp>
@@ -25,12 +25,12 @@ constexpr std::uint64_t fingerprint = 42;
 constexpr std::uint64_t cell_count = 8;
 constexpr std::uint64_t change_count = 12;
 
-/// The table that the log protects, behind it in the same memory.
+/// The table that the log protects; it follows the log in memory.
 abi::SharedWord& cell(std::byte* region, std::uint64_t index) {
   return SharedMemory::word(region, RedoLog::bytes + index * 8);
 }
 
-/// Two stores, so that a death can fall between them; made twice it is the same.
+/// Two stores, so that a death can fall between them; making them again changes nothing.
 void apply(std::byte* region, const Record& record) {
   crash_point(no_step);
   cell(region, record.argument[0]).store(record.argument[1], std::memory_order_release);
@@ -65,7 +65,7 @@ void redo(std::byte* region) {
   }
 }
 
-/// True when it died of its crash point.
+/// Returns whether the child died at its crash point.
 template <class Body>
 bool dies(std::uint64_t n, Body body) {
   const pid_t pid = ::fork();
@@ -82,7 +82,7 @@ bool dies(std::uint64_t n, Body body) {
   return WIFSIGNALED(status);
 }
 
-TEST(RedoLogSweep, CommittedChangesAreMadeExactlyWhateverDies) {
+TEST(RedoLogSweep, ExactlyTheCommittedChangesAreMadeWhateverDies) {
   unsigned deaths = 0, pairs = 0;
   bool first_survived = false;
   for (std::uint64_t n = 1; !first_survived; ++n) {
@@ -123,12 +123,12 @@ TEST(RedoLogSweep, CommittedChangesAreMadeExactlyWhateverDies) {
   EXPECT_GT(pairs, change_count);
 }
 
-TEST(RedoLog, RecognisesItsOwnLayoutOnly) {
+TEST(RedoLog, RecognisesOnlyItsOwnLayout) {
   const UniqueFd fd = make_memfd("journal", RedoLog::bytes).value();
   const Mapping mapping =
       Mapping::map(fd.get(), RedoLog::bytes, Mapping::Access::read_write).value();
   RedoLog log(mapping.base());
-  EXPECT_EQ(log.state(fingerprint), RedoLog::State::damaged) << "a zeroed region is no log";
+  EXPECT_EQ(log.state(fingerprint), RedoLog::State::damaged) << "a zeroed region is not a log";
   log.create(fingerprint, 7);
   EXPECT_EQ(log.state(fingerprint), RedoLog::State::valid);
   EXPECT_EQ(log.state(fingerprint + 1), RedoLog::State::other_layout);

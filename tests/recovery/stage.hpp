@@ -2,10 +2,10 @@
 //
 // Stage: one topic with real regions and two processes, for the crash sweeps.
 //
-// The parent is the daemon and one of the two sides; the other side is a forked child that executes
-// commands one by one and may die at any crash point. Every process maps what it may not write
-// read-only, so a store into foreign memory is a SIGSEGV and not a surprise. The regions are made
-// anew for each run.
+// The parent is the daemon and one of the two sides; the other side is a forked child that
+// executes commands one by one and may die at any crash point. Every process maps foreign memory
+// read-only, so a store into it is a SIGSEGV and not silent corruption. Each run makes new
+// regions.
 #pragma once
 
 #include <client/heap/peer_heap.hpp>
@@ -45,7 +45,7 @@ inline constexpr std::uint64_t growth_bytes = 256 << 10;
 inline constexpr std::uint64_t slot_count = 64;
 inline constexpr std::uint64_t armed_offset = offsetof(abi::ClientRegionHeader, executor);
 
-/// A message with memory of its own behind a pointer, like a std::vector.
+/// A message that points to its data, like a std::vector.
 struct Message {
   std::uint64_t number;
   std::uint64_t count;
@@ -58,7 +58,7 @@ inline std::uint64_t element(std::uint64_t number, std::uint64_t i) {
 inline constexpr std::uint64_t elements_per_message = 700;  // 5.5 KB: crosses pages
 inline constexpr std::uint64_t message_bytes = 8192;
 
-/// True when the bytes are exactly what message `number` was built with.
+/// Returns whether the bytes are exactly those that message `number` was built with.
 inline bool intact(const Message& message, std::uint64_t number) {
   if (message.number != number || message.count != elements_per_message) return false;
   std::uint64_t sum = 0;
@@ -89,7 +89,7 @@ class Stage {
             Mapping::map(publisher_fd_.get(), region_bytes, Mapping::Access::read_write).value()),
         subscriber_region_(
             Mapping::map(subscriber_fd_.get(), region_bytes, Mapping::Access::read_write).value()) {
-    // Where the window lies: addresses that are free now, in this process and so in its children.
+    // The window lies at addresses that are free now, in this process and thus in its children.
     heap_base_ = reinterpret_cast<std::uint64_t>(Mapping::reserve(0, heap_bytes).value().base());
     words().head().store(abi::pack_entry(first_sequence(), 0), std::memory_order_relaxed);
     journal::BoardSteps<M>(topic()).add_publisher(
@@ -101,12 +101,8 @@ class Stage {
   static std::uint64_t first_sequence() { return abi::first_sequence_of(publisher_generation); }
 
   region::TopicWords<M> topic() const { return {board_.base(), 0}; }
-  region::PublisherWords<M> words() const {
-    return {publisher_region_.base(), publisher_extent};
-  }
-  region::LinkWords<M> line() const {
-    return {subscriber_region_.base(), subscription_extent, 0};
-  }
+  region::PublisherWords<M> words() const { return {publisher_region_.base(), publisher_extent}; }
+  region::LinkWords<M> line() const { return {subscriber_region_.base(), subscription_extent, 0}; }
   journal::BoardSteps<M> board_steps() const { return journal::BoardSteps<M>(topic()); }
   const Setup& setup() const { return setup_; }
   std::byte* publisher_region() const { return publisher_region_.base(); }
@@ -131,7 +127,7 @@ class Stage {
             alignof(Message)};
   }
 
-  /// The child may write its own region only, the parent's side is read-only to it.
+  /// The child may write only its own region; it sees the parent's side read-only.
   enum class Role : std::uint8_t { publisher, subscriber };
   void restrict_child(Role role) const {
     protect(board_);
@@ -156,7 +152,7 @@ class Stage {
   std::uint64_t heap_base_ = 0;
 };
 
-/// The publisher's process: queue and a heap that grows by frontier and poisons what it frees.
+/// The publisher's process: queue and a heap that grows by frontier and poisons freed memory.
 class PublisherSide {
  public:
   explicit PublisherSide(Stage& stage) : stage_(stage), core_(stage.publisher_identity()) {
@@ -192,7 +188,7 @@ class PublisherSide {
     core_.detach(0, generation);
     pass();
   }
-  /// Nothing more for the subscription; its holds no longer count; it is served as before.
+  /// Withdraws the subscription; then its holds no longer count; then it is served as before.
   bool withdraw(std::uint64_t generation) {
     const bool withdrawn = core_.withdraw(0, generation, abi::Withdrawal::over_share);
     pass();
@@ -222,7 +218,7 @@ class PublisherSide {
                stage_.heap_fd(), static_cast<off_t>(frontier_)) == MAP_FAILED) {
       std::abort();
     }
-    // The newest pages are used first, so a reader that stops at the old frontier faults.
+    // The newest pages are used first, so that a reader with the old frontier faults.
     for (std::uint64_t offset = frontier_; offset < bytes; offset += message_bytes)
       blocks_.push_back(stage_.heap_base() + offset);
     frontier_ = bytes;
@@ -247,7 +243,7 @@ class PublisherSide {
   std::uint64_t rings_ = 0;
 };
 
-/// The subscriber's process. In the publisher's own process the heap is mapped already.
+/// The subscriber's process. In the publisher's own process the heap is already mapped.
 class SubscriberSide {
  public:
   explicit SubscriberSide(Stage& stage, bool in_publisher_process = false)
@@ -284,7 +280,7 @@ class SubscriberSide {
     if (number != nullptr) *number = taken->sequence - Stage::first_sequence();
     return check(*taken) ? Found::intact : Found::damaged;
   }
-  /// The oldest held message; false when its content changed while it was held.
+  /// Releases the oldest held message. Returns whether it did not change while held.
   bool release() {
     if (held_.empty()) return true;
     const bool unchanged = check(held_.front());
@@ -315,7 +311,7 @@ class SubscriberSide {
   std::deque<dataplane::Taken> held_;
 };
 
-/// A child that executes one-letter commands and answers each with a byte; or dies.
+/// A child that executes one-letter commands and answers each with a byte, or dies.
 class Child {
  public:
   template <class Body>
@@ -344,7 +340,7 @@ class Child {
     }
   }
 
-  /// The answer, or nothing when the child died of the command.
+  /// Returns the answer, or nothing if the child died during the command.
   std::optional<char> command(char what) {
     char answer = 0;
     if (::send(socket_.get(), &what, 1, MSG_NOSIGNAL) != 1 ||
@@ -352,7 +348,7 @@ class Child {
       return std::nullopt;
     return answer;
   }
-  /// Waits for the end. True when it was the SIGKILL of a crash point, not anything else.
+  /// Waits for the end. Returns whether it was the SIGKILL of a crash point.
   bool was_killed() {
     int status = 0;
     ::waitpid(std::exchange(pid_, -1), &status, 0);
@@ -363,6 +359,10 @@ class Child {
   pid_t pid_ = -1;
   UniqueFd socket_;
 };
+
+/// Returns a child's answer to a command. It reports the child's failed expectations to the
+/// parent.
+inline char answer(bool done) { return testing::Test::HasFailure() ? '!' : done ? '+' : '-'; }
 
 /// Serves commands in a child: `execute` gets each letter and returns the answer.
 template <class Execute>

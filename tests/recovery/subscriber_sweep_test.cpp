@@ -1,10 +1,11 @@
 // SPDX-License-Identifier: Apache-2.0
 //
-// Goal: a subscriber may be killed at any crash point of link, take, release, sleep and unlink; its
-// holds vanish, nothing is leaked, the publisher never notices more than that, and the next
-// subscription starts clean. Method: a child process runs a script and is killed at its n-th crash
-// point, for n = 1, 2, 3 … until it survives. The parent is daemon and publisher.
+// Goal: a subscriber may be killed at any crash point of link, take, release, sleep and unlink;
+// its holds vanish, nothing leaks, the publisher notices nothing else, and the next subscription
+// starts clean. Method: a child process runs a script and is killed at its n-th crash point, for
+// n = 1, 2, 3 … until it survives. The parent is daemon and publisher.
 
+#include <tests/recovery/one_sided_script.hpp>
 #include <tests/recovery/stage.hpp>
 
 #include <cstdio>
@@ -14,21 +15,9 @@
 namespace agnocast::sweep {
 namespace {
 
-// Commands. Publisher and daemon (parent): p publish · g grow, then publish · x pass · a attach.
-// Subscriber (child): L link from the start · l link late · t take · r release · z sleep · w wake ·
-// u unlink.
-struct Script {
-  const char* name;
-  Setup setup;
-  const char* commands;
-};
-
-void PrintTo(const Script& script, std::ostream* out) { *out << script.name; }
-
-constexpr abi::Qos keep_last(std::uint32_t depth, bool transient_local = false) {
-  return {depth, transient_local, true, false, false};
-}
-
+// Commands. Publisher and daemon (parent): p publish · g grow, then publish · x scan · a attach.
+// Subscriber (child): L link from the start · l link late · t take · r release · z sleep ·
+// w wake · u unlink.
 const Script scripts[] = {
     {"link, take, release, unlink", {keep_last(1), keep_last(5)}, "Lapptrtru"},
     {"several held, released in between", {keep_last(1), keep_last(5)}, "Lapppttrprptrtrtru"},
@@ -53,8 +42,8 @@ bool run(const Script& script, std::uint64_t n, unsigned& points) {
                                        {script.setup.requested, 1, subscription_extent, 8, 0});
   Child child(n, [&](int socket, std::uint64_t crash_at) {
     stage.restrict_child(Stage::Role::subscriber);
-    // The heap is mapped by frontier in the subscriber; the publisher's own mapping came with the
-    // fork and must not help.
+    // The subscriber maps the heap by its frontier; the publisher's mapping, inherited by fork,
+    // must not help.
     ::munmap(reinterpret_cast<void*>(stage.heap_base()), heap_bytes);
     SubscriberSide subscriber(stage);
     crash_points::arm(crash_at);
@@ -124,9 +113,9 @@ bool run(const Script& script, std::uint64_t n, unsigned& points) {
   }
   if (!alive) {
     ++points;
-    EXPECT_TRUE(child.was_killed()) << "the subscriber did not die of its crash point";
-    // The publisher does not know yet and is not blocked: a keep-all one says so at once instead of
-    // waiting.
+    EXPECT_TRUE(child.was_killed()) << "the subscriber did not die at its crash point";
+    // The publisher does not know yet and is not blocked: a keep-all publisher reports it at once
+    // instead of waiting.
     publish(false);
     stage.board_steps().set_subscription(0, generation, abi::MemberState::dead);
   } else {
@@ -141,9 +130,9 @@ bool run(const Script& script, std::uint64_t n, unsigned& points) {
                                     ? std::min<std::uint64_t>(script.setup.offered.depth, published)
                                     : 0;
   EXPECT_EQ(publisher.allocated_count(), history)
-      << "messages stay allocated that nobody can ask for";
+      << "messages stay allocated that no subscription can take";
 
-  // Another process takes the index over, in a fresh region as its owner would have it.
+  // Another process reuses the index, in a new region as it would have.
   std::memset(stage.subscriber_region(), 0, region_bytes);
   stage.board_steps().add_subscription(0, ++generation,
                                        {script.setup.requested, 2, subscription_extent, 8, 0});
@@ -173,7 +162,7 @@ TEST_P(SubscriberSweep, SurvivesDeathAtEveryCrashPoint) {
     if (run(GetParam(), n, points) || testing::Test::HasFailure()) break;
   }
   std::printf("%-40s %4u deaths\n", GetParam().name, points);
-  EXPECT_GT(points, 10u) << "hardly any crash point was reached";
+  EXPECT_GT(points, 10u) << "too few crash points were reached";
 }
 
 INSTANTIATE_TEST_SUITE_P(Scripts, SubscriberSweep, testing::ValuesIn(scripts));

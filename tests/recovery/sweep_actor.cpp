@@ -1,29 +1,30 @@
 // SPDX-License-Identifier: Apache-2.0
 //
-// Processes for the process sweeps: a program that makes processes by fork, before it has used the
-// library itself. The library is the twin with crash points. Each process it makes connects to the
-// test's socket, obeys the control page of its own, and answers each packet with one packet.
+// Processes for the process sweeps: a program that forks processes before it uses the library
+// itself. The library is the twin with crash points. Each process connects to the test's socket,
+// obeys its own control page, and answers each packet with one packet.
 //
-//   pub ID TOPIC QOS · sub ID TOPIC QOS · cb ID TOPIC QOS      QOS: depth, then t (transient local), a (keep-all)
-//       cb: a callback in a thread of the node keeps what it gets
-//   publish ID COUNT · foreign ID COUNT · big ID COUNT         → how many were committed
-//       foreign: built outside the shared heap, so adopted. big: 4 MiB of addresses each, hardly any is touched
-//   borrow ID · commit ID               a loan stays open; it is filled and published → as publish
-//   later ID COUNT · done ID COUNT      12 MiB each, in a thread of its own; → ok when it waits for a window or is through,
-//                                       → as publish
-//   take ID → none | PUBLISHER:NUMBER, held · drain ID → all of them, by batches, not held · heard ID → what the callback got
-//   release → ok | nothing             the oldest that is held, looked at once more
-//   drop → ok | nothing                 likewise, not looked at
-//   island → why this process is one, when it is
-//   connected · moved · settled         waits until this process is known to the daemon; until all its publishers
-//                                       have moved there; until no former membership is left
-//   unpub ID · unsub ID                 what is held stays
-//   fork                                a child that lives as long as this process, with all it inherits
-//   sync                                everything announced so far has been handled
-//   quit                                ends like a program that returns from main
+//   pub ID TOPIC QOS · sub ID TOPIC QOS · cb ID TOPIC QOS
+//       QOS: depth, then t (transient local), a (keep-all). cb: a callback thread records messages
+//   publish ID COUNT · foreign ID COUNT · big ID COUNT   → how many were committed
+//       foreign: outside the shared heap, so adopted. big: 4 MiB of addresses, mostly untouched
+//   borrow ID · commit ID         a loan stays open; it is filled and published → as publish
+//   later ID COUNT · done ID COUNT     12 MiB each, in a separate thread;
+//                                 → ok when it waits for a window or is done, → as publish
+//   take ID → none | PUBLISHER:NUMBER, held · drain ID → all, by batches, not held
+//   heard ID → messages of the callback
+//   release · drop → ok | nothing      the oldest held message; release checks it once more
+//   island → why this session is orphaned, once it is
+//   connected · moved · settled   waits until the daemon knows this process; until all its
+//                                 publishers have moved there; until no previous session is left
+//   unpub ID · unsub ID           held messages stay
+//   fork                          a child that lives as long as this process, with all it inherits
+//   sync                          everything announced so far has been handled
+//   quit                          ends like a program that returns from main
 
 #include <base/packet_socket.hpp>
 #include <tests/recovery/sweep_parcel.hpp>
+#include <tests/support/actor.hpp>
 #include <tests/support/crash_point.hpp>
 
 #include <fcntl.h>
@@ -50,23 +51,6 @@
 
 namespace agnocast::sweep {
 namespace {
-
-struct Node {
-  const char* get_name() const { return "actor"; }
-  const char* get_namespace() const { return "/"; }
-  const char* get_fully_qualified_name() const { return "/actor"; }
-};
-
-QoS qos_of(const std::string& text) {
-  std::size_t end = 0;
-  const std::size_t depth = std::stoul(text, &end);
-  QoS qos(depth);
-  for (const char letter : text.substr(end)) {
-    if (letter == 't') qos.transient_local();
-    if (letter == 'a') qos.keep_all(depth);
-  }
-  return qos;
-}
 
 constexpr std::size_t big_words = (std::size_t{4} << 20) / sizeof(std::uint64_t);
 constexpr std::size_t huge_words = big_words * 3;  // all of them are touched
@@ -102,11 +86,12 @@ class Actor {
     }
     line >> topic >> qos;
     if (what == "pub") {
-      publishers_[id].publisher = create_publisher<Parcel>(node_, topic, qos_of(qos));
+      publishers_[id].publisher =
+          create_publisher<Parcel>(node_, topic, test::qos_from_letters(qos));
     } else if (what == "sub") {
-      subscriptions_[id] = create_subscription<Parcel>(node_, topic, qos_of(qos));
+      subscriptions_[id] = create_subscription<Parcel>(node_, topic, test::qos_from_letters(qos));
     } else if (what == "cb") {
-      listen(id, topic, qos_of(qos));
+      listen(id, topic, test::qos_from_letters(qos));
     } else {
       return "bad command " + what;
     }
@@ -143,7 +128,7 @@ class Actor {
         const bool is_huge = how == "huge";
         if (is_huge || how == "big") loan->words.reserve(is_huge ? huge_words : big_words);
         loan->fill(id, own.number + 1, is_huge ? huge_words : words);
-        // A window may be on its way; what was built meanwhile lies outside the heap.
+        // A window may be under way; data built meanwhile lies outside the heap.
         for (int i = 0; i < 10'000; ++i) {
           result = own.publisher->publish(std::move(loan));
           if ((how != "big" && how != "huge") || result.code != Errc::heap_exhausted) break;
@@ -214,7 +199,7 @@ class Actor {
 
   static std::size_t count_threads(const char* name) {
     std::size_t count = 0;
-    std::error_code gone;  // a thread may end while it is looked at
+    std::error_code gone;  // a thread may end during the check
     for (const auto& task : std::filesystem::directory_iterator("/proc/self/task", gone)) {
       std::ifstream file(task.path() / "comm");
       std::string its_name;
@@ -249,7 +234,7 @@ class Actor {
     return heard.names;
   }
 
-  // Answers of the daemon come in order with what it announces. This one is refused.
+  // The daemon's answers come in order with its announcements. It refuses this request.
   std::string sync() {
     const auto refused = try_create_subscription<Parcel>(node_, "/sync", QoS(1000));
     if (refused) return "bad sync";
@@ -266,7 +251,7 @@ class Actor {
     return "ok";
   }
 
-  Node node_;
+  test::ActorNode node_{"actor"};
   std::map<std::uint64_t, OwnPublisher> publishers_;
   std::map<std::uint64_t, Subscription<Parcel>::SharedPtr> subscriptions_;
   std::map<std::uint64_t, Callback> callbacks_;
@@ -277,7 +262,7 @@ class Actor {
   std::string published_later_;
 };
 
-// What the test writes into the page is obeyed from the first step on.
+// The control page applies from the first step on.
 void obey(const std::string& control_path) {
   const int file = ::open(control_path.c_str(), O_RDWR | O_CLOEXEC);
   void* const page =
@@ -287,16 +272,16 @@ void obey(const std::string& control_path) {
   crash_points::use(*static_cast<crash_points::Control*>(page));
 }
 
-/// 0: it stays who it is.
+/// uid 0: no change.
 void become(uid_t uid) {
   if (uid == 0) return;
   if (::setgroups(0, nullptr) != 0 || ::setgid(uid) != 0 || ::setuid(uid) != 0) std::abort();
-  // As any process that was this user's from the beginning.
+  // As for any process that has always belonged to this user.
   ::prctl(PR_SET_DUMPABLE, 1);
-  ::prctl(PR_SET_PDEATHSIG, SIGKILL);  // the kernel forgets it with the user
+  ::prctl(PR_SET_PDEATHSIG, SIGKILL);  // the kernel clears it when the user changes
 }
 
-/// Returns when it shall end properly.
+/// Returns when the process shall end normally.
 void serve(const std::string& socket_path, const std::string& control_path, uid_t uid) {
   const PacketSocket socket = PacketSocket::connect(socket_path).value();
   obey(control_path);
@@ -325,7 +310,7 @@ void serve(const std::string& socket_path, const std::string& control_path, uid_
 
 // spawn SOCKET CONTROL UID → its pid
 int main() {
-  ::signal(SIGCHLD, SIG_IGN);  // nobody waits for them
+  ::signal(SIGCHLD, SIG_IGN);  // the children are not waited for
   const pid_t maker = ::getpid();
   std::string what, socket_path, control_path;
   uid_t uid = 0;

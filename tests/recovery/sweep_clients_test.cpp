@@ -1,21 +1,21 @@
 // SPDX-License-Identifier: Apache-2.0
 //
-// Goal: a process that uses the library may be killed at any crash point of anything it does: it
-// disturbs nobody, what it had committed arrives, and nothing of it stays behind.
-// Method: scripts steer the real library (with heap hook and control thread) against the real daemon.
-// V is the victim, A and B survive. Each script runs once without a death; then V is killed at its
-// 1st, 2nd, … n-th crash point until it survives. After each death:
-//   - the daemon has recovered, and verify() holds with the survivors in the middle of their work;
-//   - the survivors go on with the script, and get what they got without the death, except what V
-//     had not committed (Judge says it exactly);
-//   - when they are through, the daemon knows nothing that it did not know before;
+// Goal: a process that uses the library may be killed at any crash point: it disturbs no other
+// process, its committed messages arrive, and nothing of it remains. Method: scripts steer the
+// real library (with heap hook and control thread) against the real daemon. V is the victim; A and
+// B survive. Each script runs once without a death; then V is killed at its 1st, 2nd, … n-th crash
+// point until it survives. After each death:
+//   - the daemon has recovered, and verify() holds with A and B in the middle of their work;
+//   - A and B continue with the script, and get what they got without the death, except what V
+//     had not committed (Performance::judge has the exact rule);
+//   - when they are done, the daemon knows nothing that it did not know before;
 //   - the whole script without a death gives every answer again, in the same places: table
 //     indexes, extents, addresses of windows.
-// In scripts where the daemon's store is lost a sample is tried, because two daemons are started for each
-// point; another one with AGNOCAST_SEED, all with AGNOCAST_SWEEP=all.
-// Without a death: processes and daemon are held up anywhere, each time elsewhere, and nobody notices.
-// AGNOCAST_SWEEP_JITTER=N: whoever lives is held up as well, at N of a million points.
-// AGNOCAST_SWEEP_STRIDE=N tries every N-th point only, AGNOCAST_SWEEP_SCRIPT=I the I-th script only.
+// In scripts that lose the daemon's store only a sample is tried, as each point starts two
+// daemons; AGNOCAST_SEED chooses another sample, AGNOCAST_SWEEP=all tries all points. Without a
+// death: processes and daemon are delayed at random points, and no process notices.
+// AGNOCAST_SWEEP_JITTER=N: surviving processes are delayed as well, at N of a million points.
+// AGNOCAST_SWEEP_STRIDE=N tries every N-th point only, AGNOCAST_SWEEP_SCRIPT=I only script I.
 
 #include <tests/recovery/sweep_script.hpp>
 #include <tests/recovery/sweep_scripts.hpp>
@@ -44,10 +44,10 @@ struct Totals {
 };
 
 constexpr unsigned worker_count = 2;
-// Of a script in which the store is lost, by default.
+// Points tried by default in a script that loses the store.
 constexpr std::uint64_t tried_of_a_loss = 100;
 
-/// Deaths at every stride-th point, each worker a share of them.
+/// Kills at every stride-th point; each worker takes a share of them.
 Totals sweep(const Script& script, SweepStage& stage, unsigned worker, std::uint64_t stride) {
   Totals totals;
   Performance performance(stage, script);
@@ -70,14 +70,14 @@ Totals sweep(const Script& script, SweepStage& stage, unsigned worker, std::uint
     } else if (n > performance.points()) {
       break;
     } else {
-      ++totals.survived;  // fewer looks of the control thread than in the rehearsal
+      ++totals.survived;  // the control thread looked less often than in the rehearsal
     }
   }
   if (!wrong.empty()) totals.violations.push_back(std::string(script.name) + ": " + wrong);
   return totals;
 }
 
-/// Names that few deaths were at: the next run may miss them.
+/// Returns the names with few deaths: the next run may miss them.
 std::string rarest_of(const std::map<Step, std::uint64_t>& died_at) {
   constexpr std::uint64_t few = 5;
   std::string text;
@@ -87,10 +87,10 @@ std::string rarest_of(const std::map<Step, std::uint64_t>& died_at) {
   return text;
 }
 
-/// A point is not the same place in each run, so a name may be missed that is reached. Deaths at those
-/// names then; what nobody dies at even so stays in `left`.
+/// A point is not the same place in each run, so a run may miss a name that is reachable. Kills at
+/// these names; names without a death even so stay in `left`.
 void sweep_names(std::set<Step>& left, Totals& sum) {
-  // The last script is one of those that reach what others do not.
+  // The last script reaches names that others do not.
   for (std::size_t i = std::size(scripts); i-- > 0 && !left.empty();) {
     SweepStage stage;
     Performance performance(stage, scripts[i]);
@@ -106,7 +106,7 @@ void sweep_names(std::set<Step>& left, Totals& sum) {
   }
 }
 
-TEST(ClientSweep, AProcessKilledAtAnyPointDisturbsNobodyAndLeavesNothing) {
+TEST(ClientSweep, AProcessKilledAtAnyPointDisturbsNoOtherAndLeavesNothing) {
   const std::uint64_t stride = std::max<std::uint64_t>(1, number_of("AGNOCAST_SWEEP_STRIDE", 1));
   const std::uint64_t only = number_of("AGNOCAST_SWEEP_SCRIPT", 0);
   Totals sum, losses;
@@ -167,12 +167,12 @@ TEST(ClientSweep, AProcessKilledAtAnyPointDisturbsNobodyAndLeavesNothing) {
   for (const Step step : left) missed += std::string(" ") + name_of(step);
   std::printf("nobody died at:%s\n", missed.empty() ? " (every C_ name was hit)" : missed.c_str());
   if (stride == 1 && only == 0) {
-    EXPECT_EQ(missed, "") << "a named place that no script reaches";
+    EXPECT_EQ(missed, "") << "a named crash point that no script reaches";
   }
 }
 
-// What two do at once is done in another order each time.
-TEST(ClientSweep, NobodyNoticesHowLongAnybodyTakes) {
+// Each run interleaves concurrent operations differently.
+TEST(ClientSweep, DelaysOfAnyProcessChangeNoResult) {
   constexpr std::uint64_t points_per_million = 50'000;
   const std::uint64_t runs = runs_everything() ? 200 : 10,
                       only = number_of("AGNOCAST_SWEEP_SCRIPT", 0);

@@ -1,8 +1,8 @@
 // SPDX-License-Identifier: Apache-2.0
 //
-// The daemon's core as it works, without its sockets: registry, membership and reaper on real
-// tables, board and client regions, which outlive the process that changes them. Post hands packets
-// to sessions that nobody reads.
+// The daemon's core without its sockets: registry, endpoint manager and reaper on real tables,
+// board and client regions, which outlive the process that changes them. The client channel pushes
+// packets into sessions that no process reads.
 #pragma once
 
 #include <daemon/death/reaper.hpp>
@@ -32,10 +32,10 @@ constexpr std::uint64_t core_window_base(std::uint32_t client, std::uint64_t win
 }
 
 /// What the processes know of their endpoints, by the number of the request that created each. It
-/// outlives the daemon as well.
+/// also outlives the daemon.
 using References = std::map<std::uint64_t, wire::Reference>;
 
-/// What lies in memfds that the kernel keeps for the next daemon.
+/// Memory of memfds that the kernel keeps for the next daemon.
 class KeptMemory {
  public:
   KeptMemory() : regions_(Regions::create(store_).value()) {
@@ -51,11 +51,11 @@ class KeptMemory {
   DescriptorStore& store() { return store_; }
 
  private:
-  DescriptorStore store_;  // keeps nothing: the test does
+  DescriptorStore store_;  // keeps nothing: the test keeps the memory
   Regions regions_;
 };
 
-/// One life of the daemon.
+/// One incarnation of the daemon.
 class Core final : private Post {
  public:
   Core(KeptMemory& memory, const std::string& bells, References& references)
@@ -68,7 +68,7 @@ class Core final : private Post {
 
   Registry& registry() { return registry_; }
 
-  // Operations. `again`: the one that the last daemon died in.
+  // Operations. `again`: repeats the one during which the last daemon died.
 
   void hello(std::uint32_t client, bool again) {
     const ClientIndex index{client};
@@ -123,7 +123,7 @@ class Core final : private Post {
     asked.reference = references_.at(request);
     require(static_cast<bool>(membership_.drained(ClientIndex{client}, asked)), "drained");
   }
-  /// `by` says that it has let go of what was created by that request.
+  /// `by` acknowledges the unmap of what that request created.
   void unlinked(std::uint32_t by, std::uint64_t request) {
     const wire::Reference of = references_.at(request);
     wire::Unlinked statement{};
@@ -142,8 +142,8 @@ class Core final : private Post {
     statement.seen = sessions_[by]->packet_count();
     require(static_cast<bool>(membership_.unlinked(ClientIndex{by}, statement)), "let go");
   }
-  /// What a process leaves that dies in a publish, before its commit or behind it. No operation of the
-  /// daemon's: it has no crash points.
+  /// Leaves what a process leaves that dies in a publish, before or after its commit. Not an
+  /// operation of the daemon: it has no crash points.
   void stop_in_publish(std::uint32_t client, std::uint64_t request, bool committed) {
     const wire::Reference& of = references_.at(request);
     const PublisherRecord& record =
@@ -162,20 +162,20 @@ class Core final : private Post {
     sessions_[client].reset();
     end_membership(client, journal::DeathReason::died);
   }
-  /// The process lives, and keeps its place.
+  /// The process lives and keeps its place.
   void revoke(std::uint32_t client) {
     sessions_[client].reset();
     end_membership(client, journal::DeathReason::revoked);
   }
-  /// One that was revoked ends.
+  /// Ends a revoked process.
   void end(std::uint32_t client) {
     const ClientIndex index{client};
     if (registry_.is_revoked(index)) registry_.client_died(index, journal::DeathReason::died);
     membership_.settle_client(index);
   }
 
-  /// As a daemon begins that finds all this: the change under way, the deaths under way and those that
-  /// it finds, whatever is over; everybody who lives comes back.
+  /// Resumes as a new daemon does: completes the change and the deaths under way and those that it
+  /// finds, and frees what is over; every living process reconnects.
   void resume(const std::set<std::uint32_t>& ended) {
     require(registry_.open().has_value(), "these are not our tables");
     registry_.repair_board();
@@ -192,13 +192,13 @@ class Core final : private Post {
     }
   }
 
-  /// Everything that counts, in words: tables, board, and what the registry derives from them.
-  /// Generations as they are, or only their order: an operation that begins anew takes new ones.
+  /// Returns all relevant state as text: tables, board, and what the registry derives from them.
+  /// Generations exact, or only by their order: a repeated operation takes new ones.
   enum class Generations { exact, order };
   std::string state(Generations generations) const;
 
  private:
-  /// What the dead have left, as far as it was open; a region is read as its readers have it.
+  /// Returns what the dead process left in its queue; the region is read as its readers map it.
   std::string queue_of(const PublisherRecord& record) const {
     const SharedFd& reader = regions_.region_reader(record.client);
     if (!reader) return {};
@@ -236,7 +236,7 @@ class Core final : private Post {
 
   Session* session_of(ClientIndex client) override { return sessions_[number(client)].get(); }
   std::uint64_t user_namespace_of(ClientIndex) override { return 1; }
-  void begin_anew(ClientIndex, std::string_view) override {}  // nobody here is told so much
+  void begin_anew(ClientIndex, std::string_view) override {}  // the books never fill up here
   void send(ClientIndex client, Outgoing packet) override {
     Session* const session = session_of(client);
     if (session == nullptr) return;
@@ -333,7 +333,7 @@ inline std::string Core::state(Generations generations) const {
           text << ' ' << word(field);
         text << " told ";
         set(record.told);
-        // Its repair is no record: what the same records make of it is open until they are all there.
+        // Its repair has no record: the state is open until all records are there.
         if (generations == Generations::order && record.state == EndpointState::orphan)
           text << queue_of(record);
       }

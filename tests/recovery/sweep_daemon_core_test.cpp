@@ -1,15 +1,15 @@
 // SPDX-License-Identifier: Apache-2.0
 //
 // Goal: the daemon may be killed before any store into its redo log, its tables, the board and the
-// client regions, before and after any packet, again and again; the next one goes on as if nothing
-// had happened.
-// Method: the daemon's core (registry, membership, reaper) carries out a script in a child process on
-// memory that outlives it, and is killed at its 1st, 2nd, … n-th crash point. Then
-//   - open() makes of what it finds exactly the state after the last committed record;
-//   - a daemon that resumes and is asked once more for what was under way comes to the state that the
-//     operation had without a death, and from there through the rest of the script;
-//   - pairs: the same when the resuming daemon is killed at its m-th crash point before.
-// AGNOCAST_SWEEP=all: all pairs; single: none; otherwise all those in which the second daemon dies while
+// client regions, before and after any packet, repeatedly; the next daemon continues unaffected.
+// Method: the daemon's core (registry, endpoint manager, reaper) runs a script in a child process
+// on memory that outlives it, and is killed at its 1st, 2nd, … n-th crash point. Then
+//   - open() restores exactly the state after the last committed record;
+//   - a daemon that resumes and gets the interrupted request again reaches the state that the
+//     operation had without a death, and from there completes the rest of the script;
+//   - pairs: the same when the resuming daemon is first killed at its m-th crash point.
+// AGNOCAST_SWEEP=all: all pairs; single: none; otherwise all in which the second daemon dies while
+// it opens its tables, and about every 15th of the others.
 // it opens its tables, and every 31st or so of the others.
 
 #include <tests/recovery/sweep_daemon_core.hpp>
@@ -97,9 +97,9 @@ Operation reap_both(std::uint32_t first, std::uint32_t second) {
           {first, second}};
 }
 
-// Processes 0 … 4. A publisher's depth, slots that must grow, indexes given out again, both orders of
-// leaving, deaths of processes with both kinds of endpoints, two of them in the middle of a publish, one that is revoked and ends later, and
-// in the end nobody.
+// Processes 0 … 4. A publisher's depth, slots that must grow, reused indexes, both orders of
+// leaving, deaths of processes with both kinds of endpoints, two of them in the middle of a
+// publish, a revoked process that ends later, and no process at the end.
 const std::vector<Operation> script = {
     hello(0), window(0, 0), publisher(0, "/a", 1), hello(1), executor(1), subscription(1, "/a", 2),
     hello(2), executor(2), window(2, 0), subscription(2, "/a", 3, 500), publisher(2, "/b", 4),
@@ -134,7 +134,7 @@ class CoreSweep : public testing::Test {
     return directory_.path();
   }
 
-  /// Without a death: what the processes know, and the state after each operation.
+  /// Runs without a death: records what the processes know, and the state after each operation.
   void rehearse() {
     crash_points::arm(0);
     KeptMemory memory;
@@ -149,9 +149,9 @@ class CoreSweep : public testing::Test {
   struct Death {
     bool died = false;
     Step step = no_step;
-    std::uint64_t progress = 0;  // operations that were over
+    std::uint64_t progress = 0;  // completed operations
   };
-  /// `body` in a child that dies at its n-th crash point.
+  /// Runs `body` in a child that dies at its n-th crash point.
   template <class Body>
   Death dies(std::uint64_t n, Body body) {
     control_->last.store(0);
@@ -172,7 +172,7 @@ class CoreSweep : public testing::Test {
     Death death;
     death.died = WIFSIGNALED(status) && WTERMSIG(status) == SIGKILL && control_->last.load() != 0;
     EXPECT_TRUE(death.died || (WIFEXITED(status) && WEXITSTATUS(status) == 0))
-        << "it ended otherwise, status " << status;
+        << "the child ended in another way, status " << status;
     if (death.died) death.step = static_cast<Step>(control_->last.load() - 1);
     death.progress = progress_->load();
     crash_points::arm(0);
@@ -214,18 +214,18 @@ class CoreSweep : public testing::Test {
   std::vector<std::string> after_;
 };
 
-TEST_F(CoreSweep, ADaemonKilledAtAnyStoreIsFollowedByOneThatGoesOn) {
+TEST_F(CoreSweep, AfterADeathAtAnyStoreTheNextDaemonContinues) {
   const char* const extent = std::getenv("AGNOCAST_SWEEP");
   const std::uint64_t stride = extent != nullptr && std::string(extent) == "all" ? 1 : 29;
   const bool with_pairs = extent == nullptr || std::string(extent) != "single";
   rehearse();
-  std::map<std::uint64_t, std::pair<std::string, std::string>> by_lsn;  // state, and where from
+  std::map<std::uint64_t, std::pair<std::string, std::string>> by_lsn;  // state, and its origin
   std::map<std::string, std::uint64_t> by_name, second_by_name;
-  std::set<std::uint64_t> untouched;  // states that no repair had a part in
+  std::set<std::uint64_t> untouched;  // states without a repair
   std::uint64_t points = 0, pairs = 0, opening = 0, violations = 0;
   bool created = false;
-  // The repair of a queue is a few points among many, which a sample of second deaths may leave out: beside
-  // some first deaths of these operations it is every point.
+  // The repair of a queue takes a few points among many, which a sample of second deaths may miss:
+  // for some first deaths of these operations every point is tried.
   const std::set<std::size_t> repairing =
       with_pairs ? operations_that_repair() : std::set<std::size_t>{};
   for (std::uint64_t n = 1; violations < 5; ++n) {

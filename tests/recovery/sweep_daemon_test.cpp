@@ -1,21 +1,21 @@
 // SPDX-License-Identifier: Apache-2.0
 //
-// Goal: the daemon may be killed at any crash point, once and again while it resumes, and no process
-// notices; a process and the daemon that recovers it may be killed together.
-// Method: the scripts of sweep_clients with real processes. The daemon's worker is killed at its n-th
-// crash point and started again by its supervisor:
-//   - alone: every answer that a process gets, every message and every place is what it is without the
-//     death; nothing stays behind;
-//   - twice: the next daemon dies as well, a few points later, mostly while it resumes;
+// Goal: the daemon may be killed at any crash point, once and again while it resumes, and no
+// process notices; a process and the daemon that recovers it may be killed together. Method: the
+// scripts of sweep_clients with real processes. The daemon's worker is killed at its n-th crash
+// point and restarted by its supervisor:
+//   - alone: every answer that a process gets, every message and every place is the same as
+//     without the death; nothing remains;
+//   - twice: the next daemon also dies, a few points later, mostly while it resumes;
 //   - while it takes the window of a process that comes from a lost store: at every point;
-//   - while it makes bells anew whose names were removed: at every point from its beginning;
-//   - at every named place at least once, and from the decision of a revocation on;
-//   - pairs: V dies at its n-th point, the daemon at the m-th point of the reap; what has to hold is what
-//     sweep_clients demands;
+//   - while it recreates doorbells whose names were removed: at every point from its start;
+//   - at every named crash point at least once, and from the decision of a revocation on;
+//   - pairs: V dies at its n-th point, the daemon at the m-th point of the reap, with the
+//     requirements of sweep_clients;
 //   - pairs of a publish: V dies at each of its steps, the daemon at every 7th point of the
-//     reap, begun elsewhere for each step.
-// AGNOCAST_SWEEP=all: every point, and all pairs of every script. Otherwise a sample, of which
-// AGNOCAST_SEED chooses another; the number of all is printed.
+//     reap, with a different start for each step.
+// AGNOCAST_SWEEP=all: every point, and all pairs of every script. Otherwise a sample;
+// AGNOCAST_SEED chooses another one. The test prints the total number.
 
 #include <tests/recovery/sweep_script.hpp>
 #include <tests/recovery/sweep_scripts.hpp>
@@ -40,7 +40,7 @@ namespace agnocast::sweep {
 namespace {
 
 constexpr unsigned worker_count = 2;
-/// Counted from 1; 0: all of them.
+/// Counted from 1; 0: all scripts.
 std::uint64_t only_script() { return number_of("AGNOCAST_SWEEP_SCRIPT", 0); }
 
 struct Totals {
@@ -94,7 +94,7 @@ Totals sweep_scripts(
         ADD_FAILURE() << violation << "\nagnocastd wrote:\n" << stages[w]->daemon().log();
       total.add(parts[w]);
     }
-    total.points /= worker_count;  // each counts all
+    total.points /= worker_count;  // each worker counts all
     std::printf("%-62s %6ju %s, %5ju deaths at %2zu names, %zu violations, %5.1f s\n",
                 scripts[i].name, std::uintmax_t{total.points}, what, std::uintmax_t{total.deaths},
                 total.died_at.size(), total.violations.size(),
@@ -114,7 +114,7 @@ void print_places(const Totals& totals) {
   std::printf("the daemon died at:%s\n", text.c_str());
 }
 
-TEST(DaemonSweep, NobodyNoticesADaemonKilledAtAnyPointOnceOrTwice) {
+TEST(DaemonSweep, NoProcessNoticesADaemonKilledAtAnyPointOnceOrTwice) {
   const bool all = runs_everything();
   const std::uint64_t stride = all ? 1 : number_of("AGNOCAST_SWEEP_STRIDE", 47);
   const std::uint64_t seed = number_of("AGNOCAST_SEED", 0);
@@ -129,7 +129,7 @@ TEST(DaemonSweep, NobodyNoticesADaemonKilledAtAnyPointOnceOrTwice) {
         totals.points = performance.daemon_points();
         for (std::uint64_t n = 1 + seed % stride + worker * stride;
              n <= totals.points && totals.violations.empty(); n += stride * worker_count) {
-          // Every second time the next daemon dies as well, sooner or later.
+          // Every second time the next daemon dies too, sooner or later.
           const std::uint64_t then = n / stride % 2 == 0 ? 0 : 1 + (n * 7 + seed) % 60;
           totals.note(script, performance.perform_daemon(n, then),
                       "the daemon's death at point " + std::to_string(n) + ", then " +
@@ -145,25 +145,25 @@ std::set<Step> steps_of_daemon() {
   std::set<Step> found;
   for (const NamedStep& named : journal_steps) found.insert(named.step);
   for (const NamedStep& named : daemon_steps) found.insert(named.step);
-  // Of rule RU: decisions, and what clients do.
+  // Steps of rule RU: decisions, and what clients do.
   for (const Step step : {steps::R2_generation, steps::R4_reusable, steps::R5_again, steps::R6_link,
                           steps::R7_unlinked})
     found.erase(step);
   return found;
 }
 
-/// V dies there and leaves what it was about to publish behind; the daemon when it comes to `step`.
+/// V dies and leaves its interrupted publish behind; the daemon dies when it reaches `step`.
 const Script interrupted_publish{
     "a publish, and what its death leaves",
     "A cb 1 /s 20; B sub 4 /s 20; sync; V pub 2 /s 1; V sub 3 /t 20; sync; V publish 2 2; A sync; "
     "B sync; V arm; V publish 2 1; V quit; A heard 1; B drain 4; A unsub 1; B unsub 4"};
 
-// Whatever the sample of points has hit or not.
-TEST(DaemonSweep, ThereIsNoNamedPlaceWhereADaemonsDeathIsNoticed) {
+// Covers every name, whether or not the sample of points has hit it.
+TEST(DaemonSweep, NoProcessNoticesADaemonsDeathAtAnyNamedPoint) {
   std::set<Step> left = steps_of_daemon();
   std::uint64_t deaths = 0;
   {
-    // Only behind a death in the middle of a publish.
+    // Reached only after a death in the middle of a publish.
     SweepStage stage;
     Performance performance(stage, interrupted_publish);
     ASSERT_EQ(performance.rehearse(), "");
@@ -174,7 +174,7 @@ TEST(DaemonSweep, ThereIsNoNamedPlaceWhereADaemonsDeathIsNoticed) {
       if (ended.daemon_died_at == step) left.erase(step), ++deaths;
     }
   }
-  // In the later scripts more happens to the daemon; those where it is killed anyway are slow.
+  // The later scripts do more to the daemon; scripts that kill it anyway are slow.
   for (std::size_t i = std::size(scripts); i-- > 0 && !left.empty();) {
     if (only_script() != 0 && only_script() != i + 1) continue;
     if (scripts[i].loses_store() ||
@@ -197,12 +197,12 @@ TEST(DaemonSweep, ThereIsNoNamedPlaceWhereADaemonsDeathIsNoticed) {
   std::printf("named places: %ju deaths, nobody died at:%s\n", std::uintmax_t{deaths},
               missed.empty() ? " (every name was hit)" : missed.c_str());
   if (only_script() == 0) {
-    EXPECT_EQ(missed, "") << "a named place that no script reaches";
+    EXPECT_EQ(missed, "") << "a named crash point that no script reaches";
   }
 }
 
-// From the decision on: the process must not believe that it is a member, nor keep anything.
-TEST(DaemonSweep, ARevocationIsCarriedOutByWhicheverDaemonComesNext) {
+// From the decision on: the process must not believe that its session lasts, nor keep anything.
+TEST(DaemonSweep, TheNextDaemonCompletesARevocation) {
   const std::uint64_t stride =
       runs_everything() ? 1 : number_of("AGNOCAST_SWEEP_REVOKE_STRIDE", 17);
   const auto* const script =
@@ -240,7 +240,7 @@ TEST(DaemonSweep, AProcessAndTheDaemonThatRecoversItDieTogether) {
           totals.violations.push_back(std::string(script.name) + ": " + wrong);
           return totals;
         }
-        // How long a reap is depends on what V has by then: the longest is late, not last.
+        // The length of a reap depends on what V owns by then: the longest is late, but not last.
         const Performance::Ended counted = performance.perform_pair(performance.points() / 2, 0);
         totals.note(script, counted, "a death in the middle");
         const std::uint64_t recovery_points = std::max<std::uint64_t>(1, counted.reap_points);
@@ -259,7 +259,7 @@ TEST(DaemonSweep, AProcessAndTheDaemonThatRecoversItDieTogether) {
   EXPECT_GT(sum.both, only_script() != 0 ? 0u : 50u);
 }
 
-// What the queue is repaired to, and what is said of it, must not depend on how often the daemon began.
+// The repaired queue and its records must not depend on how often the daemon started.
 TEST(DaemonSweep, APublisherInAPublishAndTheDaemonThatRepairsItsQueueDieTogether) {
   const std::uint64_t stride =
       runs_everything() ? 1 : number_of("AGNOCAST_SWEEP_PUBLISH_STRIDE", 7);
@@ -276,7 +276,7 @@ TEST(DaemonSweep, APublisherInAPublishAndTheDaemonThatRepairsItsQueueDieTogether
       const Step step{s};
       bool is_reached = true;
       if (s % worker_count != w) continue;
-      // Another beginning for each step, so that together they have all points.
+      // A different start for each step, so that together they cover all points.
       for (std::uint64_t m = 1 + (s / worker_count + number_of("AGNOCAST_SEED", 0)) % stride;
            is_reached && totals.violations.empty(); m += stride) {
         const Performance::Ended ended = performance.perform_pair_from(step, m);
@@ -309,9 +309,9 @@ TEST(DaemonSweep, APublisherInAPublishAndTheDaemonThatRepairsItsQueueDieTogether
     EXPECT_GT(sum.daemon_died_at[step], 0u) << name_of(step);
 }
 
-// The daemon dies anywhere in the creation of a publisher, who is answered by the next one, publishes
-// and exits, while its subscriber is still away.
-TEST(DaemonSweep, APublisherThatWasAnsweredIsHeardByWhoeverWasAway) {
+// The daemon dies at any point of the creation of a publisher, which the next daemon answers and
+// which then publishes and exits while its subscriber is stopped.
+TEST(DaemonSweep, AnAnsweredPublisherIsHeardByASubscriberThatWasStopped) {
   SweepStage stage;
   const ControlPage page(stage.directory() + "/A"), victims(stage.directory() + "/V");
   const auto subscriber = stage.make(page);
@@ -347,9 +347,10 @@ TEST(DaemonSweep, APublisherThatWasAnsweredIsHeardByWhoeverWasAway) {
   EXPECT_GT(deaths, 20u);
 }
 
-// A process whose daemon was lost brings its heap to the next one, which dies anywhere in taking it. Whoever
-// comes then has the window once, at its place, and everything that lies in it is heard.
-TEST(DaemonSweep, AWindowThatIsBroughtIsThereOnceWhereverItsDaemonDies) {
+// A process whose daemon was lost brings its heap to the next one, which dies at any point of
+// taking it. The daemon after that has the window once, at its place, and every message in it
+// arrives.
+TEST(DaemonSweep, ABroughtWindowExistsOnceWhereverItsDaemonDies) {
   SweepStage stage;
   const ControlPage first(stage.directory() + "/A"), second(stage.directory() + "/B");
   const auto subscriber = stage.make(first), publisher = stage.make(second);
@@ -381,7 +382,7 @@ TEST(DaemonSweep, AWindowThatIsBroughtIsThereOnceWhereverItsDaemonDies) {
         "point " + std::to_string(n) + (death ? std::string(", ") + name_of(*death) : "");
     EXPECT_EQ(windows(), at_first) << where;
     ASSERT_EQ(publisher->ask("publish 2 1"), "1") << where;
-    // The publisher may have moved, and the subscriber's thread not be through with its own move.
+    // The publisher may have moved while the subscriber's thread is still moving.
     std::optional<std::string> heard;
     ASSERT_TRUE(test::eventually([&] { return (heard = subscriber->ask("drain 1")) != ""; }))
         << where;
@@ -398,7 +399,7 @@ TEST(DaemonSweep, AWindowThatIsBroughtIsThereOnceWhereverItsDaemonDies) {
     EXPECT_EQ(died_at.count(step), 1u) << name_of(step);
 }
 
-/// What one user's publisher can ring of another user's subscription when its daemons have died and begun anew.
+/// A publisher of one user that rings a subscription of another, while daemons die and restart.
 class BellsOfTwoUsers {
  public:
   static constexpr uid_t other_uid = 65534;
@@ -406,34 +407,36 @@ class BellsOfTwoUsers {
   BellsOfTwoUsers() {
     EXPECT_EQ(receiver_->ask("cb 1 /s 20"), "ok");
     EXPECT_EQ(sender_->ask("pub 2 /s 20"), "ok");
-    // A sync makes a bell that nobody uses afterwards.
+    // A sync makes a doorbell that is not used afterwards.
     EXPECT_EQ(receiver_->ask("sync"), "ok");
     EXPECT_EQ(sender_->ask("sync"), "ok");
-    EXPECT_TRUE(test::eventually([&] { return !rung().empty(); })) << "there is no bell";
+    EXPECT_TRUE(test::eventually([&] { return !rung().empty(); })) << "there is no doorbell";
   }
   SweepStage& stage() { return stage_; }
-  /// What is wrong when the next daemon has died where `arm` says, or nothing.
+  /// Kills the next daemon where `arm` says. Returns what is wrong, or nothing.
   std::string renew(const std::function<void(ControlPage&)>& arm) {
     const std::set<std::string> names = stage_.bell_names();
     const std::set<std::uint32_t> before = rung();
-    if (!stage_.remove_bells_and_restart(arm)) return "no bell had a name, or no daemon goes on";
+    if (!stage_.remove_bells_and_restart(arm))
+      return "no doorbell had a name, or no daemon continues";
     const auto is_another = [&] {
       const std::set<std::uint32_t> now = rung();
       return now.size() == 1 && now != before;
     };
-    if (!test::eventually(is_another)) return "its publisher cannot ring the new bell";
+    if (!test::eventually(is_another)) return "its publisher cannot ring the new doorbell";
     stage_.daemon_control().disarm();
-    // The daemon may have died behind that.
+    // The daemon may have died after that.
     for (const auto* process : {&receiver_, &sender_}) {
       if ((*process)->ask("sync") != "ok") return "a process is not served";
     }
-    if (!test::eventually(is_another)) return "its publisher cannot ring the new bell any more";
+    if (!test::eventually(is_another)) return "its publisher can no longer ring the new doorbell";
     heard_ += "2:" + std::to_string(++number_) + " ";
     if (sender_->ask("publish 2 1") != "1") return "nothing is published";
     if (!test::eventually([&] { return receiver_->ask("heard 1") == heard_; }))
       return "heard " + receiver_->ask("heard 1").value_or("nothing") + ", wanted " + heard_;
-    if (stage_.bell_names() != names) return "other names of bells are there than before";
-    if (!test::eventually([&] { return is_audible(); })) return "the daemon takes it for silent";
+    if (stage_.bell_names() != names) return "the names of the doorbells have changed";
+    if (!test::eventually([&] { return is_audible(); }))
+      return "the daemon takes the subscription for mute";
     if (stage_.daemon().log().find(" client lost ") != std::string::npos) return "client lost";
     return stage_.verify();
   }
@@ -455,16 +458,18 @@ class BellsOfTwoUsers {
   std::string heard_;
 };
 
-// A cleaner has removed the names, and the daemon that finds none of them dies anywhere while it goes on and makes
-// bells anew. Whichever daemon comes then, the publisher of another user can ring the new bell.
-TEST(DaemonSweep, ABellIsMadeAnewWhereverTheDaemonThatMakesItDies) {
+// A cleaner has removed the names, and the daemon that finds none dies at any point while it
+// resumes and recreates doorbells. After that the publisher of another user can ring the new
+// doorbell.
+TEST(DaemonSweep, ADoorbellIsRecreatedWhereverTheDaemonThatMakesItDies) {
   if (::geteuid() != 0) GTEST_SKIP() << "needs root and a second uid";
-  if (!test::datagram_peers()) GTEST_SKIP() << "the kernel has no list of sockets";
+  if (!test::datagram_peers()) GTEST_SKIP() << "needs the kernel's list of sockets";
   BellsOfTwoUsers bells;
   ASSERT_FALSE(HasFailure());
   std::uint64_t deaths = 0;
   std::map<Step, std::uint64_t> died_at;
-  // At each point up to the first bell, then at each from there on, so that it is reached whoever came back before.
+  // At each point up to the first doorbell, then at each from there on, whatever the order of
+  // return.
   for (const bool is_behind : {false, true}) {
     for (std::uint64_t n = 1;; ++n) {
       const std::string wrong = bells.renew([&](ControlPage& daemon) {
@@ -472,8 +477,8 @@ TEST(DaemonSweep, ABellIsMadeAnewWhereverTheDaemonThatMakesItDies) {
                   : daemon.arm_until(steps::B_bell_bind, n);
       });
       const auto death = bells.stage().daemon_control().died_at();
-      ASSERT_EQ(wrong, "") << "point " << n << (is_behind ? " behind" : " before") << " the bell"
-                           << (death ? std::string(", ") + name_of(*death) : "")
+      ASSERT_EQ(wrong, "") << "point " << n << (is_behind ? " behind" : " before")
+                           << " the doorbell" << (death ? std::string(", ") + name_of(*death) : "")
                            << "\nagnocastd wrote:\n"
                            << bells.stage().daemon().log();
       if (!death) break;

@@ -1,7 +1,7 @@
 // SPDX-License-Identifier: Apache-2.0
 //
 // Parcel: the message of the process sweeps. Unsized, a function of (publisher, number), poisoned
-// when it is destroyed: who reads it too late sees it.
+// in its destructor, so that late reads are noticed.
 #pragma once
 
 #include <agnocast/agnocast.hpp>

@@ -1,24 +1,25 @@
 // SPDX-License-Identifier: Apache-2.0
 //
-// Performance: a script of commands to three processes (sweep_actor), played without a death and
-// with the death of one of them, and the comparison of the two.
+// Performance: a script of commands to three processes (sweep_actor), run without a death and with
+// the death of one of them, and the comparison of the two.
 //
-//   "A sub 1 /s 20; sync; V pub 2 /s 20; …"     V may die; A and B live as long as the performance.
-//       Ids are of the whole script. "sync": everybody who lives. "V arm": points count from here on.
-//       "revoke": V's membership, by an observer. "restart": the daemon is killed, another goes on.
-//       "lose": with its store; the next one knows nobody. Then, everybody: "connected", "moved", "settled"
-//       (sweep_actor). "A stop", "A cont": SIGSTOP and SIGCONT; whoever is stopped goes on when V dies.
+//   "A sub 1 /s 20; sync; V pub 2 /s 20; …"     V may die; A and B live until the script ends.
+//       Ids are unique in the script. "sync": all who live. "V arm": points count from now.
+//       "revoke": an observer revokes V's session. "restart": the daemon dies, another resumes.
+//       "lose": also its store; the next knows no process. "connected", "moved", "settled": wait
+//       (sweep_actor). "A stop", "A cont": SIGSTOP, SIGCONT; all continue when V dies.
 //
-// What the death of V may change, and nothing else:
-//   - V's commands after it are not given;
-//   - of each of V's publishers a survivor's subscription gets a prefix of what it gets without the
-//     death. The prefix has every message whose publish had returned or was seen behind its
-//     commit, if the subscription was there before V's last answer; besides it at most what the
+// The death of V may change only the following:
+//   - V's later commands are not given;
+//   - from each of V's publishers a subscription of A or B gets a prefix of what it gets without
+//     the death. The prefix has every message whose publish had returned or was seen after its
+//     commit, if the subscription existed before V's last answer; beyond that at most what the
 //     interrupted publish was committing;
-//   - so a take may find nothing, and a release nothing to release.
-// What survivors get of each other is the same, in the same order.
+//   - so a take may find no message, and a release nothing to release.
+// What A and B get from each other is the same, in the same order.
 #pragma once
 
+#include <tests/recovery/sweep_run.hpp>
 #include <tests/recovery/sweep_stage.hpp>
 #include <tests/support/step_names.hpp>
 
@@ -37,58 +38,6 @@
 
 namespace agnocast::sweep {
 
-struct Script {
-  const char* name;
-  const char* commands;
-  bool loses_store() const { return std::strstr(commands, "lose;") != nullptr; }
-};
-
-struct Command {
-  char who = '*';
-  std::string text;  // without who
-  std::string what;
-  std::uint64_t id = 0;
-  std::string topic;  // or a count
-  std::uint64_t count() const { return std::strtoull(topic.c_str(), nullptr, 10); }
-};
-
-inline std::vector<Command> parse(const char* text) {
-  std::vector<Command> commands;
-  std::istringstream lines(text);
-  for (std::string line; std::getline(lines, line, ';');) {
-    line.erase(0, line.find_first_not_of(' '));
-    Command command;
-    static constexpr const char* of_all[] = {"sync",  "revoke",    "restart", "lose",
-                                             "moved", "connected", "settled"};
-    if (std::find(std::begin(of_all), std::end(of_all), line) == std::end(of_all)) {
-      command.who = line[0];
-      line.erase(0, 2);
-    }
-    command.text = line;
-    std::istringstream words(line);
-    words >> command.what >> command.id >> command.topic;
-    commands.push_back(command);
-  }
-  return commands;
-}
-
-/// What happened in one run, as far as it shall be the same in another.
-struct Run {
-  using Names = std::vector<std::uint64_t>;
-
-  std::vector<std::string> answers;  // by command; empty: not given
-  std::map<std::uint64_t, std::map<std::uint64_t, Names>>
-      got;                                      // subscription → publisher → numbers
-  std::map<std::uint64_t, std::size_t> joined;  // subscription → command
-  std::map<std::uint64_t, std::uint64_t>
-      interrupted;  // publisher → numbers V was asked for when it died
-  std::map<std::uint64_t, std::uint64_t> acknowledged;  // publisher → numbers
-  std::uint64_t committed = 0;                          // of what V was asked for when it died
-  std::optional<std::size_t> noticed_dead;              // before or at this command
-  std::size_t last_answer = 0;                          // of V
-  std::string wrong;
-};
-
 class Performance {
  public:
   Performance(SweepStage& stage, const Script& script)
@@ -101,8 +50,8 @@ class Performance {
     }
   }
 
-  /// Plays it without a death, so that everything is warm; then what every other run is compared
-  /// with. What is wrong, or nothing.
+  /// Runs the script without a death to warm up; then again as the reference for every other run.
+  /// Returns what is wrong, or nothing.
   std::string rehearse() {
     for (const char who : {'A', 'B'}) {
       const bool plays = std::any_of(commands_.begin(), commands_.end(),
@@ -127,21 +76,21 @@ class Performance {
     points_ = control_.reached();
     return {};
   }
-  /// Crash points of V in a run without a death.
+  /// Returns the number of V's crash points in a run without a death.
   std::uint64_t points() const { return points_; }
 
-  /// Crash points of the daemon in it.
+  /// Returns the number of the daemon's crash points in that run.
   std::uint64_t daemon_points() const { return daemon_points_; }
 
   struct Ended {
     std::optional<Step> died_at;
     std::string wrong;
-    // Of a pair:
+    // For a pair:
     std::optional<Step> daemon_died_at = {};
     std::uint64_t reap_points = 0;
   };
-  /// The daemon dies at its n-th point, and the next one `then` points later. Nobody notices.
-  /// In a script where the store is lost: the daemon that begins then, and points are its own.
+  /// Kills the daemon at its n-th point, and the next one `then` points later. No process notices.
+  /// In a script that loses the store: the daemon that starts then, at its own points.
   Ended perform_daemon(std::uint64_t n, std::uint64_t then) {
     stage_.daemon_control().arm(loses_store_ ? 0 : n, loses_store_ ? 0 : then);
     daemon_deadly_ = {n, then};
@@ -149,20 +98,20 @@ class Performance {
     daemon_deadly_.reset();
     return ended;
   }
-  /// V dies at its n-th point, and the daemon at the m-th point of its reap; 0: it lives, and the points
-  /// are counted.
+  /// Kills V at its n-th point, and the daemon at the m-th point of the reap; m = 0: the daemon
+  /// lives, and the points are counted.
   Ended perform_pair(std::uint64_t n, std::uint64_t m) {
     stage_.daemon_control().arm_between(steps::B_reap, steps::B_reaped, m);
     return perform_both(n);
   }
-  /// V dies when it comes to this step for the first time, and the daemon as above.
+  /// Kills V when it first reaches this step, and the daemon as above.
   Ended perform_pair_from(Step step, std::uint64_t m) {
     from_ = step;
     Ended ended = perform_pair(1, m);
     from_.reset();
     return ended;
   }
-  /// Both die when they come to these steps for the first time.
+  /// Kills both when they first reach these steps.
   Ended perform_pair_at(Step step, Step of_daemon) {
     from_ = step;
     stage_.daemon_control().arm_from(of_daemon, 1);
@@ -170,32 +119,32 @@ class Performance {
     from_.reset();
     return ended;
   }
-  /// The daemon dies at the n-th point from the next time that it comes to this step.
+  /// Kills the daemon at the n-th point after it next reaches this step.
   Ended perform_daemon_from(Step step, std::uint64_t n) {
     stage_.daemon_control().arm_from(step, n);
     return perform_without_victim();
   }
-  /// V dies when it comes to this step for the first time.
+  /// Kills V when it first reaches this step.
   Ended perform_from(Step step) {
     from_ = step;
     Ended ended = perform(1);
     from_.reset();
     return ended;
   }
-  /// From now on processes and daemon are held up at so many of a million points, each seed's own.
+  /// Delays processes and daemon from now on at so many of a million points, chosen by seed.
   void slow_down(std::uint64_t seed, std::uint64_t points_per_million) {
     for (const auto& page : pages_) page->slow_down(seed++, points_per_million);
     control_.slow_down(seed++, points_per_million);
     stage_.daemon_control().slow_down(seed, points_per_million);
   }
-  /// Nobody dies, and nobody notices that it is slow.
+  /// Runs without a death; delays must change no result.
   std::string perform_slowly(std::uint64_t seed, std::uint64_t points_per_million) {
     slow_down(seed, points_per_million);
     const Run run = play(0);
     slow_down(0, 0);
     return run.wrong.empty() ? compare_answers(run) : run.wrong;
   }
-  /// V dies at its n-th point; then everything once more without a death.
+  /// Kills V at its n-th point; then runs everything again without a death.
   Ended perform(std::uint64_t n) {
     Run run = play(n);
     Ended ended{control_.died_at(), std::move(run.wrong)};
@@ -227,10 +176,10 @@ class Performance {
     if (ended.wrong.empty()) ended.wrong = lost();
     return ended;
   }
-  /// Nothing that a daemon needs of a process may be missing when it goes on.
+  /// The next daemon must find everything that it needs of a process.
   std::string lost() const {
     const bool is_lost = stage_.daemon().log().find(" client lost ") != std::string::npos;
-    return is_lost ? "what was kept of a process is not all" : "";
+    return is_lost ? "the kept state of a process is incomplete" : "";
   }
 
   struct Publisher {
@@ -313,25 +262,25 @@ class Performance {
     run.answers[at_] = *answer;
     run.last_answer = at_;
     if (answer->rfind("bad", 0) == 0) return complain(run, *answer);
-    if (command.what == "later") run.interrupted[command.id] = command.count();  // until it is done
+    if (command.what == "later") run.interrupted[command.id] = command.count();  // until done
     if (command.what == "done") run.interrupted.erase(command.id);
     if (publishes(command))
       run.acknowledged[command.id] += std::strtoull(answer->c_str(), nullptr, 10);
   }
-  /// It lives, and keeps its place until it ends.
+  /// V lives and keeps its place until it ends.
   void revoke(Run& run) {
     left_something_ = revoked_ = true;
     run.answers[at_] = "revoked";
     if (victim_ == nullptr) return;
-    if (!stage_.revoke(victim_->pid())) return complain(run, "it stays a member");
+    if (!stage_.revoke(victim_->pid())) return complain(run, "it keeps its session");
     if (const std::string broken = stage_.verify(); !broken.empty()) complain(run, broken);
   }
-  /// Everybody's windows are where they were when all are back.
+  /// When all are back, the windows of all processes are at their old addresses.
   void lose_store(Run& run) {
     run.answers[at_] = "lost";
     if (windows_before_.empty()) windows_before_ = windows();
     stage_.end_daemon();
-    // One that dies before it ever served takes its supervisor along: from the first connection on.
+    // A daemon that dies before it served ends its supervisor: from the first connection on.
     if (daemon_deadly_)
       stage_.daemon_control().arm_from(steps::B_accepted, daemon_deadly_->first,
                                        daemon_deadly_->second);
@@ -358,7 +307,7 @@ class Performance {
     }
     windows_before_.clear();
   }
-  // A process that has not noticed the loss yet still says that it is connected.
+  // A process that has not yet noticed the loss still reports that it is connected.
   void await_registration() {
     (void)test::eventually([&] {
       const auto all = windows();
@@ -369,7 +318,7 @@ class Performance {
              });
     });
   }
-  /// By process, its windows' addresses.
+  /// Returns the windows' addresses by process.
   std::map<char, std::vector<std::uint64_t>> windows() {
     std::map<char, std::vector<std::uint64_t>> all;
     for (const auto& [index, process] : stage_.look_in_time().processes) {
@@ -385,7 +334,7 @@ class Performance {
            command.what == "done" || command.what == "foreign" || command.what == "big";
   }
 
-  /// V is dead: the daemon has to deal with it before anything else happens.
+  /// V is dead: the daemon must handle that before the script continues.
   void mourn(Run& run, bool by_crash = true) {
     for (const auto& [who, survivor] : survivors_) survivor->signal(SIGCONT);
     stopped_.clear();
@@ -417,7 +366,7 @@ class Performance {
   static std::size_t count_of(const std::string& names) {
     return static_cast<std::size_t>(std::count(names.begin(), names.end(), ':'));
   }
-  /// How many messages a callback has to have got: it was there first, and nothing is lost.
+  /// Returns how many messages a callback must have: it joined first, and none may be lost.
   std::size_t expected(std::uint64_t subscription, const Run& run) const {
     const auto joined = std::find_if(commands_.begin(), commands_.end(), [&](const Command& c) {
       return c.id == subscription && c.what == "cb";
@@ -428,7 +377,7 @@ class Performance {
     }
     return count;
   }
-  /// Messages that have to arrive: publish has returned, or V died behind the commit.
+  /// Returns how many messages must arrive: publish has returned, or V died after the commit.
   static std::uint64_t committed_by(const Run& run, std::uint64_t publisher) {
     const bool is_interrupted = number_in(run.interrupted, publisher) > 0;
     return number_in(run.acknowledged, publisher) + (is_interrupted ? run.committed : 0);
@@ -456,7 +405,7 @@ class Performance {
       if (!answer) return mourn(run);
       if (*answer != "ok") return complain(run, "V sync: " + *answer);
     }
-    // Places, as long as nobody is on his way out.
+    // Compares places, unless a process is about to leave.
     if (run.wrong.empty() && commands_[at_].who == '*' && !left_something_ && !run.noticed_dead)
       run.answers[at_] = state();
   }
@@ -467,7 +416,7 @@ class Performance {
                   commands_[at_].text + "): " + what;
   }
 
-  /// Everything the daemon knows, but generations and times.
+  /// Returns everything the daemon knows except generations and times.
   std::string state() {
     const ctl::System system = stage_.look_in_time();
     std::string text = "connections " + std::to_string(system.daemon.connections) + ", windows " +
@@ -504,7 +453,7 @@ class Performance {
     return victim_ != nullptr && static_cast<std::uint32_t>(victim_->pid()) == pid ? 'V' : '?';
   }
 
-  // Who comes to a new daemon first, and where the arena of that daemon begins, is different each time.
+  // The order in which processes reach a new daemon, and the base of its arena, differ each time.
   std::string state_in_any_order(const ctl::System& system) const {
     std::multiset<std::string> lines;
     std::map<std::uint64_t, char> names;
@@ -529,7 +478,7 @@ class Performance {
     return text;
   }
 
-  /// The last errands are over when two looks at some distance see the same.
+  /// The last errands are done when two looks some time apart see the same.
   std::string state_at_rest() {
     std::string before, now;
     (void)test::eventually([&] {
@@ -548,7 +497,7 @@ class Performance {
       run.wrong = "something stays behind; before:\n" + baseline_ + "now:\n" + now;
       return;
     }
-    if (daemon_dies_) return;  // the next one has descriptors of its own
+    if (daemon_dies_) return;  // the next daemon has its own descriptors
     std::size_t descriptors = 0;
     if (!test::eventually(
             [&] { return (descriptors = stage_.daemon().descriptor_count()) == descriptors_; }))
@@ -558,65 +507,12 @@ class Performance {
 
   // --- comparisons
 
-  std::string compare_answers(const Run& run) const {
-    for (std::size_t i = 0; i < commands_.size(); ++i) {
-      if (run.answers[i] != reference_.answers[i]) return differs(i, run.answers[i]);
-    }
-    return {};
-  }
-  std::string differs(std::size_t i, const std::string& answer) const {
-    return "command " + std::to_string(i + 1) + " (" + commands_[i].who + " " + commands_[i].text +
-           "): got '" + answer + "', without a death '" + reference_.answers[i] + "'";
-  }
+  std::string compare_answers(const Run& run) const;
+  std::string differs(std::size_t i, const std::string& answer) const;
 
-  std::string compare(const Run& run) const {
-    if (!run.noticed_dead) return compare_answers(run);
-    for (std::size_t i = 0; i < commands_.size(); ++i) {
-      const Command& command = commands_[i];
-      if (command.who == '*' || run.answers[i] == reference_.answers[i]) continue;
-      if (command.who == 'V') {
-        if (!run.answers[i].empty()) return differs(i, run.answers[i]);
-        continue;
-      }
-      const bool is_judged = command.what == "take" || command.what == "drain" ||
-                             command.what == "heard" ||
-                             (command.what == "release" && run.answers[i] == "nothing");
-      if (!is_judged) return differs(i, run.answers[i]);
-    }
-    for (const auto& [subscription, joined] : run.joined) {
-      for (const auto& [publisher, whose] : publishers_) {
-        if (const std::string wrong = judge(run, subscription, publisher); !wrong.empty())
-          return wrong;
-      }
-    }
-    return {};
-  }
+  std::string compare(const Run& run) const;
 
-  std::string judge(const Run& run, std::uint64_t subscription, std::uint64_t publisher) const {
-    const Run::Names got = names(run, subscription, publisher);
-    const Run::Names wanted = names(reference_, subscription, publisher);
-    const auto say = [&](const char* what) {
-      std::string text = "subscription " + std::to_string(subscription) + " of publisher " +
-                         std::to_string(publisher) + ": " + what + "; got";
-      for (const std::uint64_t number : got) text += " " + std::to_string(number);
-      text += ", without a death";
-      for (const std::uint64_t number : wanted) text += " " + std::to_string(number);
-      return text;
-    };
-    if (publishers_.at(publisher).owner != 'V')
-      return got == wanted ? "" : say("a survivor's messages");
-    const std::uint64_t acknowledged = number_in(run.acknowledged, publisher);
-    if (got.size() > wanted.size() || !std::equal(got.begin(), got.end(), wanted.begin()))
-      return say("no prefix");
-    if (!got.empty() && got.back() > acknowledged + number_in(run.interrupted, publisher))
-      return say("more than was published");
-    const std::uint64_t committed = committed_by(run, publisher);
-    const auto owed = static_cast<std::size_t>(std::count_if(
-        wanted.begin(), wanted.end(), [&](std::uint64_t number) { return number <= committed; }));
-    if (run.joined.at(subscription) < run.last_answer && got.size() < owed)
-      return say("a committed message is missing");
-    return {};
-  }
+  std::string judge(const Run& run, std::uint64_t subscription, std::uint64_t publisher) const;
   static std::uint64_t number_in(const std::map<std::uint64_t, std::uint64_t>& numbers,
                                  std::uint64_t publisher) {
     const auto found = numbers.find(publisher);
@@ -651,3 +547,5 @@ class Performance {
 };
 
 }  // namespace agnocast::sweep
+
+#include <tests/recovery/sweep_comparison.hpp>  // bodies

@@ -1,7 +1,7 @@
 // SPDX-License-Identifier: Apache-2.0
 //
-// The scripts of the process sweeps (sweep_script.hpp says how to read them): everything that a process
-// does that uses the library, with and without somebody else in the middle of it.
+// The scripts of the process sweeps (see sweep_script.hpp for the syntax): everything that a
+// process does with the library, with and without other processes in the middle of it.
 #pragma once
 
 #include <tests/recovery/sweep_script.hpp>
@@ -104,7 +104,7 @@ inline const Script scripts[] = {
      "A sub 1 /s 20; A pub 4 /t 20; sync; V pub 2 /s 20; V sub 3 /t 20; sync; V publish 2 1; A "
      "publish 4 1; V take 3; V arm; restart; V publish 2 1; sync; A publish 4 1; V take 3; V quit; "
      "A publish 4 1; A drain 1; A unsub 1; A unpub 4"},
-    // After a loss "take" finds what was there before; only when all have moved, also what came after.
+    // After a loss "take" finds earlier messages; later ones only when all have moved.
     {"the store is lost under a publisher with a loan",
      "A sub 1 /s 20; B sub 4 /s 20; sync; V pub 2 /s 20; sync; V publish 2 3; A take 1; V borrow "
      "2; V arm; lose; V publish 2 1; A take 1; connected; V publish 2 1; V commit 2 1; moved; "

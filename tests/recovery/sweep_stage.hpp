@@ -1,9 +1,9 @@
 // SPDX-License-Identifier: Apache-2.0
 //
 // SweepStage: a daemon and processes of sweep_actor, all with crash points and a control page each
-// that the test writes; and a look at everything the daemon knows, as agnocast-ctl has it.
+// that the test writes; and a view of everything the daemon knows, as agnocast-ctl has it.
 //
-// No expectation in here: stages are used by several threads. What is wrong is said in words.
+// No gtest expectations here, because several threads use stages: errors are returned as text.
 #pragma once
 
 #include <base/mapping.hpp>
@@ -36,7 +36,7 @@
 
 namespace agnocast::sweep {
 
-/// A control page in a file, shared with one process after the other.
+/// A control page in a file, used by one process after another.
 class ControlPage {
  public:
   explicit ControlPage(std::string path) : path_(std::move(path)) {
@@ -45,8 +45,8 @@ class ControlPage {
     mapping_ = Mapping::map(file.get(), abi::page_bytes, Mapping::Access::read_write).value();
   }
   const std::string& path() const { return path_; }
-  /// The process dies at the n-th point from now on; 0 = it only counts. `then`: who comes after it
-  /// on this page dies so many points later.
+  /// The process dies at the n-th point from now on; 0 = it only counts. `then`: its successor on
+  /// this page dies so many points later.
   void arm(std::uint64_t n, std::uint64_t then = 0) {
     words().last.store(0);
     words().deadly.store(0);
@@ -56,20 +56,20 @@ class ControlPage {
     words().then.store(then);
     words().deadly.store(n);
   }
-  /// The same, counted from the next time that it comes to this step.
+  /// Like arm(), counted from the next time that it reaches this step.
   void arm_from(Step step, std::uint64_t n, std::uint64_t then = 0) {
     arm(0, then);
     words().from.store(static_cast<std::uint64_t>(step) + 1);
     words().deadly.store(n);
   }
-  /// The same, and nothing counts any more when it comes to `until`.
+  /// Like arm_from(), but counting ends when it reaches `until`.
   void arm_between(Step step, Step until, std::uint64_t n) {
     arm(0);
     words().until.store(static_cast<std::uint64_t>(until) + 1);
     words().from.store(static_cast<std::uint64_t>(step) + 1);
     words().deadly.store(n);
   }
-  /// Counted from now on, and nothing counts any more when it comes to `until`.
+  /// Counts from now on until it reaches `until`.
   void arm_until(Step until, std::uint64_t n) {
     arm(0);
     words().until.store(static_cast<std::uint64_t>(until) + 1);
@@ -81,15 +81,15 @@ class ControlPage {
     words().from.store(0);
     words().until.store(0);
   }
-  /// From now on it takes its time at so many of a million points; at which says the seed. 0: at none.
+  /// Delays it from now on at so many of a million points, chosen by the seed. 0: at none.
   void slow_down(std::uint64_t seed, std::uint64_t points_per_million) {
     words().sleeps.store(points_per_million);
     words().seed.store(seed);
   }
   std::uint64_t reached() const { return words().reached.load(); }
-  /// By its main thread, since the page exists.
+  /// Returns the commits of its main thread since the page exists.
   std::uint64_t commits() const { return words().commits.load(); }
-  /// Where it died, if at a crash point.
+  /// Returns where it died, if at a crash point.
   std::optional<Step> died_at() const {
     const std::uint64_t last = words().last.load();
     if (last == 0) return std::nullopt;
@@ -104,14 +104,14 @@ class ControlPage {
   Mapping mapping_;
 };
 
-/// One process, asked line by line.
+/// One process, driven line by line.
 class SweepProcess {
  public:
   SweepProcess(PacketSocket socket, pid_t pid)
       : socket_(std::move(socket)), pid_(pid), process_(Pidfd::open(pid).value_or(Pidfd())) {}
 
   pid_t pid() const { return pid_; }
-  /// The answer, or nothing when it died of it.
+  /// Returns the answer, or nothing if the process died.
   std::optional<std::string> ask(const std::string& line) {
     if (!tell(line)) return std::nullopt;
     pollfd readable{socket_.fd(), POLLIN, 0};
@@ -132,7 +132,7 @@ class SweepProcess {
  private:
   static constexpr int patience_ms = 20'000;
   bool wait(int timeout_ms) const {
-    if (process_.fd() < 0) return true;  // it was over before it could be watched
+    if (process_.fd() < 0) return true;  // it ended before it could be watched
     pollfd over{process_.fd(), POLLIN, 0};
     return ::poll(&over, 1, timeout_ms) > 0;
   }
@@ -160,7 +160,7 @@ class SweepStage {
   ControlPage& daemon_control() { return daemon_control_; }
   const std::string& directory() const { return directory_; }
 
-  /// Of this user; 0: of the one that runs the test.
+  /// Makes a process of this user; 0: of the user that runs the test.
   std::unique_ptr<SweepProcess> make(const ControlPage& control, uid_t uid = 0) {
     const std::string answer =
         maker_.ask("spawn " + directory_ + "/actors " + control.path() + " " + std::to_string(uid));
@@ -170,13 +170,13 @@ class SweepStage {
     return std::make_unique<SweepProcess>(std::move(*listener_.accept().value()), pid);
   }
 
-  /// What the daemon knows, as soon as there is one.
+  /// Returns what the daemon knows, as soon as there is a daemon.
   ctl::System look_in_time() {
     ctl::System system;
     (void)test::eventually([&] { return (system = look()).daemon.pid != 0; });
     return system;
   }
-  /// What the daemon knows now; nothing when there is none.
+  /// Returns what the daemon knows now; nothing if there is no daemon.
   ctl::System look() {
     if (!observer_) {
       auto connected = ctl::Observer::connect(daemon_->socket_path());
@@ -188,8 +188,8 @@ class SweepStage {
     observer_.reset();
     return {};
   }
-  /// What was looked at; empty when every invariant holds. As agnocast-ctl verify decides it: broken is
-  /// what several looks find with the same words.
+  /// Returns the broken invariants; empty if all hold. Decided as in agnocast-ctl verify: broken
+  /// is what several looks find with the same words.
   std::string verify() {
     std::set<ctl::Finding> broken;
     for (int looks = 0; looks < 6; ++looks) {
@@ -209,10 +209,10 @@ class SweepStage {
       text += finding.where + ": " + journal::sentence_of(finding.invariant) + "; ";
     return text;
   }
-  /// True when the daemon has accepted whoever connected before, and dealt with the death of this
+  /// Returns whether the daemon has accepted all earlier connections and handled the death of this
   /// process.
   bool wait_until_recovered(pid_t dead) {
-    observer_.reset();  // a new one stands in the queue behind the dead
+    observer_.reset();  // a new one waits in the queue behind the dead
     return test::eventually([&] {
       const ctl::System system = look();
       if (!observer_) return false;
@@ -224,8 +224,8 @@ class SweepStage {
       return system.daemon.connections == living_;
     });
   }
-  /// Ends the membership of a process that lives, however many daemons it takes. True as well when
-  /// the process is no member any more.
+  /// Revokes the session of a living process, however many daemons it takes. Also returns true if
+  /// the process has no session any more.
   bool revoke(pid_t pid) {
     return test::eventually([&] {
       const ctl::System system = look();
@@ -237,12 +237,12 @@ class SweepStage {
             state == State::revoked)
           continue;
         if (!observer_->revoke(process.facts)) observer_.reset();
-        return false;  // it is looked at once more
+        return false;  // look again
       }
       return true;
     });
   }
-  /// Does the daemon know that this process is no member, and keep its place?
+  /// Returns whether the daemon has revoked this process but keeps its place.
   bool is_revoked(pid_t pid) {
     for (const auto& [index, process] : look_in_time().processes) {
       if (static_cast<pid_t>(process.facts.pid) == pid)
@@ -250,7 +250,7 @@ class SweepStage {
     }
     return false;
   }
-  /// SIGKILL to the daemon; true when the next one serves.
+  /// Kills the daemon; returns whether the next one serves.
   bool restart() {
     const std::uint32_t former = look_in_time().daemon.pid;
     if (former == 0) return false;
@@ -260,9 +260,9 @@ class SweepStage {
       return pid != 0 && pid != former;
     });
   }
-  /// The names of all bells are removed, as a cleaner of temporary files does, and the daemon is killed. `arm`
-  /// is called when no point of this one counts any more, and none of the next one yet. False: there was no
-  /// name, or no daemon serves afterwards.
+  /// Removes the names of all doorbells, as a cleaner of temporary files does, and kills the
+  /// daemon. Calls `arm` when this daemon's points no longer count and the next one's do not yet.
+  /// Returns false if there was no name, or no daemon serves afterwards.
   bool remove_bells_and_restart(const std::function<void(ControlPage&)>& arm) {
     const std::set<std::string> names = bell_names();
     const auto former = static_cast<pid_t>(look_in_time().daemon.pid);
@@ -280,20 +280,20 @@ class SweepStage {
       names.insert(name.path().filename().string());
     return names;
   }
-  /// SIGKILL to supervisor and daemon.
+  /// Kills supervisor and daemon.
   void end_daemon() {
     observer_.reset();
     daemon_.reset();
   }
-  /// Another one at the same place, which knows nobody.
+  /// Starts another daemon at the same place, which knows no process.
   void begin_daemon() { daemon_ = std::make_unique<test::DaemonProcess>(daemon_options()); }
-  /// Both. It dies at its n-th point from the first time that it comes to this step.
+  /// Does both. The new daemon dies at its n-th point after it first reaches this step.
   void lose(Step step, std::uint64_t n) {
     end_daemon();
     daemon_control_.arm_from(step, n);
     begin_daemon();
   }
-  /// How many processes are connected when everybody else is gone.
+  /// Sets how many processes are connected when all others are gone.
   void set_living(std::uint64_t count) { living_ = count; }
 
  private:

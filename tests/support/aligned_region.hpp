@@ -1,6 +1,7 @@
 // SPDX-License-Identifier: Apache-2.0
 //
-// AlignedRegion: zeroed private memory with the alignment of a mapping, where a test wants a region without a memfd.
+// AlignedRegion: zeroed private memory aligned like a mapping, for tests that need a region but no
+// memfd.
 #pragma once
 
 #include <agnocast/abi/limits.hpp>

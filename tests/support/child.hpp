@@ -1,7 +1,7 @@
 // SPDX-License-Identifier: Apache-2.0
 //
-// A forked child that runs a function and ends with its value; killed and reaped at the latest by
-// the destructor.
+// A forked child that runs a function and exits with its value; the destructor kills and reaps it
+// at the latest.
 #pragma once
 
 #include <signal.h>
@@ -17,7 +17,7 @@ namespace agnocast::test {
 
 class Child {
  public:
-  /// `body()` runs in the child; its int becomes the exit status.
+  /// Runs `body()` in the child; its int becomes the exit status.
   template <class Body>
   explicit Child(Body&& body) : pid_(::fork()) {
     if (pid_ < 0) std::abort();
@@ -34,7 +34,7 @@ class Child {
 
   pid_t pid() const { return pid_; }
   void kill(int signal = SIGKILL) const { ::kill(pid_, signal); }
-  /// Exit status, or minus the signal that ended it. Reaps: the pid is free afterwards.
+  /// Returns the exit status, or minus the signal. Reaps: the pid is free afterwards.
   int wait() {
     int status = 0;
     while (::waitpid(pid_, &status, 0) < 0 && errno == EINTR) {
@@ -42,7 +42,7 @@ class Child {
     pid_ = -1;
     return WIFEXITED(status) ? WEXITSTATUS(status) : -WTERMSIG(status);
   }
-  /// Sleeps until it is dead, without reaping it: a zombie keeps its pid.
+  /// Blocks until the child is dead, without reaping it: a zombie keeps its pid.
   void wait_until_zombie() const {
     siginfo_t info{};
     while (::waitid(P_PID, static_cast<id_t>(pid_), &info, WEXITED | WNOWAIT) < 0 &&
@@ -54,7 +54,7 @@ class Child {
   pid_t pid_;
 };
 
-/// A child that does nothing until it is killed.
+/// The body of a child that does nothing until it is killed.
 inline int sleep_for_ever() {
   for (;;) ::pause();
 }

@@ -18,7 +18,7 @@ class ClientTool : public SteeredProcess {
       : SteeredProcess({AGNOCAST_CLIENT_TOOL}, {"AGNOCAST_SOCKET=" + socket_path}) {}
 };
 
-/// Takes and releases until nothing is there any more: the numbers, each followed by a space.
+/// Takes and releases until no message is left. Returns the numbers, each followed by a space.
 inline std::string take_all(ClientTool& subscriber) {
   std::string numbers;
   for (;;) {
@@ -29,7 +29,7 @@ inline std::string take_all(ClientTool& subscriber) {
   }
 }
 
-/// `sub` and `pub` are what each is asked; the subscription comes first and hears everything.
+/// Creates the subscription with `sub`, then the publisher with `pub`, and waits for the match.
 inline testing::AssertionResult meet(ClientTool& subscriber, const std::string& sub,
                                      ClientTool& publisher, const std::string& pub) {
   if (const std::string said = subscriber.ask(sub); said != "ok")
@@ -40,7 +40,7 @@ inline testing::AssertionResult meet(ClientTool& subscriber, const std::string& 
   return testing::AssertionFailure() << "matched: " << publisher.ask("matched");
 }
 
-/// In time, and by themselves.
+/// Returns whether the tools become connected by themselves within the time limit.
 inline testing::AssertionResult are_connected(std::initializer_list<ClientTool*> tools) {
   for (ClientTool* const tool : tools) {
     if (!tool->eventually("state", "connected"))

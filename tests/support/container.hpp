@@ -1,6 +1,6 @@
 // SPDX-License-Identifier: Apache-2.0
 //
-// Container: a steered program in namespaces of its own (container.sh), as another user.
+// Container: a steered program in its own namespaces (container.sh), as another user.
 #pragma once
 
 #include <tests/support/daemon_process.hpp>
@@ -22,7 +22,7 @@ namespace agnocast::test {
 struct ContainerOptions {
   uid_t uid = 0;
   std::vector<gid_t> groups = {};
-  /// Outside and inside; the directory of the test's programs is there anyway.
+  /// Outside and inside; the directory of the test's programs is always mounted.
   std::vector<std::pair<std::string, std::string>> mounts = {};
   std::vector<std::string> environment = {};
   bool has_user_namespace = false;
@@ -32,7 +32,7 @@ class Container {
  public:
   Container(std::vector<std::string> program, const ContainerOptions& options)
       : process_(words_of(std::move(program)), variables_of(options, root_)) {}
-  /// Of process 1 as well, before its parent, so that nothing of it is left.
+  /// Kills process 1 as well, before its parent, so that nothing remains.
   ~Container() {
     kill_inside();
     process_.kill();
@@ -41,7 +41,7 @@ class Container {
   Container(const Container&) = delete;
   Container& operator=(const Container&) = delete;
 
-  /// May this process make them?
+  /// Returns whether this process may create the namespaces.
   static bool is_possible(bool has_user_namespace = false) {
     if (::geteuid() != 0) return false;
     Container probe({"/bin/echo", "made"},
@@ -52,7 +52,7 @@ class Container {
   SteeredProcess* operator->() { return &process_; }
   SteeredProcess& operator*() { return process_; }
 
-  /// Of its process 1, as this process sees it; 0 when there is none.
+  /// Returns the container's process 1, as this process sees it; 0 if there is none.
   pid_t pid() const {
     const std::string outer = std::to_string(process_.pid());
     std::ifstream children("/proc/" + outer + "/task/" + outer + "/children");

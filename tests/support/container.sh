@@ -1,17 +1,17 @@
 #!/bin/bash
 # SPDX-License-Identifier: Apache-2.0
 #
-# Runs a program in what a container is to the kernel: mount, IPC, PID, UTS and network namespaces of its own, an empty root
-# with nothing of the host but its programs, its own /proc, and what is mounted into it on purpose. Needs root.
+# Runs a program in what the kernel sees as a container: its own mount, IPC, PID, UTS and network
+# namespaces, a root with only the host's programs, its own /proc and explicit mounts. Needs root.
 #
-#   CONTAINER_ROOT     an empty directory, where the root is built
+#   CONTAINER_ROOT     an empty directory in which the root is built
 #   CONTAINER_MOUNTS   lines "OUTSIDE INSIDE": directories or files
-#   CONTAINER_UID      the user; CONTAINER_GROUPS: its groups besides the one of the same number, separated by commas
-#   CONTAINER_USER_NAMESPACE   not empty: that user makes the container itself, and is root in it (rootless)
+#   CONTAINER_UID      the user; CONTAINER_GROUPS: its other groups, separated by commas
+#   CONTAINER_USER_NAMESPACE   not empty: the user makes the container and is root in it (rootless)
 #
-# The program is process 1 of it, and the only child of the process that this becomes; it dies with that one.
+# The program is process 1 of the container, and dies with its parent, the process of this script.
 set -e
-PATH=$PATH:/usr/sbin:/sbin  # not everybody's has them
+PATH=$PATH:/usr/sbin:/sbin  # not every user's PATH has them
 as_user=(setpriv "--reuid=$CONTAINER_UID" "--regid=$CONTAINER_UID")
 if [ -n "$CONTAINER_GROUPS" ]; then
   as_user+=("--groups=$CONTAINER_GROUPS")
@@ -20,7 +20,7 @@ else
 fi
 if [ -z "$CONTAINER_INSIDE" ]; then
   export CONTAINER_INSIDE=yes
-  # The user may not be able to walk to this file.
+  # The user may have no access to this file's directory.
   again=(unshare --mount --ipc --pid --uts --net --fork --kill-child)
   inside=(bash -c "$(cat "$0")" "$0" "$@")
   [ -z "$CONTAINER_USER_NAMESPACE" ] || exec "${as_user[@]}" "${again[@]}" --user --map-root-user -- "${inside[@]}"

@@ -1,7 +1,7 @@
 // SPDX-License-Identifier: Apache-2.0
 //
-// CrashControl: what an agnocastd_crash that is started meanwhile looks at, each of its daemons in
-// turn; see tests/support/crash_point.hpp, which the test itself is built without.
+// CrashControl: controls the crash points of each daemon of an agnocastd_crash started meanwhile;
+// see tests/support/crash_point.hpp, which the test itself is built without.
 #pragma once
 
 #include <agnocast/abi/limits.hpp>
@@ -31,18 +31,18 @@ class CrashControl {
   ~CrashControl() { ::unsetenv("AGNOCAST_CRASH_CONTROL"); }
   CrashControl(const CrashControl&) = delete;
   CrashControl& operator=(const CrashControl&) = delete;
-  /// Whoever comes next dies at its n-th point, and nobody after it; 0: nobody.
+  /// The next daemon dies at its n-th point, later ones do not; 0: none dies.
   void arm(std::uint64_t n) {
     word(0).store(0);
     word(1).store(n);
   }
-  /// Whoever comes to this step first dies there.
+  /// The first daemon that reaches this step dies there.
   void arm_at(Step step) {
     arm(0);
     word(3).store(static_cast<std::uint64_t>(step) + 1);
     word(1).store(1);
   }
-  /// Did the last one that died die there?
+  /// Returns whether the last death was at this step.
   bool died_at(Step step) { return word(2).load() == static_cast<std::uint64_t>(step) + 1; }
 
  private:

@@ -23,7 +23,7 @@ constexpr std::uint64_t never = ~std::uint64_t{0};  // no Step, plus one
 constinit Control own{};
 constinit std::atomic<Control*> control{&own};
 
-// splitmix64: any two neighbouring numbers come out unrelated.
+// splitmix64: neighbouring numbers give unrelated results.
 std::uint64_t mixed(std::uint64_t x) noexcept {
   x += 0x9e3779b97f4a7c15;
   x = (x ^ (x >> 30)) * 0xbf58476d1ce4e5b9;
@@ -45,7 +45,7 @@ void jitter(Control& told, Step step, std::uint64_t seed, std::uint64_t n) noexc
   const std::uint64_t roll = dice % million;
   if (roll < deaths) die(told, step);
   if (roll >= deaths + told.sleeps.load(std::memory_order_relaxed)) return;
-  // The product of two even numbers: half of the pauses are shorter than a fifth of the longest.
+  // The product of two even distributions: half of the pauses are below a fifth of the longest.
   const std::uint64_t a = dice >> 32 & 0xffff, b = dice >> 48;
   const auto pause_ns = static_cast<long>(crash_points::jitter_ns_max * (a * b >> 16) >> 16);
   const timespec pause{0, pause_ns};

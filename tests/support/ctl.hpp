@@ -26,7 +26,7 @@ struct CtlResult {
   int status = -1;
   std::string out;
   std::string err;
-  /// The one object that was asked for with --json.
+  /// Returns the single object that --json printed.
   nlohmann::json json() const {
     auto parsed = nlohmann::json::parse(out, nullptr, false);
     EXPECT_FALSE(parsed.is_discarded()) << out << err;
@@ -34,8 +34,8 @@ struct CtlResult {
   }
 };
 
-/// `environment` are "NAME=value"; `uid`: as this user (the test must be root); `out_path`: where its
-/// stdout goes instead; `before` runs in its process, as the test's user.
+/// `environment` has "NAME=value"; `uid`: run as this user (the test must be root); `out_path`: a
+/// file for stdout; `before` runs in its process, as the test's user.
 inline CtlResult run_ctl(const std::string& socket, std::vector<std::string> words,
                          const std::vector<std::string>& environment = {},
                          std::optional<uid_t> uid = {}, const char* out_path = nullptr,
@@ -51,7 +51,7 @@ inline CtlResult run_ctl(const std::string& socket, std::vector<std::string> wor
   std::vector<char*> arguments;
   for (std::string& word : words) arguments.push_back(word.data());
   arguments.push_back(nullptr);
-  // Another user may not be able to walk to the program.
+  // Another user may have no access to the program's directory.
   const UniqueFd program(::open(AGNOCAST_TEST_CTL, O_PATH | O_CLOEXEC));
   const pid_t pid = ::fork();
   if (pid == 0) {

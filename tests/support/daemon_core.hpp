@@ -1,7 +1,7 @@
 // SPDX-License-Identifier: Apache-2.0
 //
-// The daemon's core without its sockets: registry, membership and reaper on memory as the daemon has it, and
-// processes that have no connection.
+// The daemon's core without its sockets: registry, endpoint manager and reaper on memory as the
+// daemon has it, and processes without connections.
 #pragma once
 
 #include <daemon/death/reaper.hpp>
@@ -15,7 +15,8 @@
 namespace agnocast::test {
 
 struct DaemonCore {
-  /// Nobody is connected but those for whom a test makes a session; what they are told is counted there.
+  /// Only clients for which a test makes a session are connected; the session counts their
+  /// packets.
   class Connections final : public daemon::Post {
    public:
     using daemon::Post::send;

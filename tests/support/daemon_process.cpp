@@ -53,7 +53,8 @@ std::string content_of(const std::string& path) {
   return text.str();
 }
 
-// Tests look at the daemon far more often than people do, and would wait for the next look that their user may have.
+// Tests look at the daemon far more often than people do, and would wait for their user's next
+// allowed look.
 std::string with_looks_unlimited(std::string config) {
   if (config.find("dumps_per_second") != std::string::npos) return config;
   const std::string quota = "[quota]\n";
@@ -75,7 +76,7 @@ struct Start {
   std::vector<int> sockets;
 };
 
-// As systemd passes them; in the process itself, whose pid is part of it.
+// As systemd passes them; in the process itself, because its pid is part of it.
 void pass(const std::vector<int>& sockets) {
   constexpr int first = 3, elsewhere = 100;
   std::vector<int> copies;
@@ -90,7 +91,7 @@ void pass(const std::vector<int>& sockets) {
   ::setenv("LISTEN_FDNAMES", names.c_str(), 1);
 }
 
-// getsockopt(…, SO_PEERPIDFD, …) fails with ENOPROTOOPT from here on, over exec.
+// From here on, also after exec, getsockopt(…, SO_PEERPIDFD, …) fails with ENOPROTOOPT.
 bool deny_peer_pidfd() {
   constexpr std::uint32_t so_peerpidfd = 77;
   const auto load = [](std::size_t offset) {
@@ -124,7 +125,7 @@ pid_t start(const Start& what) {
   const pid_t parent = ::getpid();
   const pid_t pid = ::fork();
   if (pid != 0) return pid;
-  // Dies with the test, whatever happens to it.
+  // Dies with the test in any case.
   ::prctl(PR_SET_PDEATHSIG, SIGKILL);
   if (::getppid() != parent) ::_exit(127);
   ::unsetenv("NOTIFY_SOCKET");
@@ -137,10 +138,10 @@ pid_t start(const Start& what) {
   if (out < 0 || err < 0) ::_exit(126);
   ::dup2(out, STDOUT_FILENO);
   ::dup2(err, STDERR_FILENO);
-  // Nothing of ours: the first daemon would have it and the next would not.
+  // None of our descriptors: the first daemon would inherit them and the next would not.
   ::close_range(3, ~0U, CLOSE_RANGE_CLOEXEC);
   if (!what.sockets.empty()) pass(what.sockets);
-  // Another user may not be able to walk to the program.
+  // Another user may have no access to the program's directory.
   const int program = ::open(argv[0], O_PATH | O_CLOEXEC);
   if (what.uid) {
     if (::setgroups(0, nullptr) != 0 || ::setgid(*what.uid) != 0 || ::setuid(*what.uid) != 0)
@@ -165,7 +166,7 @@ std::size_t count_descriptors(pid_t pid) {
   return count;
 }
 
-// Waits for the end of a child; -1 by signal, or when it had to be killed.
+// Waits for the end of a child. Returns -1 if a signal ended it or it had to be killed.
 int end_of(pid_t pid) {
   const auto process = Pidfd::open(pid);
   pollfd entry{process ? process->fd() : -1, POLLIN, 0};
@@ -212,7 +213,7 @@ void DaemonProcess::begin(const DaemonOptions& options) {
   if (options.uid) {
     // Others may only look; the daemon's user makes run/ itself.
     EXPECT_EQ(::chown(directory_.c_str(), *options.uid, *options.uid), 0);
-    // Clients of this test, whoever they are, mean that user's daemon.
+    // All clients of this test mean that user's daemon.
     ::setenv("AGNOCAST_DAEMON_UID", std::to_string(*options.uid).c_str(), 1);
   }
 
@@ -242,7 +243,7 @@ void DaemonProcess::begin(const DaemonOptions& options) {
   const auto process = Pidfd::open(pid_);
   ASSERT_TRUE(process);
   pollfd entries[] = {{ready.get(), POLLIN, 0}, {process->fd(), POLLIN, 0}};
-  // Descriptors that come with another word are closed: this manager keeps nothing.
+  // Closes descriptors of other notifications: this service manager keeps none.
   for (std::string text; !text.starts_with("READY=1\n");) {
     if (::poll(entries, 2, patience_ms) <= 0 || (entries[0].revents & POLLIN) == 0) {
       ADD_FAILURE() << "agnocastd does not serve; it wrote:\n" << log();
@@ -275,7 +276,7 @@ void DaemonProcess::kill() {
   end_of(std::exchange(pid_, -1));
   if (worker <= 0 || !process || !*process) return;
   pollfd entry{process->fd(), POLLIN, 0};
-  EXPECT_EQ(::poll(&entry, 1, patience_ms), 1) << "the daemon outlives its supervisor";
+  EXPECT_EQ(::poll(&entry, 1, patience_ms), 1) << "the daemon outlived its supervisor";
 }
 
 pid_t DaemonProcess::kill_worker(int signal) {
@@ -301,7 +302,7 @@ pid_t DaemonProcess::worker_of(pid_t pid) {
   if (text.str().find("--fd-store=none") != std::string::npos) return pid;
   std::ifstream children("/proc/" + std::to_string(pid) + "/task/" + std::to_string(pid) +
                          "/children");
-  // The last one: what is left of a former one may still be there.
+  // The last one: an earlier worker may not be gone yet.
   pid_t child = -1, last = -1;
   while (children >> child) last = child;
   return last;
@@ -322,8 +323,8 @@ bool DaemonProcess::wait_for_log(const std::string& text) const {
 
 std::size_t DaemonProcess::descriptor_count() const { return count_descriptors(pid()); }
 
-// A supervisor that sleeps (or is stopped by a test) has done what it was told so far, and has nothing open for a
-// moment, to pass a word on.
+// A supervisor that sleeps (or is stopped by a test) has completed its work so far and has no
+// descriptor open temporarily to send a message.
 std::size_t DaemonProcess::kept_count() const {
   const auto rests = [this] {
     const std::string stat = content_of("/proc/" + std::to_string(pid_) + "/stat");
@@ -346,7 +347,7 @@ std::size_t DaemonProcess::resident_bytes() const {
 }
 
 std::size_t DaemonProcess::shared_bytes() const {
-  // Not the program's own pages, which come with whatever it does for the first time.
+  // Without the program's own pages, which grow with whatever it does for the first time.
   std::ifstream file("/proc/" + std::to_string(pid()) + "/status");
   std::string word;
   while (file >> word && word != "RssShmem:") {

@@ -1,6 +1,6 @@
 // SPDX-License-Identifier: Apache-2.0
 //
-// DeafPeer: makes TCP sockets whose last close waits for as long as they say.
+// DeafPeer: makes TCP sockets whose last close() blocks for as long as requested.
 #pragma once
 
 #include <base/unique_fd.hpp>
@@ -13,8 +13,8 @@
 
 namespace agnocast::test {
 
-/// Where the peers of lingering sockets wait: accepted by nobody, so they read nothing, and alive as long as
-/// this is.
+/// The other ends of lingering sockets: never accepted, so they read nothing, and alive as long as
+/// this object.
 class DeafPeer {
  public:
   DeafPeer() {
@@ -23,7 +23,8 @@ class DeafPeer {
     socklen_t bytes = sizeof address_;
     EXPECT_EQ(::getsockname(listener_.get(), name(), &bytes), 0);
   }
-  /// A TCP socket whose last close waits so long. Closing it as the end of a process waits for nothing.
+  /// Returns a TCP socket whose last close() blocks so long. Closing it by process exit does not
+  /// block.
   UniqueFd lingering_socket(int seconds) const {
     UniqueFd socket(::socket(AF_INET, SOCK_STREAM | SOCK_CLOEXEC, 0));
     EXPECT_EQ(::connect(socket.get(), name(), sizeof address_), 0);

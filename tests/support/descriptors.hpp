@@ -1,7 +1,7 @@
 // SPDX-License-Identifier: Apache-2.0
 //
-// Descriptors of this process: counted to find leaks, compared to see that the right one arrived. And one of
-// another process, by what it is of.
+// Descriptors of this process: counted to find leaks, compared to see that the right one arrived.
+// And a descriptor of another process, found by the name of its file.
 #pragma once
 
 #include <base/unique_fd.hpp>
@@ -16,7 +16,7 @@
 
 namespace agnocast::test {
 
-/// How many descriptors are open, by /proc/self/fd. Includes the one that looks, every time.
+/// Returns the number of entries of /proc/self/fd. Always includes the one for reading it.
 inline std::size_t open_descriptor_count() {
   DIR* const directory = ::opendir("/proc/self/fd");
   std::size_t count = 0;
@@ -35,7 +35,7 @@ inline bool is_non_blocking(int fd) {
   return flags >= 0 && (flags & O_NONBLOCK) != 0;
 }
 
-/// Whether both are descriptors of the same file.
+/// Returns whether both are descriptors of the same file.
 inline bool is_same_file(int left, int right) {
   struct stat a {};
   struct stat b {};
@@ -43,7 +43,7 @@ inline bool is_same_file(int left, int right) {
          a.st_ino == b.st_ino;
 }
 
-/// One descriptor of a process whose file has `name` in it, opened once more by ourselves.
+/// Reopens a descriptor of another process whose file has `name` in its path.
 inline UniqueFd descriptor_of(pid_t pid, const std::string& name) {
   const std::string directory = "/proc/" + std::to_string(pid) + "/fd/";
   for (const auto& entry : std::filesystem::directory_iterator(directory)) {

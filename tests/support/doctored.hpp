@@ -1,9 +1,10 @@
 // SPDX-License-Identifier: Apache-2.0
 //
-// Doctored: agnocast-ctl doctor as a user runs it, what it finds as values, and its remedies run by a shell.
+// Doctored: runs agnocast-ctl doctor as a user does, returns its findings, and runs its remedies
+// in a shell.
 //
-// What the host says of itself is made the same on every machine: doctor runs in a mount namespace of its own,
-// where files of the test lie over those of /sys and /proc. Nothing of the host is changed.
+// The host looks the same on every machine: doctor runs in its own mount namespace, where files of
+// the test cover those of /sys and /proc. Nothing of the host is changed.
 #pragma once
 
 #include <tests/support/ctl.hpp>
@@ -29,13 +30,13 @@
 
 namespace agnocast::test {
 
-/// Files of the test instead of the host's: where, and what is in them.
+/// Files of the test instead of the host's: path and content.
 using Overlay = std::map<std::string, std::string>;
 
 inline constexpr const char* shmem_enabled = "/sys/kernel/mm/transparent_hugepage/shmem_enabled";
 
-/// Runs `condition` until it holds; false after twenty seconds. Of conditions that run programs, unlike
-/// eventually(), which counts its rounds.
+/// Runs `condition` until it holds; false after twenty seconds. For conditions that run programs,
+/// unlike eventually(), which counts its rounds.
 template <class Condition>
 [[nodiscard]] bool soon(Condition condition) {
   const auto end = std::chrono::steady_clock::now() + std::chrono::seconds(20);
@@ -46,7 +47,7 @@ template <class Condition>
   return condition();
 }
 
-/// May the test raise a limit of another process? Root in a container may not.
+/// Returns whether the test may raise a limit of another process. Root in a container may not.
 inline bool may_raise_limits() {
   constexpr unsigned cap_sys_resource = 24;
   std::ifstream status("/proc/self/status");
@@ -58,7 +59,7 @@ inline bool may_raise_limits() {
 }
 
 struct Findings {
-  /// "id: what", of those that are not ok.
+  /// "id: what", for each that is not ok.
   std::vector<std::string> all;
   std::vector<std::string> remedies;  // of each
   CtlResult result;
@@ -79,15 +80,15 @@ class Doctored {
   Doctored(const Doctored&) = delete;
   Doctored& operator=(const Doctored&) = delete;
 
-  /// May this process have a mount namespace? Without one the host is what it is.
+  /// Returns whether this process may have a mount namespace. Without one, the host is used.
   static bool has_namespaces() { return ::geteuid() == 0; }
 
   Overlay& overlay() { return overlay_; }
-  /// Directories over others; both exist, but for what lies in /run, which is empty then.
+  /// Directories to bind over others; both must exist, except below /run, which is then empty.
   std::map<std::string, std::string>& directories() { return directories_; }
   void set_user(uid_t uid) { uid_ = uid; }
 
-  /// Any command, as doctor is run.
+  /// Runs any command as doctor is run.
   CtlResult run(const std::vector<std::string>& words, std::vector<std::string> environment = {}) {
     environment.push_back("PATH=" AGNOCAST_TEST_PATH ":/usr/sbin:/usr/bin:/sbin:/bin");
     return run_ctl(socket_, words, environment, uid_, nullptr, [this] { enter(); });
@@ -110,7 +111,7 @@ class Doctored {
   }
 
  private:
-  // In the child that becomes agnocast-ctl.
+  // Runs in the child that becomes agnocast-ctl.
   void enter() const {
     if (!has_namespaces()) return;
     if (::unshare(CLONE_NEWNS) != 0 ||
@@ -138,8 +139,8 @@ class Doctored {
   std::optional<uid_t> uid_;
 };
 
-/// A remedy, run by a shell whose user is the test's (so sudo is left out); what it leaves running ends with
-/// this object.
+/// A remedy, run by a shell as the test's user (so without sudo); the processes that it leaves
+/// running end with this object.
 class Remedy {
  public:
   explicit Remedy(std::string command, std::vector<std::string> environment = {}) {
@@ -155,7 +156,7 @@ class Remedy {
     }
     ::setpgid(0, 0);
     for (const std::string& variable : environment) ::putenv(const_cast<char*>(variable.c_str()));
-    // Nothing of ours: whoever reads a pipe of the test would wait for what is left running.
+    // None of our descriptors: a remaining process would keep a pipe of the test open.
     ::close_range(3, ~0U, CLOSE_RANGE_CLOEXEC);
     ::execl("/bin/sh", "sh", "-c", command.c_str(), nullptr);
     ::_exit(98);

@@ -1,7 +1,7 @@
-# agnocast_every_message: headers that visit every message type of interfaces/, and the libraries of their packages. Not there when
-# a package is not found.
-# Typed endpoints take half a second to compile for each type. The packages of every_kind have every kind of member, in messages,
-# services and actions; endpoints of the other types are tested by name.
+# agnocast_every_message: headers that visit every message type of interfaces/, and the libraries
+# of their packages. Missing if a package is not found. Typed endpoints take half a second per type
+# to compile. The packages of every_kind have every kind of member, in messages, services and
+# actions; the other types are tested by name.
 set(every_kind sensor_msgs test_msgs agnocast_test_msgs)
 foreach(part every_kind rest)
   set(${part}_includes "")
@@ -83,7 +83,7 @@ void for_every_message(See&& see) {
 
 }  // namespace agnocast::test
 ")
-# Without the C++ types.
+# Names without the C++ types.
 file(CONFIGURE OUTPUT ${PROJECT_BINARY_DIR}/generated/every_message_name.hpp @ONLY CONTENT
 "#pragma once
 

@@ -1,7 +1,7 @@
 // SPDX-License-Identifier: Apache-2.0
 //
-// operator new of a daemon under test, preloaded: see failing_memory.hpp. Counts what the first thread
-// of a process with a new-handler allocates, which is the daemon's loop.
+// operator new of a daemon under test, preloaded: see failing_memory.hpp. Counts the allocations
+// of the first thread of a process with a new-handler, which is the daemon's loop.
 
 #include <tests/support/failing_memory.hpp>
 
@@ -34,7 +34,7 @@ FailingMemory* control() {
   return found;
 }
 
-std::size_t credit = 0;  // what the handler has given back and nobody has taken since
+std::size_t credit = 0;  // returned by the handler and not yet used
 
 void fail_if_told(std::size_t size) {
   const std::new_handler handler = std::get_new_handler();

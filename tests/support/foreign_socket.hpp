@@ -1,8 +1,8 @@
 // SPDX-License-Identifier: Apache-2.0
 //
-// ForeignSocket: the connection to agnocastd of another process, which knows nothing of it. The
-// test takes a copy of the descriptor (pidfd_getfd), so it may end the connection at any moment,
-// and see whether everything that was sent on it has been read.
+// ForeignSocket: another process's connection to agnocastd, without its knowledge. The test takes
+// a copy of the descriptor (pidfd_getfd), so it can end the connection at any moment, and see
+// whether all sent data has been read.
 #pragma once
 
 #include <base/pidfd.hpp>
@@ -22,7 +22,7 @@ namespace agnocast::test {
 
 class ForeignSocket {
  public:
-  /// Of a child of this process: its socket of type SOCK_SEQPACKET. Empty when it has none.
+  /// Finds the SOCK_SEQPACKET socket of a child of this process. Empty if it has none.
   explicit ForeignSocket(pid_t pid) {
     const auto process = Pidfd::open(pid);
     DIR* const directory = ::opendir(("/proc/" + std::to_string(pid) + "/fd").c_str());
@@ -40,9 +40,9 @@ class ForeignSocket {
   }
   explicit operator bool() const noexcept { return static_cast<bool>(socket_); }
 
-  /// What was sent before can still be read at the other end; the answer to it cannot come.
+  /// The other end can still read what was sent before; the answer cannot arrive.
   bool end_connection() { return ::shutdown(socket_.get(), SHUT_RDWR) == 0; }
-  /// Something was sent that nobody has read.
+  /// Returns whether sent data is still unread.
   bool has_unread() const {
     int bytes = 0;
     return ::ioctl(socket_.get(), SIOCOUTQ, &bytes) == 0 && bytes > 0;

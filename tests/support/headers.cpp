@@ -1,5 +1,5 @@
 // SPDX-License-Identifier: Apache-2.0
 //
-// Whose precompiled headers all tests use; nothing runs it.
+// The precompiled headers of all tests belong to this program; it is never run.
 
 int main() {}

@@ -20,7 +20,7 @@ class Judge : public ::testing::Environment {
     }
     std::istringstream stream(text);
     for (std::string line; std::getline(stream, line);) {
-      // The last one may be cut off: its program was killed.
+      // The last line may be cut off, because its program was killed.
       if (stream.eof()) return;
       EXPECT_TRUE(nlohmann::json::accept(line)) << line;
       lines_ += line + '\n';
@@ -36,7 +36,7 @@ class Judge : public ::testing::Environment {
     const std::string tests = AGNOCAST_SOURCE_DIR "/tests/support/judge_json '" AGNOCAST_SOURCE_DIR
                                                   "/ctl/schemas' </dev/fd/";
     EXPECT_EQ(std::system((tests + std::to_string(::fileno(file.get()))).c_str()), 0)
-        << "what agnocast-ctl --json printed is not as ctl/schemas say";
+        << "the output of agnocast-ctl --json does not match ctl/schemas";
   }
 
  private:

@@ -1,14 +1,14 @@
 // SPDX-License-Identifier: Apache-2.0
 //
-// judge_json: keeps all JSON that a test program made agnocast-ctl print, and holds it to the
-// installed schemas when the program ends. So every test of an output is one of its schema too.
+// judge_json: collects all JSON that agnocast-ctl printed, and validates it against the installed
+// schemas when the test program ends. So every test of an output also tests its schema.
 #pragma once
 
 #include <string>
 
 namespace agnocast::test {
 
-/// `text`: one object, or one on each line.
+/// `text`: one object, or one per line.
 void judge_json(const std::string& text);
 
 }  // namespace agnocast::test

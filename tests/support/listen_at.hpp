@@ -1,6 +1,6 @@
 // SPDX-License-Identifier: Apache-2.0
 //
-// A socket that listens, with the mode that bind() gives it.
+// Makes a listening socket with the mode that bind() gives it.
 #pragma once
 
 #include <base/packet_socket.hpp>

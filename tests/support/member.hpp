@@ -1,6 +1,6 @@
 // SPDX-License-Identifier: Apache-2.0
 //
-// Member: a CtlNode in a process of its own, which does what it was told and then lives until it is killed.
+// Member: a CtlNode in its own process, which runs a function and then lives until it is killed.
 #pragma once
 
 #include <base/unique_fd.hpp>
@@ -19,7 +19,7 @@ namespace agnocast::test {
 
 class Member {
  public:
-  /// `body(node)` runs in the process; the constructor returns when it is over.
+  /// Runs `body(node)` in the process; the constructor returns when it has finished.
   template <class Body>
   Member(const std::string& socket, Body body, const std::string& name = "wire_client") {
     int ends[2];
@@ -34,7 +34,7 @@ class Member {
     });
     write.reset();
     char done = 0;
-    EXPECT_EQ(::read(read.get(), &done, 1), 1) << "it has ended";
+    EXPECT_EQ(::read(read.get(), &done, 1), 1) << "the process has ended";
   }
 
   pid_t pid() const { return child_->pid(); }

@@ -1,7 +1,7 @@
 // SPDX-License-Identifier: Apache-2.0
 //
-// Runs a piece of a test in a process of its own: for what a process decides once, such as the scope
-// of its heap, and for what may end it. The test program itself must not have used the library.
+// Runs a part of a test in its own process: for decisions made once per process, such as the
+// heap's scope, and for code that may end it. The test program must not have used the library.
 #pragma once
 
 #include <tests/support/child.hpp>
@@ -14,7 +14,7 @@
 
 namespace agnocast::test {
 
-/// Expectations inside `body` are printed by the child. True if all held and it ended by itself.
+/// The child prints failed expectations of `body`. Returns whether all held and it ended normally.
 template <class Body>
 testing::AssertionResult in_own_process(Body&& body) {
   std::fflush(nullptr);

@@ -1,6 +1,6 @@
 // SPDX-License-Identifier: Apache-2.0
 //
-// What the public interface needs of a node and of patience, for tests of it.
+// A minimal node and a bounded wait, for tests of the public interface.
 #pragma once
 
 #include <chrono>
@@ -14,7 +14,7 @@ struct PlainNode {
   const char* get_fully_qualified_name() const { return "/ns/node"; }
 };
 
-/// The next message, or none within ten seconds.
+/// Returns the next message, or none after ten seconds.
 template <class SubscriptionPointer>
 auto take_soon(const SubscriptionPointer& subscription) {
   const auto end = std::chrono::steady_clock::now() + std::chrono::seconds(10);

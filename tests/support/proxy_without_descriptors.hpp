@@ -1,9 +1,9 @@
 // SPDX-License-Identifier: Apache-2.0
 //
-// ProxyWithoutDescriptors: stands before a daemon and passes on every packet, but none of the descriptors that come
-// with it: what a security module does that does not let a process receive them, on a kernel that has none. (With a
-// module the kernel also says that something was cut off; a number that is free is what tells both from a lack of
-// numbers.)
+// ProxyWithoutDescriptors: forwards all packets to and from a daemon, but none of their
+// descriptors: like a security module that does not let a process receive them, on a kernel
+// without one. (With a module the kernel also reports truncated control data; a free descriptor
+// number distinguishes that from a lack of numbers.)
 #pragma once
 
 #include <base/packet_socket.hpp>
@@ -40,9 +40,9 @@ class ProxyWithoutDescriptors {
   ProxyWithoutDescriptors& operator=(const ProxyWithoutDescriptors&) = delete;
 
  private:
-  using Pair = std::pair<PacketSocket, PacketSocket>;  // to who came, and to the daemon
+  using Pair = std::pair<PacketSocket, PacketSocket>;  // to the client, and to the daemon
 
-  /// False: one of both has ended.
+  /// Returns false when either end has closed.
   static bool pass_on(const PacketSocket& from, const PacketSocket& to) {
     std::array<std::byte, abi::wire::answer_bytes_max> buffer;
     for (;;) {

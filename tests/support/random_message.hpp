@@ -1,8 +1,8 @@
 // SPDX-License-Identifier: Apache-2.0
 //
-// Messages of any type with random values, and whether two are the same, both by the introspection
-// table. A member that is not filled or not compared would go unnoticed here and there at once, so
-// tests of typed messages also compare with the types' own operator==.
+// Messages of any type with random values, and their comparison, both by the introspection table.
+// Both would miss the same member, so tests of typed messages also compare with the types' own
+// operator==.
 #pragma once
 
 #include <agnocast/generic.hpp>
@@ -43,7 +43,7 @@ class RandomMessages {
  public:
   struct Options {
     bool has_nan = true;
-    /// Any byte in strings, any word in wide ones; else letters.
+    /// Any byte in strings, any word in wide ones; otherwise letters.
     bool has_any_text = true;
   };
   RandomMessages(std::uint64_t seed, Options options) : random_(seed), options_(options) {}
@@ -52,7 +52,7 @@ class RandomMessages {
     for (std::uint32_t i = 0; i < members.member_count_; ++i) {
       const MessageMember& member = members.members_[i];
       void* const at = static_cast<std::byte*>(message) + member.offset_;
-      // Of an empty message; it means nothing.
+      // A placeholder in an empty message, without meaning.
       if (std::string_view(member.name_) == "structure_needs_at_least_one_member") continue;
       if (member.is_array_ && !is_fixed_array(member))
         member.resize_function(at, length(member, depth));
@@ -69,7 +69,7 @@ class RandomMessages {
  private:
   std::uint64_t below(std::uint64_t bound) { return random_() % bound; }
   std::size_t length(const MessageMember& member, int depth) {
-    // Messages in messages in messages are many.
+    // Deep nesting multiplies the elements.
     const bool is_long = depth == 0 && member.type_id_ != ros::ROS_TYPE_MESSAGE;
     const std::size_t most = is_long ? 200 : 3;
     const std::size_t bound = member.is_upper_bound_ ? std::min(member.array_size_, most) : most;
@@ -108,7 +108,7 @@ class RandomMessages {
   }
   template <class String>
   void text(const MessageMember& member, String& target) {
-    // What YAML would take for something else than a string, and what it has to escape.
+    // Texts that YAML would not read as strings, and characters that it must escape.
     static const char* const known[] = {"",    "~",  "true", "0x1f", " a ",  "a: b",
                                         "- c", "#d", "1e3",  ".nan", "null", "'",
                                         "\"",  "\\", "---",  "...",  "1_0",  "12:30",
@@ -168,7 +168,7 @@ class RandomMessages {
   Options options_;
 };
 
-/// Every NaN is the same; -0 is not 0. Where they differ first goes to `where`.
+/// Equal NaNs count as equal; -0 is not 0. The first difference goes to `where`.
 inline bool are_same(const MessageMembers& members, const void* a, const void* b,
                      std::string* where = nullptr) {
   const auto same_element = [&](const MessageMember& member, const std::byte* x,

@@ -1,6 +1,6 @@
 // SPDX-License-Identifier: Apache-2.0
 //
-// The rows of docs/recovery.md: what stands in the columns beside each label.
+// The rows of docs/recovery.md: the columns beside each label.
 #pragma once
 
 #include <gtest/gtest.h>
@@ -12,8 +12,7 @@
 
 namespace agnocast::test {
 
-/// Label → the other columns, without the blanks around them. A label that comes twice fails the
-/// test.
+/// Returns label → other columns, without surrounding blanks. A duplicate label fails the test.
 inline std::map<std::string, std::vector<std::string>> read_recovery_document() {
   std::map<std::string, std::vector<std::string>> rows;
   std::ifstream file(AGNOCAST_RECOVERY_DOCUMENT);
@@ -31,7 +30,7 @@ inline std::map<std::string, std::vector<std::string>> read_recovery_document() 
     }
     const std::string label = columns.front();
     columns.erase(columns.begin());
-    EXPECT_TRUE(rows.emplace(label, columns).second) << label << " stands twice in the document";
+    EXPECT_TRUE(rows.emplace(label, columns).second) << label << " is in the document twice";
   }
   return rows;
 }

@@ -1,7 +1,7 @@
 // SPDX-License-Identifier: Apache-2.0
 //
-// Anonymous memory for a registry: redo log, tables and board, all zero, as the daemon's memfds are, and
-// shared like those, so that pages can be given back.
+// Anonymous memory for a registry: redo log, tables and board, all zero like the daemon's memfds,
+// and shared like them, so that pages can be given back.
 #pragma once
 
 #include <daemon/state/registry.hpp>

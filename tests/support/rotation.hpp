@@ -1,8 +1,8 @@
 // SPDX-License-Identifier: Apache-2.0
 //
-// Rotation: the part of a long list that this run does. AGNOCAST_ROTATION="1/3" is every third of it, beginning with the
-// second; without the variable it is everything. scripts/test sets it by the number of commits, so the parts come
-// in turn; with --full it does not.
+// Rotation: the part of a long list that this run covers. AGNOCAST_ROTATION="1/3" is every third
+// item, starting with the second; without the variable it is all. scripts/test sets it by the
+// number of commits, so that the parts alternate; with --full it does not.
 #pragma once
 
 #include <cstddef>

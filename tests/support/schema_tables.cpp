@@ -1,9 +1,9 @@
 // SPDX-License-Identifier: Apache-2.0
 //
-// The functions in a table know the address of a message and nothing else. So each message type has a
-// slot, and each slot its own instances of the functions, which find its sizes by the number of the
-// slot: those that make and end a message, and those of sequences of it. Sequences of everything
-// else are std::vectors, whose functions need no slot.
+// The functions in a table get only the address of a message. So each message type has a slot, and
+// each slot its own instances of the functions, which find their sizes by the number of the slot:
+// those that make and destroy a message, and those of sequences of it. All other sequences are
+// std::vectors, whose functions need no slot.
 
 #include <tests/support/schema_tables.hpp>
 
@@ -34,8 +34,8 @@ struct Slot {
 };
 std::array<std::unique_ptr<Slot>, slot_count> slots;
 
-/// What a sequence of messages is in memory: three pointers as those of a std::vector, which publishing checks, and
-/// null when made.
+/// The memory of a sequence of messages: three pointers like those of a std::vector, which
+/// publishing checks, initially null.
 struct RawSequence {
   std::byte* begin;
   std::byte* end;
@@ -78,10 +78,10 @@ bool is_fixed(const MessageMember& member) {
 template <class Use>
 void with_type(std::uint8_t type_id, Use&& use);
 
-/// Numbers are zero already.
+/// Numbers are already zero.
 void begin_member(const MessageMember& member, std::byte* at) {
   if (member.is_array_ && !is_fixed(member)) {
-    // As a vector of any type is made.
+    // Made like a vector of any type.
     if (member.type_id_ != ros::ROS_TYPE_MESSAGE)
       with_type(member.type_id_, [&]<class T>(T*) { new (at) std::vector<T>(); });
     return;
@@ -226,7 +226,7 @@ void set_sequence_functions(MessageMember& member) {
   }
 }
 
-/// An array has its size in the table, and none that could be set.
+/// An array has its size in the table, and no function to set it.
 template <class T>
 void set_array_functions(MessageMember& member) {
   member.get_const_function = [](const void* at, std::size_t i) -> const void* {
@@ -257,7 +257,7 @@ class Maker {
     const std::size_t slash = type.rfind('/');
     slot->space = type.substr(0, slash);
     slot->name = type.substr(slash + 1);
-    // Their addresses stay.
+    // Their addresses must not change.
     slot->member_names.reserve(fields->second.size());
     std::size_t offset = 0;
     for (const auto& [name, text] : fields->second) {
@@ -287,7 +287,7 @@ class Maker {
   }
 
  private:
-  /// Cuts "<=N" off the end of `text`; 0 if there is none.
+  /// Cuts "<=N" off the end of `text`. Returns N, or 0 if there is none.
   static std::size_t cut_bound(std::string& text) {
     const std::size_t at = text.find("<=");
     if (at == std::string::npos) return 0;

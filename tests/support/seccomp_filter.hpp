@@ -1,7 +1,7 @@
 // SPDX-License-Identifier: Apache-2.0
 //
-// Makes a kernel look older: one system call with chosen arguments answers an errno from now on.
-// For forked children only; it cannot be taken back.
+// Makes a kernel look older: from now on one system call with chosen arguments fails with an
+// errno. For forked children only; it cannot be undone.
 #pragma once
 
 #include <linux/filter.h>
@@ -16,7 +16,7 @@ namespace agnocast::test {
 
 static_assert(std::endian::native == std::endian::little, "offsets of low halves below");
 
-/// getsockopt(…, level, option, …) answers `error`. False when the kernel refuses the filter.
+/// Makes getsockopt(…, level, option, …) fail with `error`. Returns whether the kernel agrees.
 inline bool deny_getsockopt(std::uint32_t system_call, std::uint32_t level, std::uint32_t option,
                             std::uint32_t error) {
   constexpr auto argument = [](std::uint32_t index) {

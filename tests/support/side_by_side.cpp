@@ -1,9 +1,10 @@
 // SPDX-License-Identifier: Apache-2.0
 //
-// side_by_side N PROGRAM [ARGUMENTS]: runs a GoogleTest program whose tests mostly wait, as N processes at once with
-// an equal part of its tests each (GTEST_TOTAL_SHARDS), and prints what they say one after the other. CTest gives it one
-// of its places, as it would the program alone. Ends with 0 if all of them did. For a table of attacks (scripts/attack-table)
-// it is one process, because each attack's cost is measured.
+// side_by_side N PROGRAM [ARGUMENTS]: runs a GoogleTest program whose tests mostly wait, as N
+// parallel processes with an equal share of its tests each (GTEST_TOTAL_SHARDS), and prints their
+// output in sequence. CTest counts it as one job, like the program alone. Exits with 0 if all of
+// them did. For a table of attacks (scripts/attack-table) it is one process, because each attack's
+// cost is measured.
 
 #include <base/unique_fd.hpp>
 
@@ -38,8 +39,8 @@ struct Part {
   ::_exit(127);
 }
 
-/// Prints what it says until it has ended, as soon as it is said: one that hangs is killed with this process. Returns
-/// whether it ended with 0.
+/// Prints the output of a part as it comes, until the part ends; a hanging part is killed with
+/// this process. Returns whether it exited with 0.
 bool follow(const Part& part) {
   int status = -1;
   ::off_t printed = 0;

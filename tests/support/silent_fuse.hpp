@@ -1,13 +1,12 @@
 // SPDX-License-Identifier: Apache-2.0
 //
-// SilentFuse: a file system whose server says as little as it must. What waits for it waits until this ends.
+// SilentFuse: a file system that answers as little as possible. Its users block until this ends.
 //
-// The whole file system is its root: a file that can be opened, and whose close waits for ever for the answer
-// to FUSE_FLUSH; or a directory in which every look for a name waits for ever. Not even SIGKILL ends the
-// first. A file system that keeps what is written goes further: whoever closes the last descriptor of a file
-// waits for the answer to FUSE_WRITE, also where nobody ever had a number for it. Whoever reads one of `bytes` bytes
-// waits as well. Needs root and /dev/fuse; see
-// made().
+// The whole file system is its root: either a file that can be opened, and whose close() waits for
+// ever for the answer to FUSE_FLUSH, even after SIGKILL; or a directory in which every lookup
+// waits for ever. If it keeps writes, closing the last descriptor of a file also waits, for the
+// answer to FUSE_WRITE, even where the descriptor never had a number. Reading a file of `bytes`
+// bytes waits as well. Needs root and /dev/fuse; see made().
 #pragma once
 
 #include <base/unique_fd.hpp>
@@ -34,7 +33,7 @@ namespace agnocast::test {
 
 class SilentFuse {
  public:
-  /// Over what is at `path`: S_IFREG over a file, S_IFDIR over a directory.
+  /// Mounts over `path`: S_IFREG over a file, S_IFDIR over a directory.
   SilentFuse(std::string path, mode_t kind, bool keeps_writes = false, std::uint64_t bytes = 0)
       : path_(std::move(path)),
         kind_(kind),
@@ -48,13 +47,13 @@ class SilentFuse {
     made_ = ::mount("silent", path_.c_str(), "fuse", MS_NOSUID | MS_NODEV, options.data()) == 0;
     if (made_) server_ = std::thread([this] { serve(); });
   }
-  /// Ends everything that waits.
+  /// Ends all waits.
   ~SilentFuse() { end(); }
   SilentFuse(const SilentFuse&) = delete;
   SilentFuse& operator=(const SilentFuse&) = delete;
 
   bool made() const noexcept { return made_; }
-  /// Requests that were not answered.
+  /// Returns the number of unanswered requests.
   unsigned unanswered() const noexcept { return unanswered_.load(); }
   void end() {
     if (!std::exchange(made_, false)) return;
@@ -105,7 +104,7 @@ class SilentFuse {
         answer(header.unique, out);
       } else if (header.opcode == FUSE_OPEN) {
         fuse_open_out out{};
-        // Else whoever opens it waits for what is written.
+        // Otherwise an open would wait for the written data.
         if (keeps_writes_) out.open_flags = FOPEN_KEEP_CACHE;
         answer(header.unique, out);
       } else if (header.opcode == FUSE_GETXATTR) {  // before the first write

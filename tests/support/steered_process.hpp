@@ -1,7 +1,7 @@
 // SPDX-License-Identifier: Apache-2.0
 //
-// SteeredProcess: a program that answers each line on its standard input with one line. Killed and
-// reaped at the latest by the destructor.
+// SteeredProcess: a program that answers each line on its standard input with one line. The
+// destructor kills and reaps it at the latest.
 #pragma once
 
 #include <base/unique_fd.hpp>
@@ -24,7 +24,7 @@ namespace agnocast::test {
 
 class SteeredProcess {
  public:
-  /// `arguments` begin with the path of the program; `variables` ("NAME=value") come before this
+  /// `arguments` begin with the path of the program; `variables` ("NAME=value") precede this
   /// process's environment.
   SteeredProcess(std::vector<std::string> arguments, std::vector<std::string> variables) {
     int pair[2];
@@ -54,7 +54,7 @@ class SteeredProcess {
     const std::string text = line + "\n";
     (void)!::send(socket_.get(), text.data(), text.size(), MSG_NOSIGNAL);
   }
-  /// The next line it says; what happened instead when there is none in time.
+  /// Returns the next line of output, or what happened instead if none comes in time.
   std::string answer(int patience_s = 20) {
     for (;;) {
       if (const std::size_t end = said_.find('\n'); end != std::string::npos) {
@@ -71,7 +71,7 @@ class SteeredProcess {
       said_.append(letters, static_cast<std::size_t>(count));
     }
   }
-  /// Whether answer() has a line, or the process's end, within `wait`.
+  /// Returns whether answer() has a line, or the process ends, within `wait`.
   bool has_answer(std::chrono::milliseconds wait) const {
     if (said_.find('\n') != std::string::npos) return true;
     pollfd readable{socket_.get(), POLLIN, 0};
@@ -81,7 +81,7 @@ class SteeredProcess {
     tell(line);
     return answer(patience_s);
   }
-  /// Asks until the answer is this one; false after 10 s.
+  /// Asks until the answer is `wanted`; false after 10 s.
   bool eventually(const std::string& line, const std::string& wanted) {
     const auto end = std::chrono::steady_clock::now() + std::chrono::seconds(10);
     while (std::chrono::steady_clock::now() < end) {
@@ -95,7 +95,7 @@ class SteeredProcess {
     ::kill(pid_, SIGKILL);
     ::waitpid(std::exchange(pid_, -1), nullptr, 0);
   }
-  /// Closes its standard input and waits for its end: the exit status, or minus the signal.
+  /// Closes its standard input and waits. Returns the exit status, or minus the signal.
   int finish() {
     ::shutdown(socket_.get(), SHUT_WR);
     int status = 0;

@@ -35,12 +35,12 @@ inline constexpr auto all_steps = std::to_array<NamedStep>(
          AGNOCAST_CLIENT_STEPS(AGNOCAST_NAMED_STEP) AGNOCAST_DAEMON_STEPS(AGNOCAST_NAMED_STEP)
              AGNOCAST_MODEL_STEPS(AGNOCAST_NAMED_STEP)});
 #undef AGNOCAST_NAMED_STEP
-// A table that has grown into the next one's numbers would give two steps one number.
+// A table that has grown into the next one's numbers would give two steps the same number.
 static_assert(std::ranges::adjacent_find(all_steps, std::greater_equal<>(), &NamedStep::step) ==
                   all_steps.end(),
               "the numbers of two rooms meet");
 
-/// One more than the greatest number: the size of what is indexed by a step's number.
+/// One more than the greatest number: the size of arrays indexed by a step's number.
 inline constexpr std::size_t step_bound = static_cast<std::size_t>(all_steps.back().step) + 1;
 
 constexpr const char* name_of(Step step) noexcept {

@@ -1,11 +1,11 @@
 // SPDX-License-Identifier: Apache-2.0
 //
-// SyscallTracer: which system calls the main thread of another process makes between two marks.
+// SyscallTracer: the system calls of another process's main thread between two marks.
 //
 // The traced program calls mark_begin(label) and mark_end(): system calls themselves, which do
-// nothing and are told apart by their arguments. A child of the test traces that one thread with
-// ptrace (other threads run freely) and writes a line for each pair of marks. Calls of the vDSO
-// never enter the kernel and are not seen, as they should not be.
+// nothing and are recognised by their arguments. A child of the test traces that one thread with
+// ptrace (other threads run freely) and writes a line for each pair of marks. vDSO calls never
+// enter the kernel and are rightly not seen.
 #pragma once
 
 #include <base/unique_fd.hpp>
@@ -31,7 +31,7 @@
 namespace agnocast::test {
 
 inline constexpr std::uint64_t mark_begin_option = 0x41474e01, mark_end_option = 0x41474e02;
-/// In the traced program: allows any process of this user to trace it.
+/// For the traced program: allows any process of this user to trace it.
 inline void allow_tracing() { ::prctl(PR_SET_PTRACER, PR_SET_PTRACER_ANY, 0, 0, 0); }
 inline void mark_begin(std::uint64_t label) {
   ::syscall(SYS_prctl, mark_begin_option, label, 0, 0, 0);
@@ -64,7 +64,7 @@ class SyscallTracer {
   SyscallTracer& operator=(const SyscallTracer&) = delete;
 
   bool is_tracing() const noexcept { return is_tracing_; }
-  /// The next section that ended; nothing within 20 s: empty.
+  /// Returns the next section that ended; empty if none ends within 20 s.
   std::optional<Section> next() {
     std::string line;
     if (!read_line(line)) return std::nullopt;
@@ -97,7 +97,7 @@ class SyscallTracer {
     (void)!::write(fd, text.data(), text.size());
   }
 
-  // The child. Ends with the traced thread.
+  // Runs in the child. Ends with the traced thread.
   static int trace(pid_t pid, int fd) {
     if (::ptrace(PTRACE_SEIZE, pid, nullptr, PTRACE_O_TRACESYSGOOD) != 0) return 1;
     if (::ptrace(PTRACE_INTERRUPT, pid, nullptr, nullptr) != 0) return 1;

@@ -1,14 +1,13 @@
 # SPDX-License-Identifier: Apache-2.0
 #
-# A real systemd as PID 1 of namespaces of its own, for tests of units. To be sourced by bash; needs root.
+# A real systemd as PID 1 of its own namespaces, for tests of units. Sourced by bash; needs root.
 #
-#   machine_start DIR      boots. DIR is the caller's and empty but for DIR/files, a tree that is laid over the root directory
+#   machine_start DIR      boots. DIR has only DIR/files, a tree that is copied over the root
 #   machine_run DIR CMD…   runs a command inside
 #   machine_stop DIR       ends it and everything in it
 #
-# Its root is an overlay of the host's, with everything that is written in a tmpfs of the machine; /tmp and /run are empty. All
-# mounts are made in a mount namespace that nobody else sees, and the kernel's settings are read-only in it; so nothing of the host
-# changes and nothing is left.
+# Its root is an overlay of the host's with all writes in a tmpfs; /tmp and /run are empty. It has a
+# private mount namespace with read-only kernel settings, so the host does not change.
 
 machine_start() {
   local dir=$1 state="" i
@@ -29,7 +28,7 @@ mount --rbind /dev "$root/dev"
 mount -t tmpfs machine "$root/tmp"
 mount -t tmpfs machine "$root/run"
 mount -t proc machine "$root/proc"
-# Most of what is in there is the host's as well, and systemd would write it when it boots.
+# Most settings there are the host's as well, and systemd would write them when it boots.
 for settings in proc/sys sys/kernel/mm; do
   mount --bind "$root/$settings" "$root/$settings"
   mount -o remount,bind,ro "$root/$settings"
@@ -46,7 +45,7 @@ INIT
   setsid unshare --pid --mount --uts --ipc --cgroup --fork --kill-child "$dir/init" "$dir" >"$dir/log" 2>&1 </dev/null &
   echo $! >"$dir/outer"
   for i in $(seq 150); do
-    # PID 1 of the machine, by its number out here.
+    # PID 1 of the machine, by its number outside.
     cat "/proc/$(cat "$dir/outer")/task/$(cat "$dir/outer")/children" 2>/dev/null | tr -d ' ' >"$dir/pid"
     if [ -s "$dir/pid" ] && [ "$(cat "/proc/$(cat "$dir/pid")/comm" 2>/dev/null)" = systemd ]; then
       state=$(machine_run "$dir" systemctl is-system-running 2>/dev/null || true)

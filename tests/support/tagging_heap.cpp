@@ -11,13 +11,14 @@
 namespace agnocast::test {
 namespace {
 
-// 8 GiB of addresses, never reused, so that a stale pointer is never resident by accident; pages only where touched.
+// 8 GiB of addresses, never reused, so that a stale pointer is never resident by accident; pages
+// only where touched.
 constexpr std::size_t arena_bytes = std::size_t{8} << 30;
 constexpr std::size_t no_limit = std::numeric_limits<std::size_t>::max();
 
 struct alignas(16) Header {
   Origin origin;
-  void* block;  // what libc gave; null in the arena
+  void* block;  // libc's pointer; null in the arena
 };
 
 struct Heap {

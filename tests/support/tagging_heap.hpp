@@ -1,9 +1,11 @@
 // SPDX-License-Identifier: Apache-2.0
 //
-// Stand-in for the heap hook: operator new of the test program, with an arena that plays the shared heap.
+// Stand-in for the heap hook: operator new of the test program, with an arena that plays the
+// shared heap.
 //
-// Every allocation carries its origin in front of it, so an oracle can ask origin_of(pointer) without comparing addresses,
-// which is what the code under test does. Single-threaded. Link tagging_heap.cpp to get the operators.
+// Every allocation carries its origin in front of it, so an oracle can ask origin_of(pointer)
+// without comparing addresses as the code under test does. Single-threaded. Link tagging_heap.cpp
+// to get the operators.
 #pragma once
 
 #include <agnocast/residency.hpp>
@@ -15,12 +17,13 @@ namespace agnocast::test {
 
 enum class Origin : std::uint64_t { libc = 0x6c69626331u, shared = 0x736861726564u };
 
-/// Where the allocation that starts at `first` came from; aborts if nothing that is allocated now starts there.
+/// Returns the origin of the allocation that starts at `first`; aborts if no live allocation
+/// starts there.
 Origin origin_of(const void* first);
 
-/// The arena as the library sees it.
+/// Returns the arena as the library sees it.
 SharedHeap shared_heap();
-/// The arena as one window, up to what was ever allocated.
+/// Returns the arena as one window, up to the highest allocation so far.
 WindowSet windows();
 
 struct HeapCounters {
@@ -30,10 +33,12 @@ struct HeapCounters {
 };
 HeapCounters heap_counters();
 
-/// The n-th shared allocation from now on (1 = the next) comes from libc instead; 0 switches this off.
-/// It is not counted as spilled: the program behaves as if the scope had been closed for one allocation.
+/// The n-th shared allocation from now on (1 = the next) comes from libc instead; 0 switches this
+/// off. It does not count as spilled: the program behaves as if the scope had been closed for one
+/// allocation.
 void divert_shared_allocation(std::uint64_t n);
-/// From now on the arena has room for `bytes` more; what does not fit comes from libc and counts as spilled.
+/// From now on the arena has room for `bytes` more; further allocations come from libc and count
+/// as spilled.
 void limit_shared_heap(std::size_t bytes);
 void unlimit_shared_heap();
 

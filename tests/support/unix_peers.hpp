@@ -1,7 +1,8 @@
 // SPDX-License-Identifier: Apache-2.0
 //
-// Which process can ring which: the kernel's own list of connected datagram sockets (sock_diag). A ring
-// that is heard proves nothing, since a sleeper that nobody can ring looks by itself.
+// Which process can ring which doorbell: the kernel's list of connected datagram sockets
+// (sock_diag). A message that arrives proves nothing, since a wait set that nobody can ring polls
+// by itself.
 #pragma once
 
 #include <base/unique_fd.hpp>
@@ -30,7 +31,7 @@ namespace agnocast::test {
 /// Returns the inodes of the sockets that a process has open.
 inline std::set<std::uint32_t> sockets_of(pid_t pid) {
   std::set<std::uint32_t> inodes;
-  std::error_code gone;  // a descriptor may be closed while it is looked at
+  std::error_code gone;  // a descriptor may be closed during the check
   constexpr std::string_view prefix = "socket:[";
   for (const auto& fd :
        std::filesystem::directory_iterator("/proc/" + std::to_string(pid) + "/fd", gone)) {
@@ -44,8 +45,8 @@ inline std::set<std::uint32_t> sockets_of(pid_t pid) {
   return inodes;
 }
 
-/// Returns, for each connected datagram socket of this network namespace, the inode of the socket that it
-/// sends to. Nothing if the kernel has no such list (CONFIG_UNIX_DIAG).
+/// Returns, for each connected datagram socket of this network namespace, the inode of its
+/// receiver. Nothing if the kernel has no such list (CONFIG_UNIX_DIAG).
 inline std::optional<std::map<std::uint32_t, std::uint32_t>> datagram_peers() {
   std::map<std::uint32_t, std::uint32_t> peers;
   const UniqueFd netlink(::socket(AF_NETLINK, SOCK_RAW | SOCK_CLOEXEC, NETLINK_SOCK_DIAG));

@@ -1,10 +1,10 @@
 // SPDX-License-Identifier: Apache-2.0
 //
-// WireClient: a raw client that says exactly what a test tells it to, right or wrong.
+// WireClient: a raw client that sends exactly what a test tells it to, right or wrong.
 //
-// No library of ours between test and socket: requests are the structs of wire.hpp, or any bytes.
-// Answers are told from announcements by their request id; what comes unasked is kept in order.
-// Every wait is bounded and fails the test with what was waited for.
+// None of our library is between test and socket: requests are the structs of wire.hpp, or any
+// bytes. The request id distinguishes answers from announcements; unsolicited packets are kept in
+// order. Every wait is bounded and fails the test with a description.
 #pragma once
 
 #include <agnocast/abi/fingerprint.hpp>
@@ -78,7 +78,7 @@ class WireClient {
   }
 
   PacketSocket& socket() noexcept { return socket_; }
-  /// A new connection in place of this one; request ids go on.
+  /// Opens a new connection instead of this one; request ids continue.
   void connect_again(const std::string& path) {
     auto socket = PacketSocket::connect(path);
     EXPECT_TRUE(socket) << "cannot connect to " << path;
@@ -88,7 +88,7 @@ class WireClient {
     unasked_.clear();
   }
   std::uint64_t last_request() const noexcept { return last_request_; }
-  /// Packets read so far: what `seen` of an unlinked means.
+  /// Returns the number of packets read so far, as `seen` of an unlinked means it.
   std::uint64_t seen() const noexcept { return seen_; }
 
   bool send_bytes(std::span<const std::byte> bytes, std::span<const int> fds = {}) {
@@ -108,7 +108,7 @@ class WireClient {
     return answer_to(send(opcode, body));
   }
 
-  /// The same under an id that was used before.
+  /// Sends the request again under an id that was used before.
   template <class Body>
   Incoming ask_again(wire::Opcode opcode, Body body, std::uint64_t request) {
     body.header = {opcode, sizeof body, request | wire::asked_again};
@@ -116,7 +116,7 @@ class WireClient {
     return answer_to(request);
   }
 
-  /// The answer, or nothing where the daemon ends the connection instead.
+  /// Returns the answer, or nothing if the daemon ends the connection instead.
   template <class Body>
   std::optional<Incoming> try_ask(wire::Opcode opcode, Body body) {
     body.header = {opcode, sizeof body, ++last_request_};
@@ -127,14 +127,14 @@ class WireClient {
       unasked_.push_back(std::move(*packet));
     }
   }
-  /// The next packet, or nothing where the daemon ends the connection instead.
+  /// Returns the next packet, or nothing if the daemon ends the connection instead.
   std::optional<Incoming> try_receive() {
     if (!bodies_.empty() || readable(patience_ms)) return receive(0);
     ADD_FAILURE() << "neither answered nor hung up";
     return std::nullopt;
   }
 
-  /// The next packet that came unasked; fails the test when none comes.
+  /// Returns the next unsolicited packet; fails the test if none comes.
   Incoming next() {
     if (!unasked_.empty()) {
       Incoming first = std::move(unasked_.front());
@@ -153,8 +153,8 @@ class WireClient {
     if (fds != nullptr) *fds = std::move(packet.fds);
     return packet.as<Body>();
   }
-  /// What has come unasked up to now: everything that the daemon sent before it answers a question
-  /// that changes nothing.
+  /// Returns the unsolicited packets up to now: everything that the daemon sent before it answers
+  /// a request that changes nothing.
   std::deque<Incoming> drain() {
     wire::WindowRequest nonsense{};
     nonsense.window = abi::window_count_max;
@@ -163,12 +163,12 @@ class WireClient {
     return std::exchange(unasked_, {});
   }
   std::size_t unasked_count() { return unasked_.size(); }
-  /// One packet if one is there; nothing otherwise.
+  /// Returns a packet if there is one.
   std::optional<Incoming> poll() {
     if (!unasked_.empty()) return next();
     return receive(0);
   }
-  /// True when the daemon ends the connection; packets before that are dropped.
+  /// Returns whether the daemon ends the connection; drops the packets before that.
   bool is_hung_up() {
     for (;;) {
       std::array<std::byte, 2048> buffer;
@@ -309,7 +309,7 @@ class WireClient {
   PacketSocket socket_;
   std::uint64_t seen_ = 0;
   std::uint64_t last_request_ = 0;
-  std::deque<Incoming> bodies_;  // of the last packet, still to be looked at
+  std::deque<Incoming> bodies_;  // of the last packet, not yet handled
   std::deque<Incoming> unasked_;
 };
 

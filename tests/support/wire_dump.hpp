@@ -1,6 +1,6 @@
 // SPDX-License-Identifier: Apache-2.0
 //
-// What the daemon knows at one moment, asked for on a connection of its own.
+// A dump of the daemon, requested on a separate connection.
 #pragma once
 
 #include <agnocast/abi/observe.hpp>

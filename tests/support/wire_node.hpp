@@ -1,12 +1,12 @@
 // SPDX-License-Identifier: Apache-2.0
 //
-// WireNode: a small honest client on a raw connection, with the shipped data plane on the regions
-// that the daemon made. At most one publisher and one subscription; messages carry their number and
-// a pattern behind a pointer, freed ones are poisoned.
+// WireNode: a small honest client on a raw connection, with the shipped data plane on the daemon's
+// regions. At most one publisher and one subscription; messages carry their number and a pattern
+// behind a pointer, freed ones are poisoned.
 //
-// It does what docs/control-plane.md asks of a client, one packet at a time, when the test says so
-// (pump, wait_for). A reference of that contract in a few lines, and small enough to be run in a
-// child that dies at a crash point.
+// It does what docs/control-plane.md asks of a client, one packet at a time, when the test tells
+// it to (pump, wait_for). A short reference of that contract, small enough to run in a child that
+// dies at a crash point.
 #pragma once
 
 #include <base/doorbell.hpp>
@@ -75,14 +75,14 @@ class WireNode {
     Incoming opened = wire_.open_window(0);
     if (opened.opcode() != wire::Opcode::window_opened) return false;
     window_ = opened.as<wire::WindowOpened>();
-    // All of it is in use, as far as readers are concerned.
+    // Readers may assume that all of it is in use.
     if (!lengthen(opened.fds[0].get(), window_.bytes)) return false;
-    // The arena is ours by contract; a forked child inherits what its parent has reserved there.
+    // The arena is ours by contract; a forked child inherits its parent's reservation there.
     heap_ = static_cast<std::byte*>(::mmap(reinterpret_cast<void*>(window_.base), window_.bytes,
                                            PROT_READ | PROT_WRITE, MAP_SHARED | MAP_FIXED,
                                            opened.fds[0].get(), 0));
     if (heap_ == MAP_FAILED) return false;
-    ::madvise(heap_, window_.bytes, MADV_DONTFORK);  // a child of ours may be a client itself
+    ::madvise(heap_, window_.bytes, MADV_DONTFORK);  // a child of ours may itself be a client
     for (std::uint64_t at = 0; at < heap_used_bytes; at += message_bytes)
       blocks_.push_back(window_.base + at);
     dataplane::store_frontier<M>(region_.base(), 0, heap_used_bytes);
@@ -133,7 +133,7 @@ class WireNode {
     requested_ = qos;
     return true;
   }
-  /// The next message of any publisher, held; nothing when there is none. Its content is checked.
+  /// Takes, checks and holds the next message of any publisher, if there is one.
   std::optional<std::uint64_t> take() {
     for (auto& [index, link] : links_) {
       HeapLook windows(*peers_.at(link.client).heap, Unannounced::awaited);
@@ -146,26 +146,26 @@ class WireNode {
     }
     return std::nullopt;
   }
-  /// Says of slots [0, count) of a publisher that it holds them, whether that is so or not.
+  /// Claims holds on slots [0, count) of a publisher, whether true or not.
   bool claim_holds(std::uint64_t publisher, std::uint64_t count) {
     if (links_.count(publisher) == 0) return false;
     const region::LinkWords<M> line{region_.base(), subscription_.extent, publisher};
     line.hold(0).store((std::uint64_t{1} << count) - 1, std::memory_order_seq_cst);
     return true;
   }
-  /// The oldest held message, checked once more.
+  /// Releases the oldest held message after checking it again.
   bool release() {
     if (held_.empty()) return false;
     const Held held = held_.front();
     held_.pop_front();
     const auto& message = *reinterpret_cast<const Message*>(held.address);
     EXPECT_TRUE(intact(message) && message.number == held.number)
-        << "message " << held.number << " changed while it was held";
+        << "message " << held.number << " changed while held";
     links_.at(held.publisher).core.release(held.slot);
     return true;
   }
   const DoorbellReceiver& bells() const noexcept { return bells_; }
-  /// The first broken invariant of the queues of orphans, as their reader sees them.
+  /// Returns the first broken invariant of the queues of orphans, as their reader sees them.
   journal::Invariant verify_orphans() const {
     for (const auto& [index, link] : links_) {
       if (orphaned_.count(link.generation) == 0) continue;
@@ -186,8 +186,8 @@ class WireNode {
     return lost;
   }
   const std::set<std::uint64_t>& orphaned() const { return orphaned_; }
-  /// Ends every link to an orphan that is drained and not held, and says so; then lets go of the
-  /// regions of which nothing is left.
+  /// Ends every link to an orphan that is drained and not held, and reports it; then unmaps the
+  /// regions without remaining links.
   void unlink_drained(bool and_regions = true) {
     for (auto at = links_.begin(); at != links_.end();) {
       const bool held = [&] {
@@ -217,7 +217,7 @@ class WireNode {
         continue;
       }
       const std::uint64_t client = at->first, generation = at->second.generation;
-      at = peers_.erase(at);  // unmapped first, said afterwards
+      at = peers_.erase(at);  // unmapped first, reported afterwards
       wire_.unlinked(wire::Kind::region, 0, client, generation);
     }
   }
@@ -226,7 +226,7 @@ class WireNode {
   void pump() {
     while (auto packet = wire_.poll()) handle(std::move(*packet));
   }
-  /// Handles packets until the condition holds; false when none comes for ten seconds.
+  /// Handles packets until the condition holds; false if none comes for ten seconds.
   template <class Condition>
   [[nodiscard]] bool wait_for(Condition condition) {
     while (!condition()) {
@@ -316,7 +316,7 @@ class WireNode {
   void on_announce(const wire::Announcement& body, std::vector<UniqueFd> fds) {
     auto found = peers_.find(body.client);
     if (found != peers_.end() && found->second.generation != body.client_generation) {
-      ADD_FAILURE() << "the place of a process is used again while it is mapped here";
+      ADD_FAILURE() << "the place of a process is reused while it is mapped here";
       return;
     }
     if (found == peers_.end()) {
@@ -353,7 +353,7 @@ class WireNode {
                                        0,
                                        1,
                                        subscription_.index})});
-      EXPECT_TRUE(fresh) << "an index is used again while it is linked here";
+      EXPECT_TRUE(fresh) << "an index is reused while it is linked here";
       EXPECT_TRUE(link->second.core.link(body.from_start != 0));
     } else {
       Environment environment{*this};

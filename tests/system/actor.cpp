@@ -1,23 +1,24 @@
 // SPDX-License-Identifier: Apache-2.0
 //
-// A node as users write one, steered line by line on its standard input; answers each line with one
-// line. Several publishers and subscriptions, each under a number that the harness gives. Uses the
-// public interface alone; with the heap hook preloaded it can publish. "Intact" means compared
-// member by member with a message made anew (tests/system/specimen.hpp).
+// A node as users write one, steered line by line on its standard input; answers each line with
+// one line. Several publishers and subscriptions, each under a number that the harness assigns.
+// Uses only the public interface; with the heap hook preloaded it can publish. "Intact" means
+// compared member by member with a newly made message (tests/system/specimen.hpp).
 //
 //   seed N
 //   pub ID TOPIC QOS · unpub ID          QOS: depth and letters, e.g. 10tba
 //   sub ID TOPIC QOS QUOTA · unsub ID         t transient local, b best effort, a keep-all
 //   publish ID COUNT BYTES               → COMMITTED [why not more]
-//   take ID                              → none LOST | PUBLISHER NUMBER SEQUENCE LOST | bad …   held
-//   release ID POSITION                  → ok | bad …           what was held, compared once more
-//   bury                                 → ok | bad …           the same for what ended subscriptions held
+//   take ID                             → none LOST | PUBLISHER NUMBER SEQUENCE LOST | bad …  held
+//   release ID POSITION                  → ok | bad …           a held message, compared once more
+//   bury                                 → ok | bad …           the same of ended subscriptions
 //   matched ID                           → subscriptions that this publisher has
 //   sync                                 → ok     everything announced so far has been handled
 //   run_pub ID COUNT SEED PROGRESS       → free run: COMMITTED
 //   run_sub ID DEPTH PUBLISHERS SEED PROGRESS → free run: verdict (tests/system/free_run.hpp)
 //   live                                 → bytes allocated in the shared heap, and its frontier
 
+#include <tests/support/actor.hpp>
 #include <tests/system/free_run.hpp>
 #include <tests/system/specimen.hpp>
 
@@ -36,24 +37,6 @@
 
 namespace agnocast::test {
 namespace {
-
-struct Node {
-  const char* get_name() const { return "actor"; }
-  const char* get_namespace() const { return "/"; }
-  const char* get_fully_qualified_name() const { return "/actor"; }
-};
-
-QoS qos_of(const std::string& text) {
-  std::size_t end = 0;
-  const std::size_t depth = std::stoul(text, &end);
-  QoS qos(depth);
-  for (const char letter : text.substr(end)) {
-    if (letter == 't') qos.transient_local();
-    if (letter == 'b') qos.best_effort();
-    if (letter == 'a') qos.keep_all(depth);
-  }
-  return qos;
-}
 
 class Actor {
  public:
@@ -97,7 +80,7 @@ class Actor {
   std::string advertise(std::uint64_t id, std::istringstream& line) {
     std::string topic, qos;
     line >> topic >> qos;
-    publishers_[id] = {create_publisher<Specimen>(node_, topic, qos_of(qos)), 0};
+    publishers_[id] = {create_publisher<Specimen>(node_, topic, qos_from_letters(qos)), 0};
     return "ok";
   }
 
@@ -105,7 +88,7 @@ class Actor {
     std::string topic, qos;
     std::size_t quota = 0;
     line >> topic >> qos >> quota;
-    auto made = try_create_subscription<Specimen>(node_, topic, qos_of(qos),
+    auto made = try_create_subscription<Specimen>(node_, topic, qos_from_letters(qos),
                                                   SubscriptionOptions().hold_quota(quota));
     if (!made) throw Error(made.error());
     subscriptions_[id] = {std::move(*made), {}};
@@ -166,7 +149,7 @@ class Actor {
     return intact ? "ok" : "bad content";
   }
 
-  // Answers of the daemon come in order with what it announces.
+  // The daemon's answer comes after everything that it announced before.
   std::string sync() {
     create_subscription<Specimen>(node_, "/sync" + std::to_string(::getpid()), QoS(1));
     return "ok";
@@ -231,11 +214,11 @@ class Actor {
     return judge.verdict();
   }
 
-  Node node_;
+  ActorNode node_{"actor"};
   std::uint64_t seed_ = 0;
   std::map<std::uint64_t, OwnPublisher> publishers_;
   std::map<std::uint64_t, OwnSubscription> subscriptions_;
-  std::deque<Held> outliving_;  // their subscriptions
+  std::deque<Held> outliving_;  // outliving their subscriptions
 };
 
 }  // namespace

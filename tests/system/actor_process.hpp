@@ -32,7 +32,7 @@ inline std::uint64_t number_from_environment(const char* name, std::uint64_t oth
   return text != nullptr ? std::strtoull(text, nullptr, 0) : otherwise;
 }
 
-/// --seed=N, else AGNOCAST_SEED; 0 = none given.
+/// Returns --seed=N, else AGNOCAST_SEED; 0 = none given.
 inline std::uint64_t seed_given() {
   std::ifstream arguments("/proc/self/cmdline");
   for (std::string argument; std::getline(arguments, argument, '\0');) {

@@ -1,10 +1,11 @@
 // SPDX-License-Identifier: Apache-2.0
 //
-// Goal: containers of different users, which share nothing but the *directory* of the socket, exchange messages
-// without a copy as processes of the host do: at the same addresses, over a restart of the daemon, with who comes later;
-// what dies in one leaves nothing. agnocast-ctl works outside and inside.
-// Method: the daemon on the host; client tools as process 1 of namespaces of their own (mount with an empty root, IPC,
-// PID, UTS, network, once also user); /proc says what the kernel has mapped.
+// Goal: containers of different users, which share nothing but the *directory* of the socket,
+// exchange messages without a copy as processes of the host do: at the same addresses, over a
+// restart of the daemon, with later containers; a death in one leaves nothing. agnocast-ctl works
+// outside and inside.
+// Method: the daemon on the host; client tools as process 1 of their own namespaces (mount with an
+// empty root, IPC, PID, UTS, network, once also user); /proc shows the kernel's mappings.
 
 #include <agnocast/error.hpp>
 #include <tests/support/client_tool.hpp>
@@ -32,7 +33,7 @@ using testing::ElementsAre;
 using testing::StartsWith;
 
 constexpr uid_t lidar = 61001, viewer = 61002, stranger = 61003;
-// Where a client looks when nobody says otherwise; and another place.
+// The client's default path; and another one.
 constexpr const char* usual_place = "/run/agnocast";
 constexpr const char* other_place = "/sockets";
 
@@ -43,7 +44,7 @@ const char* const configuration =
 
 std::string directory_of(const std::string& path) { return path.substr(0, path.rfind('/')); }
 
-/// Which file it is: a new one may get the number of one that is gone.
+/// Returns the file's identity: a new file may get the number of a removed one.
 std::string identity_of(const std::string& path) {
   struct stat file {};
   if (::stat(path.c_str(), &file) != 0) return {};
@@ -76,14 +77,14 @@ class Containers : public testing::TestWithParam<bool> {
  protected:
   void SetUp() override {
     if (!Container::is_possible())
-      GTEST_SKIP() << "needs root that may make mount, PID, IPC, UTS and network namespaces";
+      GTEST_SKIP() << "needs root that may create mount, PID, IPC, UTS and network namespaces";
     if (::getgrnam("games") == nullptr) GTEST_SKIP() << "there is no group games here";
     if (GetParam() && !Container::is_possible(true))
-      GTEST_SKIP() << "users may not make user namespaces here, or may not mount /proc in them";
+      GTEST_SKIP() << "users may not create user namespaces here, or may not mount /proc in them";
     daemon_.emplace(DaemonOptions{.config = configuration});
     directory_ = directory_of(daemon_->socket_path());
   }
-  /// In the group of the socket, with its directory at the place where a client looks by itself.
+  /// In the socket's group, with the socket's directory at the client's default path.
   ContainerOptions options(uid_t uid) const {
     return {.uid = uid,
             .groups = {::getgrnam("games")->gr_gid},
@@ -91,7 +92,7 @@ class Containers : public testing::TestWithParam<bool> {
             .environment = {"AGNOCAST_SOCKET="},
             .has_user_namespace = GetParam()};
   }
-  /// Pids and users, as the daemon sees them.
+  /// Returns pids and users, as the daemon sees them.
   std::map<pid_t, uid_t> members() const {
     std::map<pid_t, uid_t> all;
     const auto listed = run_ctl(daemon_->socket_path(), {"process", "list", "-j"}).json();
@@ -113,7 +114,7 @@ std::string take_all(Container& subscriber) {
   }
 }
 
-TEST_P(Containers, OfDifferentUsersTalkThroughTheDirectoryOfTheSocketAlsoAfterARestart) {
+TEST_P(Containers, OfDifferentUsersTalkThroughTheSocketsDirectoryAlsoAfterARestart) {
   Container publisher({AGNOCAST_CLIENT_TOOL}, options(lidar));
   ContainerOptions elsewhere = options(viewer);
   elsewhere.mounts[0].second = other_place;
@@ -123,7 +124,7 @@ TEST_P(Containers, OfDifferentUsersTalkThroughTheDirectoryOfTheSocketAlsoAfterAR
   ASSERT_EQ(publisher->ask("pub /points 20"), "ok");
   ASSERT_TRUE(publisher->eventually("matched", "1"));
 
-  // They share nothing that names have: each namespace is the process's own.
+  // They share no namespace: each one is the process's own.
   for (const char* kind : {"mnt", "ipc", "pid", "uts", "net"}) {
     std::vector<std::string> all;
     for (const std::string& process :
@@ -141,7 +142,7 @@ TEST_P(Containers, OfDifferentUsersTalkThroughTheDirectoryOfTheSocketAlsoAfterAR
   ASSERT_EQ(publisher->ask("publish 5 1000"), "ok");
   ASSERT_EQ(subscriber->ask("wait 10000"), "news");
   ASSERT_EQ(subscriber->ask("take"), "1");
-  // One memory at one address: written there, read only here.
+  // The same memory at the same address: written there, read only here.
   const std::uint64_t address = std::stoull(subscriber->ask("address"));
   const auto there = mapped_at(publisher.pid(), address),
              here = mapped_at(subscriber.pid(), address);
@@ -153,13 +154,13 @@ TEST_P(Containers, OfDifferentUsersTalkThroughTheDirectoryOfTheSocketAlsoAfterAR
   ASSERT_EQ(subscriber->ask("release"), "ok");
   EXPECT_EQ(take_all(subscriber), "2 3 4 5 ");
 
-  // The daemon dies, and the next one goes on with everything.
+  // The daemon dies, and the next one continues its state.
   ASSERT_TRUE(daemon_->wait_for_next(daemon_->kill_worker()));
   ASSERT_EQ(publisher->ask("publish 2 1000"), "ok");
   ASSERT_EQ(subscriber->ask("wait 10000"), "news");
   EXPECT_EQ(take_all(subscriber), "6 7 ");
 
-  // It dies with all that was kept: the next one makes another socket in the directory.
+  // The daemon dies with its store: the next one creates another socket in the directory.
   const std::string before = identity_of(daemon_->socket_path());
   daemon_->kill();
   ASSERT_EQ(publisher->ask("publish 1 1000"), "ok") << "messages need no daemon";
@@ -170,7 +171,7 @@ TEST_P(Containers, OfDifferentUsersTalkThroughTheDirectoryOfTheSocketAlsoAfterAR
   for (Container* const one : {&publisher, &subscriber})
     ASSERT_TRUE((*one)->eventually("state", "connected")) << (*one)->ask("state");
 
-  // Who comes now finds it as well.
+  // A later container finds it as well.
   Container late({AGNOCAST_CLIENT_TOOL}, options(viewer));
   ASSERT_EQ(late->ask("sub /points 20"), "ok");
   ASSERT_TRUE(publisher->eventually("matched", "2"));
@@ -181,11 +182,11 @@ TEST_P(Containers, OfDifferentUsersTalkThroughTheDirectoryOfTheSocketAlsoAfterAR
   }
   EXPECT_EQ(subscriber->ask("lost"), "0");
 
-  // What dies in a container is gone from the host, with what it held.
+  // The host frees a dead process of a container, with its held messages.
   ASSERT_EQ(publisher->ask("publish 20 1000"), "ok");
   ASSERT_EQ(late->ask("take"), "12");
   ASSERT_EQ(publisher->ask("publish 20 1000"), "ok");
-  ASSERT_TRUE(publisher->eventually("allocated", "21")) << "the newest 20, and what is held";
+  ASSERT_TRUE(publisher->eventually("allocated", "21")) << "the newest 20, and the held one";
   late.kill_inside();
   EXPECT_TRUE(eventually([&] { return members().size() == 2; }));
   EXPECT_TRUE(publisher->eventually("matched", "1"));
@@ -193,7 +194,7 @@ TEST_P(Containers, OfDifferentUsersTalkThroughTheDirectoryOfTheSocketAlsoAfterAR
   EXPECT_TRUE(publisher->eventually("allocated", "20")) << publisher->ask("allocated");
 }
 
-TEST_P(Containers, AreToldWhatTheSocketAndTheRulesSay) {
+TEST_P(Containers, ReportWhatTheSocketAndTheRulesForbid) {
   ContainerOptions of_stranger = options(stranger);
   of_stranger.groups.clear();
   Container outside({AGNOCAST_CLIENT_TOOL}, of_stranger);
@@ -226,12 +227,12 @@ TEST_P(Containers, ShowTheSameSystemFromInside) {
     EXPECT_TRUE(check["status"] != "failed") << check.dump();
 }
 
-// A mounted file is the socket that was there then; a mounted directory has the one that is there now.
-TEST_P(Containers, WithTheFileOfTheSocketAreLeftBehindByARestartAndDoctorSaysSo) {
+// A mounted file stays the old socket; a mounted directory has the current one.
+TEST_P(Containers, WithTheSocketFileLoseTheDaemonAtARestartAndDoctorReportsIt) {
   ContainerOptions with_file = options(viewer);
   with_file.mounts = {{daemon_->socket_path(), std::string(usual_place) + "/agnocastd.sock"}};
   Container file({"/bin/sh"}, with_file), directory({"/bin/sh"}, options(viewer));
-  // Root looks like nobody from inside, and who has mounted a file says nothing by its directory.
+  // Root looks like nobody from inside, and the directory of a mounted file proves nothing.
   if (GetParam()) {
     ASSERT_EQ(file->ask("export AGNOCAST_DAEMON_UID=65534; echo ok"), "ok");
   }

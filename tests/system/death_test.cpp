@@ -1,11 +1,11 @@
 // SPDX-License-Identifier: Apache-2.0
 //
-// Goal: what a death, a stop and a revocation mean to those who stay. What was committed is
-// delivered, also to who was still linking; what is held stays whole as long as it is held, and
-// memory and addresses come back with the last release; who does not read blocks nobody, is bounded,
-// is seen by agnocast-ctl and can be put out, and is told.
-// Method: nodes of the public interface in processes of their own, ended at once after a publish,
-// killed, or held by SIGSTOP while something happens to them.
+// Goal: the effects of a death, a stop and a revocation on the remaining peers. Committed messages
+// are delivered, also to a subscription that was still linking; held messages stay whole as long
+// as they are held, and memory and addresses come back with the last release; a process that does
+// not read blocks nobody, is bounded, appears in agnocast-ctl, can be revoked, and learns of it.
+// Method: nodes of the public interface in their own processes, ended at once after a publish,
+// killed, or stopped by SIGSTOP meanwhile.
 
 #include <tests/support/ctl.hpp>
 #include <tests/support/daemon_process.hpp>
@@ -41,7 +41,7 @@ class Death : public testing::Test {
     if (publishes) all.push_back("LD_PRELOAD=" AGNOCAST_HOOK);
     return all;
   }
-  /// A publisher that publishes 1 … count and ends at once.
+  /// Starts a publisher that publishes 1 … count and ends at once.
   pid_t begin_once(const std::string& topic, const std::string& qos, int count) {
     std::vector<std::string> words{AGNOCAST_MORTAL, "once", topic, qos, std::to_string(count)};
     std::vector<std::string> added = variables(true);
@@ -99,7 +99,7 @@ class Death : public testing::Test {
   DaemonProcess daemon_{{.arguments = {"--log-level", "debug"}}};
 };
 
-TEST_F(Death, RightAfterAPublishLosesNothingForWhoWasThereFirst) {
+TEST_F(Death, RightAfterAPublishLosesNothingForAnEarlierSubscription) {
   const auto subscriber = node();
   ASSERT_EQ(subscriber->ask("sub /once 10 16"), "ok");
   Random random(11);
@@ -124,7 +124,7 @@ TEST_F(Death, RightAfterAPublishLosesNothingForWhoWasThereFirst) {
   EXPECT_EQ(subscriber->ask("lost"), "0");
 }
 
-TEST_F(Death, RightAfterAPublishIsAllOrNothingForWhoComesAtTheSameMoment) {
+TEST_F(Death, RightAfterAPublishIsAllOrNothingForASubscriptionThatIsJoining) {
   const auto subscriber = node();
   ASSERT_EQ(subscriber->ask("barrier"), "ok");
   Random random(12);
@@ -148,7 +148,7 @@ TEST_F(Death, RightAfterAPublishIsAllOrNothingForWhoComesAtTheSameMoment) {
     ASSERT_EQ(subscriber->answer(), "ok");
     ASSERT_EQ(subscriber->ask("barrier"), "ok");
     const std::string got = subscriber->ask("rest");
-    // It was a member of the topic together with the publisher, or came when that was over.
+    // It was on the topic together with the publisher, or came when the publisher was gone.
     EXPECT_TRUE(got == "1 5" || got == "none") << got;
     ++(got == "none" ? nothing : all);
     EXPECT_EQ(subscriber->ask("lost"), "0");
@@ -156,7 +156,7 @@ TEST_F(Death, RightAfterAPublishIsAllOrNothingForWhoComesAtTheSameMoment) {
   std::printf("  all in %d rounds, nothing in %d\n", all, nothing);
 }
 
-TEST_F(Death, OfAPublisherLeavesWhatIsHeldAndGivesAddressesBackWithTheLastRelease) {
+TEST_F(Death, OfAPublisherKeepsHeldMessagesAndFreesAddressesWithTheLastRelease) {
   const auto subscriber = node();
   ASSERT_EQ(subscriber->ask("sub /held 10 16"), "ok");
   ASSERT_EQ(subscriber->ask("maps"), "0");
@@ -167,7 +167,7 @@ TEST_F(Death, OfAPublisherLeavesWhatIsHeldAndGivesAddressesBackWithTheLastReleas
     ASSERT_EQ(publisher->ask("publish 6"), "ok");
     const std::string window = publisher->ask("window");
     if (life == 0) first_window = window;
-    EXPECT_EQ(window, first_window) << "the addresses of the one before are given out again";
+    EXPECT_EQ(window, first_window) << "the addresses of the previous process are used again";
     ASSERT_TRUE(subscriber->eventually("matched", "1"));
     for (const char* number : {"1", "2", "3"}) ASSERT_EQ(subscriber->ask("take"), number);
     const pid_t pid = publisher->pid();
@@ -176,11 +176,11 @@ TEST_F(Death, OfAPublisherLeavesWhatIsHeldAndGivesAddressesBackWithTheLastReleas
     for (const char* number : {"4", "5", "6"}) ASSERT_EQ(subscriber->ask("take"), number);
     EXPECT_EQ(subscriber->ask("take"), "none");
     {
-      // Others come and go, and write into memory of their own.
+      // Other processes come and go, and write into their own memory.
       auto other = node(true);
       ASSERT_EQ(other->ask("pub /other 1"), "ok");
       ASSERT_EQ(other->ask("publish 100"), "ok");
-      EXPECT_NE(other->ask("window"), first_window) << "somebody still reads there";
+      EXPECT_NE(other->ask("window"), first_window) << "a subscription still reads there";
     }
     EXPECT_EQ(subscriber->ask("check"), "ok");
     EXPECT_NE(subscriber->ask("maps"), "0");
@@ -190,7 +190,7 @@ TEST_F(Death, OfAPublisherLeavesWhatIsHeldAndGivesAddressesBackWithTheLastReleas
   }
 }
 
-TEST_F(Death, OfASubscriberFreesWhatItHeldWithNoFurtherPublish) {
+TEST_F(Death, OfASubscriberFreesItsHeldMessagesWithNoFurtherPublish) {
   const auto publisher = node(true);
   auto subscriber = node();
   ASSERT_EQ(publisher->ask("pub /vanish 1"), "ok");
@@ -206,7 +206,7 @@ TEST_F(Death, OfASubscriberFreesWhatItHeldWithNoFurtherPublish) {
   EXPECT_TRUE(eventually([&] { return allocated() == 0; }));
 }
 
-TEST_F(Death, AStoppedSubscriberBlocksNobodyIsSeenAndCanBeRevoked) {
+TEST_F(Death, AStoppedSubscriberBlocksNobodyIsReportedAndCanBeRevoked) {
   const auto publisher = node(true), idle = node(), busy = node();
   ASSERT_EQ(publisher->ask("pub /stop 1"), "ok");
   ASSERT_EQ(idle->ask("sub /stop 20 4"), "ok");
@@ -227,7 +227,7 @@ TEST_F(Death, AStoppedSubscriberBlocksNobodyIsSeenAndCanBeRevoked) {
               "ok");
   }
   EXPECT_EQ(busy->ask("lost"), "0");
-  EXPECT_TRUE(eventually([&] { return allocated() == 23; })) << "its depth, and what it holds";
+  EXPECT_TRUE(eventually([&] { return allocated() == 23; })) << "its depth, and the held messages";
   const auto seen = process(idle->pid());
   EXPECT_EQ(seen["state"], "stopped");
   EXPECT_EQ(seen["unread_messages"], 20);
@@ -249,10 +249,10 @@ TEST_F(Death, AStoppedSubscriberBlocksNobodyIsSeenAndCanBeRevoked) {
   EXPECT_EQ(idle->ask("take"), "none");
   EXPECT_TRUE(idle->eventually("active", "0 0"));
   EXPECT_EQ(idle->ask("matched"), "0");
-  EXPECT_TRUE(idle->eventually("events", "2 0")) << "the application is told";
+  EXPECT_TRUE(idle->eventually("events", "2 0")) << "the application is notified";
   EXPECT_THAT(idle->ask("sub /another 1 1"), StartsWith("refused the membership of this process"));
   EXPECT_THAT(idle->ask("sub /another 1 1"), HasSubstr("revoked by user "));
-  EXPECT_NE(idle->ask("drop"), "(it has ended)") << "what it held is still mapped";
+  EXPECT_NE(idle->ask("drop"), "(it has ended)") << "the held messages are still mapped";
   EXPECT_EQ(publisher->ask("publish 1"), "ok");
   EXPECT_EQ(busy->ask("expect 2005 2005"), "ok");
 
@@ -273,7 +273,7 @@ TEST_F(Death, AStoppedSubscriberBlocksNobodyIsSeenAndCanBeRevoked) {
   EXPECT_THAT(status.out, HasSubstr("1 process: 0 died, 0 let go, 1 revoked"));
 }
 
-TEST_F(Death, OfTheDaemonLeavesARevokedProcessRevokedAndOneThatWasStoppedIsToldWhenItGoesOn) {
+TEST_F(Death, OfTheDaemonKeepsARevocationAndAStoppedProcessLearnsOfItWhenItGoesOn) {
   const auto publisher = node(true), first = node(), second = node(), busy = node();
   ASSERT_EQ(publisher->ask("pub /away 1"), "ok");
   ASSERT_EQ(first->ask("sub /away 20 4"), "ok");
@@ -289,7 +289,7 @@ TEST_F(Death, OfTheDaemonLeavesARevokedProcessRevokedAndOneThatWasStoppedIsToldW
   const auto restart = [&] {
     const pid_t old = daemon_.kill_worker();
     ASSERT_TRUE(daemon_.wait_for_next(old));
-    // Who runs has come back.
+    // Running processes have rejoined.
     ASSERT_TRUE(eventually([&] {
       return process(busy->pid())["state"] == "alive" &&
              process(publisher->pid())["state"] == "alive";
@@ -301,7 +301,7 @@ TEST_F(Death, OfTheDaemonLeavesARevokedProcessRevokedAndOneThatWasStoppedIsToldW
   restart();
   EXPECT_EQ(process(first->pid())["state"], "revoked");
   EXPECT_THAT(first->ask("sub /another 1 1"), StartsWith("refused the membership of this process"));
-  EXPECT_EQ(revoke(*second), 0) << "it has no connection";
+  EXPECT_EQ(revoke(*second), 0) << "the process has no connection";
   restart();
   EXPECT_EQ(process(first->pid())["state"], "revoked");
   EXPECT_EQ(process(second->pid())["state"], "revoked");
@@ -317,7 +317,7 @@ TEST_F(Death, OfTheDaemonLeavesARevokedProcessRevokedAndOneThatWasStoppedIsToldW
   EXPECT_EQ(ctl({"status"})["counters"]["processes_revoked"], 2);
 }
 
-TEST_F(Death, ARevokedPublisherSaysSoAndWhatItHadCommittedIsDelivered) {
+TEST_F(Death, ARevokedPublisherReportsItAndItsCommittedMessagesAreDelivered) {
   const auto publisher = node(true), subscriber = node();
   ASSERT_EQ(publisher->ask("pub /over 1"), "ok");
   ASSERT_EQ(subscriber->ask("sub /over 10 16"), "ok");
@@ -346,7 +346,7 @@ TEST_F(Death, ARevokedPublisherSaysSoAndWhatItHadCommittedIsDelivered) {
   EXPECT_EQ(publisher->finish(), 0);
 }
 
-TEST_F(Death, OfManyPublishersBehindASubscriptionThatIsNotReadGivesUpTheOldest) {
+TEST_F(Death, OfManyPublishersOfAnUnreadSubscriptionAbandonsTheOldest) {
   const DaemonOptions few{.config = "[limits]\npublishers_per_topic = 6\n"
                                     "[quota]\npublishers_per_topic = \"unlimited\"\n",
                           .arguments = {"--log-level", "debug"}};
@@ -380,7 +380,7 @@ TEST_F(Death, OfManyPublishersBehindASubscriptionThatIsNotReadGivesUpTheOldest) 
   EXPECT_EQ(lazy.ask("drop"), "ok");
   EXPECT_TRUE(lazy.eventually("maps", "0"));
 
-  // Who holds something of each is asked in vain; it is named, and not put out.
+  // A holder of a message of each does not react; the daemon names it, and does not revoke it.
   const auto publish_blindly = [&] {
     SteeredProcess publisher({AGNOCAST_MORTAL}, hooked);
     const std::string answer = publisher.ask("pub /many 100a");
@@ -404,7 +404,8 @@ TEST_F(Death, OfManyPublishersBehindASubscriptionThatIsNotReadGivesUpTheOldest) 
   EXPECT_EQ(lazy.ask("drop"), "ok");
   EXPECT_TRUE(lazy.eventually("maps", "0"));
 
-  // One that is stopped holds nothing and answers nothing: it is put out when others need the room.
+  // A stopped process holds nothing and answers nothing: the daemon revokes it when others need
+  // the room.
   ::kill(lazy.pid(), SIGSTOP);
   for (int life = 0; life < lives; ++life)
     ASSERT_TRUE(test::eventually([&] { return publish_blindly() == "ok"; })) << life;

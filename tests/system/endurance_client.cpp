@@ -3,16 +3,16 @@
 // A small node for the endurance tests: starts fast (no rosidl libraries), sends unsized messages.
 //
 //   endurance_client once-pub|once-sub TOPIC STEPS
-//     joins; STEPS 0: ends at once, without a word; 1: publishes or takes one; 2: leaves properly
-//   endurance_client        steered line by line on its standard input, answers each with one line:
+//     joins; STEPS 0: ends at once without leaving; 1: publishes or takes one; 2: leaves properly
+//   endurance_client        steered line by line on its standard input, one answer per line:
 //     pub TOPIC · sub TOPIC            keep-all 100
 //     publish COUNT                    → ok
 //     receive COUNT                    → ok      each one whole, in order, none lost
-//     cycle pub|sub TOPIC COUNT        → ok      creates and destroys, each on a topic of its own
+//     cycle pub|sub TOPIC COUNT        → ok      creates and destroys, each on its own topic
 //     rejoin TOPIC COUNT               → ok      a subscription comes and goes on the same topic
 //     heap                             → USED FRONTIER LIVE of the shared heap, bytes
 //     links                            → matched endpoints
-//     also pub|sub TOPIC               → ok      one more, keep-last 5; it is not looked at until
+//     also pub|sub TOPIC               → ok      one more, keep-last 5; it does not read until
 //     drain                            → ok
 //     one                              → ok      the next message of that one, whole
 

@@ -1,14 +1,14 @@
 // SPDX-License-Identifier: Apache-2.0
 //
-// Goal: nothing grows: after 1,000,000 messages, 100,000 endpoints and 10,000 processes everything
-// that daemon and clients use is what it was after a warm-up.
-// Method: a sample after each tenth; of the daemon and of two processes that
-// stay: open descriptors, mappings, resident memory; of the publisher's shared heap: what is
-// mapped and live; of the daemon: which place and which address the next process gets. First
-// and last are compared for equality, but resident memory and live bytes, which an allocator's caches
-// and high-water marks move: their tolerance stands beside them.
+// Goal: nothing grows: after 1,000,000 messages, 100,000 endpoints and 10,000 processes, daemon
+// and clients use as many resources as after a warm-up.
+// Method: a sample after each tenth; of the daemon and of two processes that stay: open
+// descriptors, mappings, resident memory; of the publisher's shared heap: mapped and live bytes;
+// of the daemon: the place and the address of the next process. The first and the last sample have
+// to be equal, except for resident memory and live bytes, which an allocator's caches and
+// high-water marks move: their tolerance stands beside them.
 //   AGNOCAST_ENDURANCE=short   a tenth of these numbers.
-//   AGNOCAST_RESTARTS=100000   so many restarts of a publisher beside a subscriber that lives.
+//   AGNOCAST_RESTARTS=100000   the restarts of a publisher beside a subscriber that lives.
 
 #include <tests/support/daemon_process.hpp>
 #include <tests/support/steered_process.hpp>
@@ -38,17 +38,17 @@ namespace {
 
 constexpr int patience_s = 1200;
 
-// Private memory: what leaks grows in every tenth of a run, what is noise (an allocator's free lists)
-// does not. So the middle one of the nine growths may be ten bytes for each step, or this:
+// Private memory: a leak grows in every tenth of a run, noise (an allocator's free lists) does
+// not. So the median of the nine growths may be ten bytes for each step, or this:
 constexpr std::int64_t private_growth_least = 32 << 10;
 // Tables and regions keep the pages of the busiest moment so far: how far the control thread of a
-// client lagged behind, which is the machine's affair. A page left behind by each step would be 360 MiB.
+// client lagged behind, which depends on the machine. A page leaked by each step would be 360 MiB.
 constexpr std::int64_t shared_growth_max = 64 << 20;
-// Blocks in the caches of the publisher's threads count as live: 0 to 122 KiB of them were seen. A block
-// left behind by each message would be 16 MB, in the short form 1.6 MB.
+// Blocks in the caches of the publisher's threads count as live: 0 to 122 KiB of them were
+// measured. A block leaked by each message would be 16 MB, in the short form 1.6 MB.
 constexpr std::int64_t live_tolerance = 256 << 10;
-// Extents and topics that were open once stay mapped, next to each other or with a gap: how many at
-// once is the lag again. A mapping left behind by each step would be 10,000 at least.
+// Extents and topics that were open once stay mapped, adjacent or with a gap: how many at once
+// depends on the same lag. A mapping leaked by each step would be 10,000 at least.
 constexpr std::size_t mapping_tolerance = 32;
 
 std::uint64_t count_of(std::uint64_t whole) {
@@ -83,8 +83,8 @@ struct ProcessSample {
   }
 
  private:
-  // The kernel splits a mapping where parts of it are locked in memory: neighbours of the same file
-  // count as one.
+  // The kernel splits a mapping where parts of it are locked in memory: neighbours of the same
+  // file count as one.
   static std::size_t count_mappings(const std::string& path) {
     std::size_t count = 0;
     std::string end_before, file_before;
@@ -107,7 +107,7 @@ struct Heap {
   std::int64_t used = 0, frontier = 0, live = 0;
 };
 
-/// Daemon and the two that stay.
+/// The daemon and the two processes that stay.
 class Endurance : public testing::Test {
  protected:
   Endurance() {
@@ -138,7 +138,7 @@ class Endurance : public testing::Test {
         all.heap.live;
     return all;
   }
-  /// When the last words about those who left have been said.
+  /// Samples when the daemon has announced the last departures.
   Sample sample_at_rest() {
     Sample last = sample();
     unsigned same = 0;
@@ -203,7 +203,7 @@ class Endurance : public testing::Test {
         << what;
   }
 
-  /// Calls `steps(part)` for each tenth of `count`; prints how long a step took in each.
+  /// Calls `steps(part)` for each tenth of `count`; prints the time of a step in each.
   template <class Steps>
   void endure(const std::string& what, std::uint64_t count, Steps steps) {
     std::vector<Sample> samples;
@@ -234,15 +234,15 @@ TEST_F(Endurance, MessagesLeaveNothingBehind) {
     subscriber_->tell("receive " + std::to_string(count));
     ASSERT_EQ(publisher_->ask("publish " + std::to_string(count), patience_s), "ok");
     ASSERT_EQ(subscriber_->answer(patience_s), "ok");
-    // Every message is given back before the heap is looked at.
+    // The subscriber releases every message before the heap is sampled.
     ASSERT_EQ(publisher_->ask("publish 1"), "ok");
     ASSERT_EQ(subscriber_->ask("receive 1"), "ok");
   });
 }
 
 TEST_F(Endurance, EndpointsLeaveNothingBehind) {
-  // A third each: publishers, subscriptions, both on ever new topics; and subscriptions on the topic
-  // of a publisher that stays, who maps and forgets them all.
+  // A third each: publishers and subscriptions, both always on new topics; and subscriptions on
+  // the topic of a publisher that stays, which maps and unmaps them all.
   endure("endpoints", count_of(100'000), [&](std::uint64_t count) {
     const std::string third = std::to_string(count / 3);
     publisher_->tell("cycle pub /publishers " + third);
@@ -254,7 +254,7 @@ TEST_F(Endurance, EndpointsLeaveNothingBehind) {
 
 class EnduranceOfProcesses : public Endurance {
  protected:
-  /// A process that joins and ends, or is killed some time on its way.
+  /// Starts a process that joins and ends, or is killed some time on its way.
   pid_t spawn(bool publishes, int steps) {
     std::vector<std::string> arguments{AGNOCAST_ENDURANCE_CLIENT,
                                        publishes ? "once-pub" : "once-sub", "/busy",
@@ -279,7 +279,8 @@ class EnduranceOfProcesses : public Endurance {
     }
   }
 
-  /// Where the daemon puts the next process: its place in the table, and the base of its window.
+  /// Returns where the daemon puts the next process: its place in the table, and the base of its
+  /// window.
   std::string next_place() {
     const auto next = client(true);
     EXPECT_EQ(next->ask("pub /next"), "ok");
@@ -288,7 +289,7 @@ class EnduranceOfProcesses : public Endurance {
     std::string place;
     for (std::string line; std::getline(log, line);) {
       if (line.find(pid) == std::string::npos) continue;
-      // An earlier process had the same pid: tens of thousands of them use all there are.
+      // An earlier process had the same pid: tens of thousands of processes use all pids.
       if (line.find("client registered") != std::string::npos) place.clear();
       for (const char* field : {"client registered client=", "base="}) {
         if (const std::size_t at = line.find(field); at != std::string::npos)
@@ -300,8 +301,8 @@ class EnduranceOfProcesses : public Endurance {
 };
 
 TEST_F(EnduranceOfProcesses, LeaveNothingBehind) {
-  // A subscription that nobody looks at keeps its newest five messages, whoever sent them and is dead
-  // by now, and no more.
+  // A subscription that nobody reads keeps its newest five messages, also of dead publishers, and
+  // no more.
   ASSERT_EQ(publisher_->ask("also pub /busy"), "ok");
   ASSERT_EQ(subscriber_->ask("also sub /busy"), "ok");
   Random random(7);
@@ -329,7 +330,7 @@ TEST_F(EnduranceOfProcesses, LeaveNothingBehind) {
 }
 
 TEST_F(EnduranceOfProcesses, RestartsOfAPublisherLeaveNothingBehind) {
-  // Each publishes one message and ends without a word or leaves properly; the subscriber takes
+  // Each publishes one message and ends without leaving or leaves properly; the subscriber takes
   // every message, and so maps and unmaps region and window of each.
   ASSERT_EQ(subscriber_->ask("also sub /busy"), "ok");
   std::vector<std::string> places;

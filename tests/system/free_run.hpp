@@ -1,14 +1,14 @@
 // SPDX-License-Identifier: Apache-2.0
 //
-// Free runs: publishers and subscribers go as fast as they like, and a reader says whether what it
-// got was allowed:
+// Free runs: publishers and subscribers run at full speed, and a reader judges whether its
+// messages were allowed:
 //   - per publisher the numbers grow: first in, first out, nothing twice;
-//   - each message is, member by member, what its name says;
-//   - each number left out is counted as lost, and nothing else is (of several publishers: in the
-//     end, by the harness: taken and lost together are what was committed);
-//   - a loss was justified: whenever a message was lost at a take, the subscription's whole depth of
-//     newer ones is committed, so the following depth-1 takes find something.
-// The last is stricter than "no more lost than committed" and needs no clock.
+//   - each message equals, member by member, the content that its name determines;
+//   - each number left out is counted as lost, and nothing else is (with several publishers:
+//     in the end, by the harness: taken and lost together are the committed ones);
+//   - a loss was justified: whenever a message was lost at a take, the subscription's whole depth
+//     of newer ones is committed, so the following depth-1 takes return messages.
+// The last rule is stricter than "no more lost than committed" and needs no clock.
 #pragma once
 
 #include <base/unique_fd.hpp>
@@ -25,7 +25,7 @@
 
 namespace agnocast::test {
 
-/// Shared by harness and processes: survives whoever is killed.
+/// Shared by harness and processes: survives the death of any of them.
 struct Progress {
   static constexpr std::size_t publisher_count_max = 64;
   struct Publisher {
@@ -45,11 +45,11 @@ struct Progress {
   }
 };
 
-/// What one subscription has seen. The first complaint is kept.
+/// The history of one subscription. It keeps the first complaint.
 class FreeRunJudge {
  public:
-  /// `publishers`: how many there will ever be, if the subscription was there before all of them
-  /// (so number 1 is the first it wants); else 0.
+  /// `publishers`: the total number of publishers, if the subscription was there before all of
+  /// them (so number 1 is the first it wants); else 0.
   FreeRunJudge(std::uint64_t depth, std::uint64_t publishers)
       : depth_(depth), since_start_(publishers != 0), is_exact_(publishers == 1) {}
 
@@ -64,11 +64,11 @@ class FreeRunJudge {
     gaps_ += number - last - 1;
     last = number;
     if (lost < lost_) complain("the lost counter went back" + what);
-    // Of several publishers, what is lost of one is counted before its next message shows the gap.
+    // With several publishers, a loss of one is counted before its next message shows the gap.
     if (since_start_ && lost < gaps_) complain("a gap that is not counted" + what);
     if (is_exact_ && lost > gaps_) complain("counted as lost and not missing" + what);
     if (lost > lost_) {
-      promised_ = depth_ - 1;  // one of the newer ones is this
+      promised_ = depth_ - 1;  // this message is one of the newer ones
     } else if (promised_ > 0) {
       --promised_;
     }

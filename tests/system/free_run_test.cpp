@@ -1,11 +1,11 @@
 // SPDX-License-Identifier: Apache-2.0
 //
-// Goal: at full speed, nothing happens that may not happen, whoever joins, lags, leaves or dies.
-// Method: real publishers and subscribers in processes of their own, as fast as they like; each
-// subscription judges what it gets (free_run.hpp), and in the end every one that stayed must have
-// the last message that each publisher committed, also of those that were killed in the middle of
-// publishing. Seeds as in stepped_test.cpp; a free run's interleaving is the machine's, its contents
-// and pauses are the seed's. AGNOCAST_FREE_RUNS: how many (10 if not set).
+// Goal: at full speed, only permitted things happen, whichever processes join, lag, leave or die.
+// Method: real publishers and subscribers in their own processes, at full speed; each subscription
+// judges its messages (free_run.hpp), and in the end every one that stayed must have the last
+// message that each publisher committed, also of publishers killed while they published. Seeds as
+// in stepped_test.cpp; a free run's interleaving is the machine's, its contents and pauses are the
+// seed's. AGNOCAST_FREE_RUNS: the number of runs (10 if not set).
 
 #include <tests/support/daemon_process.hpp>
 #include <tests/system/actor_process.hpp>
@@ -107,7 +107,7 @@ class FreeRun {
     writers_.push_back(std::move(writer));
   }
 
-  /// A reader that does not stay is killed and comes again; a writer that dies does so half way.
+  /// A reader that does not stay is killed and restarted; a writer that dies does so half way.
   void one_disturbance(std::uint64_t count) {
     for (std::size_t i = 0; i < writers_.size(); ++i) {
       if (writers_[i].dies && writers_[i].actor != nullptr &&
@@ -142,12 +142,12 @@ class FreeRun {
       committed += progress.committed.load();
       attempted += progress.attempted.load();
       EXPECT_LE(last[i], progress.attempted.load());
-      // Of several publishers, the newest message of one may lie outside the depth.
+      // With several publishers, the newest message of one may lie outside the depth.
       if (writers_.size() == 1 || keep_all_) {
         EXPECT_GE(last[i], progress.committed.load()) << "the newest message; seed " << seed_;
       }
     }
-    // Equal, except where a publisher was killed between commit and note.
+    // Equal, except where a publisher was killed between commit and record.
     EXPECT_GE(taken + lost, committed) << "neither taken nor counted; seed " << seed_;
     EXPECT_LE(taken + lost, attempted) << "never published; seed " << seed_;
   }
@@ -164,7 +164,7 @@ class FreeRun {
   std::vector<Writer> writers_;
 };
 
-TEST(FreeRun, NothingHappensThatMayNot) {
+TEST(FreeRun, OnlyPermittedThingsHappen) {
   const std::uint64_t only = seed_given();
   const std::uint64_t runs = only != 0 ? 1 : number_from_environment("AGNOCAST_FREE_RUNS", 10);
   const auto now = std::chrono::system_clock::now().time_since_epoch().count();
@@ -177,8 +177,8 @@ TEST(FreeRun, NothingHappensThatMayNot) {
   }
 }
 
-/// The judge sees what it is there for.
-TEST(FreeRunJudge, ComplainsAboutWhatMayNotHappen) {
+/// The judge detects each violation.
+TEST(FreeRunJudge, ComplainsAboutEachViolation) {
   const auto verdict_of = [](auto happen) {
     FreeRunJudge judge(2, 1);
     happen(judge);

@@ -1,8 +1,8 @@
 // SPDX-License-Identifier: Apache-2.0
 //
-// What instruction_test.cpp counts under callgrind: the public interface on a warm heap, with the
-// real daemon and the real heap hook. Collection is switched on around each counted call alone, in
-// this thread alone, and a dump with the name of the case is written after its turns.
+// The subject that instruction_test.cpp counts under callgrind: the public interface on a warm
+// heap, with the real daemon and the real heap hook. Collection is on only around each counted
+// call, in this thread alone; after its rounds a dump with the name of the case is written.
 
 #include <tests/system/sheaf.hpp>
 
@@ -22,7 +22,7 @@ namespace agnocast::test {
 namespace {
 
 constexpr int warm_turns = 320, counted_turns = 1024;  // as in instruction_test.cpp
-constexpr int batch = 16;                              // turns are multiples of it
+constexpr int batch = 16;                              // both are multiples of it
 
 struct Node {
   const char* get_name() const { return "counted"; }
@@ -68,7 +68,7 @@ class Counting {
     CALLGRIND_DUMP_STATS_AT(name.c_str());
   }
 
-  /// take_batch of one subscription; each message is one of the turns.
+  /// take_batch of one subscription; each message counts as one round.
   void count_batches(const std::string& name) {
     for (int turn = 0; turn < warm_turns + counted_turns; turn += batch) {
       for (int i = 0; i < batch; ++i) {

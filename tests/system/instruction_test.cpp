@@ -1,11 +1,11 @@
 // SPDX-License-Identifier: Apache-2.0
 //
 // Goal: borrow, publish, take and release do not become slower unnoticed.
-// Method: callgrind counts the instructions of the calling thread (instruction_subject.cpp): the
-// same on a busy machine. Each count may exceed what is recorded in instruction_counts.txt by 5 % (or ten).
-// Somebody who looks (agnocast-ctl top, as fast as it can) changes none of them.
-// Records belong to an architecture, a compiler and a build type; for another one the test is
-// skipped. To record what is measured now, after a change that is worth it:
+// Method: callgrind counts the instructions of the calling thread (instruction_subject.cpp), which
+// a busy machine does not change. Each count may exceed its record in instruction_counts.txt by 5
+// % (or ten). An observer (agnocast-ctl top, as fast as it can) changes none of them. Records
+// belong to an architecture, a compiler and a build type; for another one the test is skipped. To
+// record the current counts after a change that is worth it:
 //
 //   AGNOCAST_RECORD=1 ctest … -R system_instructions
 
@@ -85,7 +85,7 @@ void read_dump(const std::filesystem::path& path, Counts& counts) {
   }
 }
 
-/// agnocast-ctl top, twenty times a second, until the end.
+/// Runs agnocast-ctl top, twenty times a second, until the end.
 class Watcher {
  public:
   explicit Watcher(const std::string& socket)
@@ -113,7 +113,7 @@ Counts measure(Looks who) {
                           "--callgrind-out-file=" + out + "/dump", AGNOCAST_COUNTED},
                          {"AGNOCAST_SOCKET=" + daemon.socket_path(), "LD_PRELOAD=" AGNOCAST_HOOK});
   EXPECT_EQ(counted.finish(), 0);
-  EXPECT_TRUE(!watcher || watcher->goes_on()) << "or nobody has looked";
+  EXPECT_TRUE(!watcher || watcher->goes_on()) << "no observer was running";
   Counts counts;
   for (const auto& entry : std::filesystem::directory_iterator(out))
     read_dump(entry.path(), counts);
@@ -146,9 +146,9 @@ TEST(Instructions, AreNoMoreThanRecorded) {
   write_records(records);
 }
 
-// The subject's turns are the same each time; what differs by chance (a pass that the control thread
-// has made before) is far below a load from a shared word more.
-TEST(Instructions, AreTheSameWhileSomebodyLooks) {
+// The subject's rounds are the same each time; the variation (a reclamation scan that the control
+// thread has made before) is far below one more load from a shared word.
+TEST(Instructions, AreTheSameBesideAnObserver) {
   const Counts alone = measure(Looks::nobody), watched = measure(Looks::somebody);
   ASSERT_EQ(alone.size(), 8u);
   for (const auto& [name, count] : alone) {

@@ -1,24 +1,25 @@
 // SPDX-License-Identifier: Apache-2.0
 //
-// A node that is made to die, to stop, and to be revoked (death_test.cpp).
+// A node for death_test.cpp to kill, stop and revoke.
 //
-//   mortal once TOPIC QOS COUNT    publishes 1 … COUNT and ends at once, without a word
+//   mortal once TOPIC QOS COUNT    publishes 1 … COUNT and ends at once without leaving
 //   mortal                         steered line by line on its standard input, one line for each:
 //     pub TOPIC QOS · sub TOPIC QOS QUOTA   → ok | refused TEXT
 //     publish COUNT                         → ok | refused SENTENCE     numbers go on
-//     once TOPIC QOS COUNT                  → publishes with a new publisher, ends without a word
-//     take                                  → none | NUMBER | damaged   holds what it took
-//     expect FIRST LAST                     → ok | …  takes these, in this order, and lets go of them
-//     rest                                  → FIRST LAST | none | …     takes and drops what is there
-//     check · drop                          → ok | damaged              all that is held; lets go of it
-//     window                                → which window the next message would lie in
+//     once TOPIC QOS COUNT                  → publishes with a new publisher, ends without leaving
+//     take                                  → none | NUMBER | damaged   holds the message
+//     expect FIRST LAST                     → ok | …  takes and releases these, in this order
+//     rest                                  → FIRST LAST | none | …  takes and releases the rest
+//     check · drop                          → ok | damaged  all held messages; releases them
+//     window                                → the window in which the next message would lie
 //     maps                                  → mappings of other processes' memory
-//     barrier                               → ok    everything the daemon said before has been handled
+//     barrier                               → ok    the client has handled all earlier packets
 //     active                                → PUBLISHER SUBSCRIPTION
 //     lost · matched                        → a number
 //     events                                → CALLS CURRENT of the matched callback
 //   QOS: a depth, then t (transient local), a (keep-all)
 
+#include <tests/support/actor.hpp>
 #include <tests/system/sheaf.hpp>
 
 #include <agnocast/agnocast.hpp>
@@ -39,19 +40,6 @@
 
 namespace agnocast::test {
 namespace {
-
-struct Node {
-  const char* get_name() const { return "mortal"; }
-  const char* get_namespace() const { return "/"; }
-  const char* get_fully_qualified_name() const { return "/mortal"; }
-};
-
-QoS qos_of(const std::string& text) {
-  QoS qos(std::strtoul(text.c_str(), nullptr, 10));
-  if (text.find('t') != std::string::npos) qos.transient_local();
-  if (text.find('a') != std::string::npos) qos.keep_all(qos.depth());
-  return qos;
-}
 
 class Mortal {
  public:
@@ -93,7 +81,7 @@ class Mortal {
   std::string advertise(const std::string& topic, const std::string& qos) {
     PublisherOptions options;
     options.matched_callback([this](MatchedInfo& info) { note(info); });
-    auto made = try_create_publisher<Sheaf>(node_, topic, qos_of(qos), options);
+    auto made = try_create_publisher<Sheaf>(node_, topic, qos_from_letters(qos), options);
     if (!made) return "refused " + text_of(made.error());
     publisher_ = *made;
     return "ok";
@@ -123,7 +111,7 @@ class Mortal {
     SubscriptionOptions options;
     options.hold_quota(quota);
     options.matched_callback([this](MatchedInfo& info) { note(info); });
-    auto made = try_create_subscription<Sheaf>(node_, topic, qos_of(qos), options);
+    auto made = try_create_subscription<Sheaf>(node_, topic, qos_from_letters(qos), options);
     if (!made) return "refused " + text_of(made.error());
     subscription_ = *made;
     return "ok";
@@ -175,7 +163,7 @@ class Mortal {
     // The daemon of these tests gives windows of 64 MiB.
     return std::to_string(reinterpret_cast<std::uint64_t>(loan.get()) >> 26);
   }
-  // The names are the daemon's memfds; read-only is somebody else's.
+  // The names are the daemon's memfds; others' are read-only.
   static std::size_t foreign_mappings() {
     std::size_t count = 0;
     std::ifstream maps("/proc/self/maps");
@@ -186,13 +174,13 @@ class Mortal {
     }
     return count;
   }
-  // The answer to a request comes behind whatever the daemon had said before.
+  // The answer to a request comes after all earlier packets of the daemon.
   std::string barrier() {
     const auto asked = try_create_subscription<Sheaf>(node_, "/barrier", QoS(1));
     return asked ? "ok" : "refused " + text_of(asked.error());
   }
 
-  Node node_;
+  ActorNode node_{"mortal"};
   Publisher<Sheaf>::SharedPtr publisher_;
   Subscription<Sheaf>::SharedPtr subscription_;
   std::vector<Held> held_;

@@ -17,7 +17,7 @@ class Random {
     z = (z ^ z >> 27) * 0x94d049bb133111eb;
     return z ^ z >> 31;
   }
-  /// 0 … limit-1; 0 when limit is 0.
+  /// Returns 0 … limit-1; 0 when limit is 0.
   std::uint64_t below(std::uint64_t limit) noexcept { return limit == 0 ? 0 : next() % limit; }
   bool chance(std::uint64_t percent) noexcept { return below(100) < percent; }
 

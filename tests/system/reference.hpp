@@ -1,15 +1,15 @@
 // SPDX-License-Identifier: Apache-2.0
 //
-// What quality of service means, as plainly as it can be written: lists of numbers, no shared
+// The meaning of quality of service, written as plainly as possible: lists of numbers, no shared
 // memory. The stepped tests compare every take, every lost count and every would-block with it.
 //
-//   A publisher is the list of what it committed. A link remembers which number a subscription wants
-//   next from one publisher. Unread of a link is what is from there on, at most the newest `window`.
-//   A keep-last subscription keeps its newest `depth` unread messages over all its publishers; the
-//   oldest is taken first. What leaves that set unread is lost. A late joiner starts behind the
-//   newest; with transient_local on both sides it gets the newest min(depth, depth). A keep-all
-//   publisher commits only if no reliable keep-all subscription gets more than min(depth, depth)
-//   unread.
+// A publisher is the list of its commits. A link remembers the number that a subscription takes
+// next from one publisher. The unread messages of a link start there, and are at most the newest
+// `window`. A keep-last subscription keeps its newest `depth` unread messages over all its
+// publishers; the oldest is taken first. An unread message that leaves that set is lost. A late
+// joiner starts after the newest; with transient_local on both sides it gets the newest min(depth,
+// depth). A keep-all publisher commits only if no reliable keep-all subscription gets more than
+// min(depth, depth) unread.
 #pragma once
 
 #include <algorithm>
@@ -44,7 +44,8 @@ class Reference {
     std::optional<Taken> taken;
     std::uint64_t lost;
     bool
-        lost_is_exact;  // false: the library counts some of it when it looks at that publisher again
+        // false: the library counts some losses when it next looks at that publisher
+        lost_is_exact;
   };
 
   void join_publisher(std::uint64_t id, const ReferenceQos& qos) {
@@ -53,7 +54,7 @@ class Reference {
       if (qos.offers(subscription.qos)) subscription.links[id] = {1, 0};
     }
   }
-  /// Or its death: what it committed is still delivered.
+  /// Also for its death: its commits are still delivered.
   void leave_publisher(std::uint64_t id) { publishers_.at(id).here = false; }
 
   void join_subscription(std::uint64_t id, const ReferenceQos& qos, std::uint64_t quota) {
@@ -68,7 +69,7 @@ class Reference {
   }
   void leave_subscription(std::uint64_t id) { subscriptions_.erase(id); }
 
-  /// False: it would block, and nothing is committed.
+  /// Returns false if it would block; then nothing is committed.
   bool publish(std::uint64_t id) {
     Publisher& publisher = publishers_.at(id);
     for (const auto& [_, subscription] : subscriptions_) {
@@ -100,7 +101,7 @@ class Reference {
   void release(std::uint64_t id, std::uint64_t publisher) {
     --subscriptions_.at(id).links.at(publisher).held;
   }
-  /// How many active subscriptions a publisher has.
+  /// Returns how many active subscriptions a publisher has.
   std::uint64_t matched(std::uint64_t id) const {
     return static_cast<std::uint64_t>(
         std::count_if(subscriptions_.begin(), subscriptions_.end(),

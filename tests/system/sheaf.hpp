@@ -1,6 +1,6 @@
 // SPDX-License-Identifier: Apache-2.0
 //
-// Sheaf: a small unsized message without rosidl: what endurance tests and instruction counts send.
+// Sheaf: a small unsized message without rosidl, for endurance tests and instruction counts.
 #pragma once
 
 #include <agnocast/message_traits.hpp>
@@ -31,8 +31,7 @@ struct agnocast::MessageTraits<agnocast::test::Sheaf> {
 
 namespace agnocast::test {
 
-/// Sizes go through the same few hundred values again and again, so a heap that leaks nothing stops
-/// growing.
+/// Sizes repeat the same few hundred values, so a heap that leaks nothing stops growing.
 inline void fill(Sheaf& sheaf, std::uint64_t number) {
   sheaf.number = number;
   const std::uint64_t size = number * 7919 % 257;

@@ -1,8 +1,8 @@
 // SPDX-License-Identifier: Apache-2.0
 //
-// SoakBoard: what all processes of the soak write down, in memory that outlives each of them: what
-// was committed, what was verified, and the first complaints. A killed process loses nothing that
-// it had found out.
+// SoakBoard: the record of all processes of the soak, in memory that outlives each of them:
+// committed messages, verified messages, and the first complaints. A killed process loses none of
+// its findings.
 #pragma once
 
 #include <agnocast/error.hpp>
@@ -32,23 +32,23 @@ inline std::uint64_t now_ns() noexcept {
 /// Topics of the soak, each with its quality of service (soak_client.cpp).
 enum class SoakTopic : std::uint64_t { last, deep, history, complete, effort, large, mixed, count };
 
-/// One publisher, ever.
+/// One publisher; records are never reused.
 struct PublisherRecord {
   Word topic;      // SoakTopic + 1
-  Word born_ns;    // before it was asked for
+  Word born_ns;    // before its creation was requested
   Word attempted;  // messages: before publish is called
   Word committed;  // after it returned
 };
 
-/// One process at a time.
+/// One place, which one process has at a time.
 struct SoakPlace {
   crash_points::Control control;
   Word joined;      // it has its first endpoint
   Word publishers;  // endpoints that it has ever had in its life
   Word subscriptions;
-  Word reading_token, reading_number;  // what it verifies at this moment
-  Word looks;                          // grows as long as it goes round its loop
-  Word waits_for;                      // of a resident: the Phase that it is ready for
+  Word reading_token, reading_number;  // the message under verification
+  Word looks;                          // grows as long as its loop runs
+  Word waits_for;                      // a resident: the Phase that it is ready for
 };
 
 struct SoakBoard {
@@ -68,7 +68,7 @@ struct SoakBoard {
   char complaint[complaint_count_max][400];
 
   SoakPlace place[place_count_max];
-  PublisherRecord publisher[publisher_count_max];  // pages come as they are used
+  PublisherRecord publisher[publisher_count_max];  // pages are allocated as they are used
 
   static SoakBoard& make() {
     void* const memory = ::mmap(nullptr, sizeof(SoakBoard), PROT_READ | PROT_WRITE,

@@ -2,8 +2,8 @@
 //
 // Parcel: the message of the soak. A pure function of (token, number), where a token is given to
 // one publisher only. Every byte that it ever owned is overwritten with 0xDD before it is freed:
-// what its sequences let go when they grow, and at the end the object itself. So whoever reads a
-// message too late reads something else.
+// the old buffers of its growing sequences, and at the end the object itself. So a late read of a
+// message finds something else.
 #pragma once
 
 #include <tests/system/random.hpp>
@@ -21,7 +21,7 @@
 
 namespace agnocast::test {
 
-/// memset that stays although nobody reads it any more.
+/// A memset that stays although nothing reads it any more.
 inline void poison(void* memory, std::size_t bytes) noexcept {
   std::memset(memory, 0xDD, bytes);
   asm volatile("" : : "r"(memory) : "memory");
@@ -43,7 +43,7 @@ struct PoisoningAllocator {
 
 struct Parcel {
   using Text = std::basic_string<char, std::char_traits<char>, PoisoningAllocator<char>>;
-  /// How many there are in this process, published ones included.
+  /// The number of parcels in this process, published ones included.
   static inline std::atomic<std::uint64_t> alive{0};
 
   std::uint64_t token = 0;
@@ -85,10 +85,10 @@ struct agnocast::MessageTraits<agnocast::test::Parcel> {
 
 namespace agnocast::test {
 
-/// What token and number say a parcel holds.
+/// The content of a parcel, determined by token and number.
 class ParcelPlan {
  public:
-  /// The low bits of a token: how large its messages are.
+  /// The low bits of a token: the size of its messages.
   enum class Size : std::uint64_t { small, middle, large };
   static constexpr std::uint64_t size_bits = 2;
 
@@ -112,7 +112,7 @@ class ParcelPlan {
     parcel.seal = seal();
   }
 
-  /// The first member that is not what it should be.
+  /// The first member with a wrong value.
   struct Difference {
     const char* member = nullptr;  // null: none
     std::uint64_t position = 0, expected = 0, found = 0;
@@ -121,7 +121,7 @@ class ParcelPlan {
     if (parcel.token != token_) return {"token", 0, token_, parcel.token};
     if (parcel.number != number_) return {"number", 0, number_, parcel.number};
     if (parcel.seal != seal()) return {"seal", 0, seal(), parcel.seal};
-    // A freed one must not be walked: its pointers lead nowhere.
+    // A freed parcel must not be walked: its pointers lead nowhere.
     if (parcel.words.size() != word_count_)
       return {"words.size()", 0, word_count_, parcel.words.size()};
     if (parcel.names.size() != name_count_)

@@ -1,12 +1,12 @@
 // SPDX-License-Identifier: Apache-2.0
 //
-// Goal: no death, of anybody, at any moment, ever makes a message wrong, lost or late for ever, or
-// leaves anything behind.
+// Goal: no death of any process at any moment ever makes a message wrong, lost or late for ever,
+// or leaves anything behind.
 // Method: processes with the real library, hook and daemon come and go as fast as the machine
-// carries. They are killed at random moments and at random crash points, held up at others, stopped
+// allows. They are killed at random moments and at random crash points, delayed at others, stopped
 // and continued. Freed payload is poisoned; every message is compared at take and at release. Two
-// residents live through all of it and account for every message that was committed
-// (soak_client.cpp). In the end everybody leaves, and what is left is counted.
+// residents live through all of it and account for every committed message (soak_client.cpp). In
+// the end all processes leave, and the test counts the remains.
 //
 //   system_soak [--minutes=N] [--seed=N] [--processes=N] [--daemons=N]
 //                          one minute, a seed of its own, 12, 10 deaths of the daemon a minute at
@@ -48,10 +48,10 @@ namespace {
 constexpr std::uint64_t millisecond = 1'000'000;
 constexpr std::uint64_t second = 1000 * millisecond;
 constexpr std::size_t resident_count = 2;
-// Without any progress for so long something hangs; the machine may be busy.
+// Without any progress for this long the system hangs; the machine may be busy.
 constexpr std::uint64_t watchdog_ns = 30 * second;
 
-/// --NAME=VALUE, else the variable, else the last.
+/// Returns --NAME=VALUE, else the variable, else `otherwise`.
 double option(std::string_view name, const char* variable, double otherwise) {
   std::ifstream arguments("/proc/self/cmdline");
   for (std::string argument; std::getline(arguments, argument, '\0');) {
@@ -68,7 +68,7 @@ struct Deaths {
   std::bitset<step_bound> steps;
 };
 
-/// Keeps the places filled, and kills.
+/// Keeps the places filled with processes, and kills them.
 class Herd {
  public:
   Herd(SoakBoard& board, std::uint64_t seed, std::size_t count)
@@ -80,7 +80,7 @@ class Herd {
   void start_residents() {
     for (std::size_t i = 0; i < resident_count; ++i) start(i);
   }
-  /// One round: whoever is due is killed, whoever has ended is replaced.
+  /// One round: kills the processes that are due, replaces those that have ended.
   void tend() {
     const std::uint64_t now = now_ns();
     for (std::size_t i = 0; i < flies_.size(); ++i) {
@@ -101,7 +101,7 @@ class Herd {
   void kill_mayflies() {
     for (std::size_t i = resident_count; i < flies_.size(); ++i) end(i);
   }
-  /// All residents wait for `phase` and go on; false if one does not come so far.
+  /// Starts `phase` when all residents wait for it; false if one does not get there.
   [[nodiscard]] bool lead_to(SoakBoard::Phase phase) {
     const std::uint64_t end = now_ns() + 4 * watchdog_ns;
     for (std::size_t i = 0; i < resident_count; ++i) {
@@ -123,8 +123,8 @@ class Herd {
  private:
   struct Fly {
     pid_t pid = -1;
-    std::uint64_t kill_ns = 0;      // 0: when it has joined
-    std::uint64_t continue_ns = 0;  // 0: it is not stopped
+    std::uint64_t kill_ns = 0;      // 0: not decided until it has joined
+    std::uint64_t continue_ns = 0;  // 0: not stopped
   };
 
   void start(std::size_t i) {
@@ -148,7 +148,7 @@ class Herd {
     }
     flies_[i] = {pid, 0, 0};
     if (is_resident) flies_[i].kill_ns = ~std::uint64_t{0};
-    // Some while they join, the others some time after it.
+    // Some die while they join, the others some time after it.
     if (!is_resident && random_.chance(20))
       flies_[i].kill_ns = now_ns() + random_.below(10 * millisecond);
   }
@@ -199,7 +199,7 @@ class Herd {
   Deaths deaths_;
 };
 
-/// The daemon's crash points: each daemon in turn looks at the same control.
+/// The daemon's crash points: each daemon in turn uses the same control.
 class DaemonControl {
  public:
   DaemonControl() : file_(::memfd_create("soak", MFD_CLOEXEC)) {
@@ -225,7 +225,7 @@ class DaemonControl {
   crash_points::Control* control_ = nullptr;
 };
 
-/// Kills the daemon, at random moments and at its crash points. Another one goes on.
+/// Kills the daemon, at random moments and at its crash points. Another one takes over.
 class DaemonKiller {
  public:
   DaemonKiller(DaemonProcess& daemon, crash_points::Control& control, double a_minute,
@@ -244,7 +244,7 @@ class DaemonKiller {
     due_ns_ = now_ns() + random_.below(2 * life_ns_);
   }
   bool is_idle() const noexcept { return is_idle_; }
-  /// No more deaths; false when no daemon serves.
+  /// Stops the deaths; returns false when no daemon serves.
   [[nodiscard]] bool rest() {
     control_.seed = 0;
     return daemon_.wait_for_next(last_);
@@ -258,7 +258,7 @@ class DaemonKiller {
   }
 
  private:
-  static constexpr double points_a_minute = 4e6;  // what a busy daemon reaches
+  static constexpr double points_a_minute = 4e6;  // the rate at a busy daemon
 
   DaemonProcess& daemon_;
   crash_points::Control& control_;
@@ -275,17 +275,17 @@ class Soak : public testing::Test {
     ::unsetenv("ROS_DOMAIN_ID");
   }
 
-  /// False when something is wrong; then it is printed in the end.
+  /// Returns false when something is wrong; the end of the test prints it.
   bool is_well() { return board_.complaint_count == 0 && daemon_.is_running(); }
-  /// Complains when `now` is not more than it was the last time.
+  /// Complains when `now` has not grown since the last time.
   void expect_progress(const char* what, std::uint64_t now, std::uint64_t& before) {
     if (now == before)
       board_.complain("no progress: still %llu %s", static_cast<unsigned long long>(now), what);
     before = now;
   }
 
-  /// Nothing stops for it; a thread that got no processor for seconds can look broken, and a daemon
-  /// that dies cannot answer. So several looks.
+  /// All processes go on meanwhile; a thread that got no processor for seconds can look broken,
+  /// and a daemon that dies cannot answer. So several looks.
   bool verify_alive() {
     CtlResult last;
     for (int look = 0; look < 5; ++look) {
@@ -295,7 +295,8 @@ class Soak : public testing::Test {
     ADD_FAILURE() << "agnocast-ctl verify: status " << last.status << "\n" << last.out << last.err;
     return false;
   }
-  /// When nobody is connected. The daemon and ctl close theirs a moment after they have answered.
+  /// Returns the count without connections. The daemon and ctl close theirs shortly after their
+  /// answers.
   std::size_t settled_descriptors() const {
     std::size_t count = 0;
     EXPECT_TRUE(eventually([&] {
@@ -345,7 +346,7 @@ class Soak : public testing::Test {
                          .environment = {control_.variable()}}};
 };
 
-TEST_F(Soak, NobodysDeathIsEverNoticedByWhoLives) {
+TEST_F(Soak, ADeathNeverAffectsRemainingProcesses) {
   const double minutes = option("minutes", "AGNOCAST_SOAK_MINUTES", 1);
   auto seed = static_cast<std::uint64_t>(option("seed", "AGNOCAST_SEED", 0));
   if (seed == 0) seed = now_ns() % 1'000'000'007;
@@ -393,7 +394,7 @@ TEST_F(Soak, NobodysDeathIsEverNoticedByWhoLives) {
     well = herd.lead_to(SoakBoard::silence);
     herd.kill_mayflies();
     well = well && herd.lead_to(SoakBoard::drain);
-    // Who lives keeps no place of the dead once he has read what they had published.
+    // A living process keeps no place of a dead publisher once it has read its messages.
     EXPECT_TRUE(!well || eventually([&] {
       return status()["in_use"]["processes"] == resident_count;
     })) << status().dump(2);
@@ -405,8 +406,10 @@ TEST_F(Soak, NobodysDeathIsEverNoticedByWhoLives) {
   print(herd.deaths(), killer.deaths(), took_minutes);
   report_complaints(seed);
   if (minutes >= 1) {
-    EXPECT_GT(herd.deaths().at_points, 0u) << "then this was no test";
-    EXPECT_TRUE(killer.is_idle() || killer.deaths() > 0) << "then this was no test";
+    EXPECT_GT(herd.deaths().at_points, 0u)
+        << "no process died at a crash point, so the test proves nothing";
+    EXPECT_TRUE(killer.is_idle() || killer.deaths() > 0)
+        << "the daemon never died, so the test proves nothing";
   }
   ASSERT_TRUE(well) << "--seed=" << seed;
 

@@ -1,10 +1,10 @@
 // SPDX-License-Identifier: Apache-2.0
 //
-// Specimen: what a message of the deep comparisons holds. A message is a pure function of (seed,
-// publisher, number, bytes), so a reader makes the expected one in its own memory and compares the
-// two member by member, down to the last string of the innermost sequence. Everything.msg has every
-// kind of member that a ROS message can have; sequences are filled as nodes fill them: push_back,
-// resize, assign, reserve, swap. Sizes are random, empty ones included.
+// Specimen: the message of the deep comparisons. A message is a pure function of (seed, publisher,
+// number, bytes), so a reader makes the expected one in its own memory and compares the two member
+// by member, down to the last string of the innermost sequence. Everything.msg has every kind of
+// member that a ROS message can have; sequences are filled as nodes fill them: push_back, resize,
+// assign, reserve, swap. Sizes are random, empty ones included.
 #pragma once
 
 #include <tests/system/random.hpp>
@@ -21,17 +21,17 @@ namespace agnocast::test {
 
 using Specimen = agnocast_test_msgs::msg::Everything;
 
-/// Who a message says it is.
+/// The identity that a message carries.
 struct SpecimenName {
   std::uint64_t publisher = 0;
   std::uint64_t number = 0;
-  std::uint64_t bytes = 0;  // of the big blob in it
+  std::uint64_t bytes = 0;  // of its large blob
   bool operator==(const SpecimenName&) const = default;
 };
 
 class SpecimenMaker {
  public:
-  /// Makes `message`, which is new, the one that these name.
+  /// Fills the new `message` with the content that seed and name determine.
   static void fill(Specimen& message, std::uint64_t seed, const SpecimenName& name) {
     SpecimenMaker maker(seed ^ name.publisher * 0xd6e8feb86659fd93 ^
                         name.number * 0xa0761d6478bd642f);
@@ -48,7 +48,7 @@ class SpecimenMaker {
     if (!message.numbers.empty()) name.bytes = static_cast<std::uint64_t>(message.numbers.back());
     return name;
   }
-  /// Member by member, by value: is `message` exactly the one it says it is?
+  /// Returns whether `message` equals, member by member, what its name determines.
   static bool is_intact(const Specimen& message, std::uint64_t seed, const SpecimenName& name) {
     Specimen expected;
     fill(expected, seed, name);
@@ -58,7 +58,7 @@ class SpecimenMaker {
  private:
   explicit SpecimenMaker(std::uint64_t seed) noexcept : random_(seed) {}
 
-  /// Often empty, mostly small, sometimes larger.
+  /// Returns a size: often 0, mostly small, sometimes larger.
   std::size_t count(std::size_t most) {
     const std::uint64_t kind = random_.below(10);
     return static_cast<std::size_t>(kind < 3 ? 0 : random_.below((kind < 9 ? most / 4 : most) + 1));

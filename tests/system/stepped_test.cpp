@@ -1,14 +1,15 @@
 // SPDX-License-Identifier: Apache-2.0
 //
-// Goal: whatever publishers and subscriptions do in whatever order, every take gives exactly the
-// message that quality of service says, intact to the last nested string, and every loss is counted.
+// Goal: whatever publishers and subscriptions do in any order, every take gives exactly the
+// message that quality of service determines, intact to the last nested string, and every loss is
+// counted.
 // Method: a schedule made from a seed steers real processes against the real daemon one step at a
 // time: join, leave, publish, take, hold, release, SIGKILL. Each answer is compared with the
-// reference (reference.hpp). A join is over when every process concerned has handled what the daemon
-// announced before it answers another request ("sync"); a death, when the daemon has said so in its
-// log. Then nothing is left to chance, and a schedule repeats exactly:
-//   --seed=N or AGNOCAST_SEED=N runs that one schedule. AGNOCAST_STEPPED_SECONDS: how long to go on
-//   (60 if not set).
+// reference (reference.hpp). A join is over when every process concerned has handled the daemon's
+// announcements before it answers another request ("sync"); a death, when the daemon's log shows
+// it. Then nothing is left to chance, and a schedule repeats exactly:
+//   --seed=N or AGNOCAST_SEED=N runs that one schedule. AGNOCAST_STEPPED_SECONDS: how long to
+//   go on (60 if not set).
 
 #include <agnocast/error.hpp>
 #include <tests/support/daemon_process.hpp>
@@ -37,7 +38,7 @@ constexpr std::size_t actor_count = 7;
 constexpr std::size_t subscription_count_max = 16;
 constexpr std::size_t publisher_count_max = 4;
 
-/// Daemon and processes, used by many schedules: what one leaves behind would disturb the next.
+/// Daemon and processes, used by many schedules: remains of one would disturb the next.
 class Stage {
  public:
   Stage()
@@ -52,9 +53,9 @@ class Stage {
       actor = std::make_unique<ActorProcess>(daemon_.socket_path(), place < publishing_actors);
     return *actor;
   }
-  /// It has made an endpoint, so the daemon knows it.
+  /// The process has made an endpoint, so the daemon knows it.
   void note_endpoint(std::size_t place) { is_known_[place] = true; }
-  /// SIGKILL; returns when the daemon has dealt with it.
+  /// Sends SIGKILL; returns when the daemon has handled the death.
   [[nodiscard]] bool kill(std::size_t place) {
     const std::string pid = " pid=" + std::to_string(actor(place).pid()) + " ";
     actors_[place].reset();
@@ -225,7 +226,7 @@ class Schedule {
       if (concerned[place]) sync(place);
     }
   }
-  // Detaching waits for the daemon's word that the subscription is drained, so: at most.
+  // Detaching waits for the daemon's report that the subscription is drained, so: at most.
   void check_matched() {
     for (const auto& [id, place] : publishers_) {
       const std::string answer = ask(place, "matched " + std::to_string(id));
@@ -247,7 +248,7 @@ class Schedule {
            "publish");
   }
 
-  /// True if there was one.
+  /// Returns true if there was one.
   bool take_one(std::uint64_t id) {
     Subscription& subscription = subscriptions_.at(id);
     const Reference::Take wanted = reference_.take(id);
@@ -301,7 +302,7 @@ class Schedule {
   bool failed_ = false;
 };
 
-TEST(Stepped, EveryTakeIsExactlyTheReferences) {
+TEST(Stepped, EveryTakeEqualsTheReference) {
   const std::uint64_t only = seed_given();
   const std::uint64_t base =
       only != 0
@@ -352,7 +353,7 @@ TEST(Stepped, MessagesOfAHundredMegabytesArriveWhole) {
   EXPECT_EQ(first.ask("release 2 0", 100), "ok");
 }
 
-/// What makes the comparisons above worth something: a single different leaf is seen.
+/// The premise of the comparisons above: a single different leaf is detected.
 TEST(Specimen, OneDifferentLeafIsADifferentMessage) {
   const SpecimenName name{1, 7, 64};
   Specimen message;

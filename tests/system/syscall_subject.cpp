@@ -1,14 +1,14 @@
 // SPDX-License-Identifier: Apache-2.0
 //
-// The process whose system calls are counted (syscalls_test.cpp), steered line by line. Marks stand
-// around exactly what is counted.
+// The process whose system calls syscalls_test.cpp counts, steered line by line. Marks surround
+// exactly the counted section.
 //
 //   pub · sub · callback · pubs
-//   publish N BYTES      label 1: borrow and fill, label 2: publish (or label 3, of what grows)
+//   publish N BYTES      label 1: borrow and fill, label 2: publish (or label 3, if it grows)
 //   take N               label 4: take, label 5: release
 //   none                 label 6: take when there is nothing
 //   clock                label 7: reading the clock
-//   received             how many the callback got
+//   received             the number of the callback's messages
 
 #include <tests/support/syscall_tracer.hpp>
 #include <tests/system/specimen.hpp>

@@ -1,14 +1,14 @@
 // SPDX-License-Identifier: Apache-2.0
 //
 // Goal: in the steady state publish, take, release, borrow and filling a message make no system
-// calls; a publish makes one per sleeping receiver for one and two of them, and three when there are
-// more. Method: a process of syscall_subject is traced (tests/support/syscall_tracer.hpp) and marks
-// what is counted. "Asleep" is made certain: a receiver is stopped by a signal while its callback
-// thread is inside epoll_wait, so it stays armed until it is continued. Growth of the heap is
-// counted apart.
+// calls; a publish makes one per sleeping receiver for one and two of them, and three when there
+// are more. Method: a process of syscall_subject is traced (tests/support/syscall_tracer.hpp) and
+// marks the counted sections. "Asleep" is made certain: a signal stops a receiver while its
+// callback thread is inside epoll_wait, so it stays armed until it is continued. Growth of the
+// heap is counted apart.
 //
 // One call is allowed now and then: a futex, when the process's own control thread has the
-// publisher's private mutex for the moment of a pass.
+// publisher's private mutex during a reclamation scan.
 
 #include <tests/support/daemon_process.hpp>
 #include <tests/support/steered_process.hpp>
@@ -42,7 +42,7 @@ class Syscalls : public testing::Test {
     return std::make_unique<SteeredProcess>(std::vector<std::string>{AGNOCAST_SUBJECT}, variables);
   }
 
-  /// What a traced process did while it executed `line`, by label: the calls of each section.
+  /// Returns the calls of a traced process while it executed `line`, by label and section.
   static std::map<std::uint64_t, std::vector<std::vector<long>>> trace(SteeredProcess& process,
                                                                        SyscallTracer& tracer,
                                                                        const std::string& line,
@@ -60,7 +60,7 @@ class Syscalls : public testing::Test {
     return all;
   }
 
-  /// No call at all, except the rare futex; how often that was.
+  /// Expects no call at all except the rare futex; returns the number of futexes.
   static std::size_t expect_silence(const std::vector<std::vector<long>>& sections) {
     std::size_t futexes = 0;
     for (const auto& calls : sections) {
@@ -125,7 +125,7 @@ class Sleeper {
   std::unique_ptr<SteeredProcess> process_;
 };
 
-TEST_F(Syscalls, WarmPublishTakeAndReleaseMakeNone) {
+TEST_F(Syscalls, PublishTakeAndReleaseMakeNoneOnceWarm) {
   auto publisher = subject(true), subscriber = subject(false);
   ASSERT_EQ(subscriber->ask("sub"), "ok");
   ASSERT_EQ(publisher->ask("pub"), "ok");
@@ -151,10 +151,10 @@ TEST_F(Syscalls, WarmPublishTakeAndReleaseMakeNone) {
   }
   std::printf("2000 messages filled, published, taken, released: %zu futexes, no other call\n",
               futexes);
-  EXPECT_LE(futexes, 20u) << "the control threads are in the way too often";
+  EXPECT_LE(futexes, 20u) << "the control threads hold the mutex too often";
 }
 
-TEST_F(Syscalls, PublishMakesOnePerSleeperForTwoAndThreeBeyond) {
+TEST_F(Syscalls, PublishMakesOneForEachOfTwoSleepingReceiversAndThreeForMore) {
   auto publisher = subject(true);
   ASSERT_EQ(publisher->ask("pub"), "ok");
   SyscallTracer tracer(publisher->pid());
@@ -176,16 +176,16 @@ TEST_F(Syscalls, PublishMakesOnePerSleeperForTwoAndThreeBeyond) {
       auto calls = trace(*publisher, tracer, "publish 1 0", 2)[label_publish][0];
       std::erase(calls, SYS_futex);
       EXPECT_THAT(calls, testing::Each(SYS_write));
-      EXPECT_EQ(calls.size(), std::min<std::size_t>(count, 3)) << count << " sleepers";
-      // Each sleep is rung once.
+      EXPECT_EQ(calls.size(), std::min<std::size_t>(count, 3)) << count << " sleeping receivers";
+      // A publish rings each sleeping receiver once.
       calls = trace(*publisher, tracer, "publish 1 0", 2)[label_publish][0];
       std::erase(calls, SYS_futex);
-      EXPECT_LE(calls.size(), count > 2 ? 1u : 0u) << "rung already";
+      EXPECT_LE(calls.size(), count > 2 ? 1u : 0u) << "already rung";
       for (std::size_t i = 0; i < sleepers.size(); ++i) {
         sleepers[i]->wake();
         received[i] += 2;
         EXPECT_TRUE(sleepers[i]->process().eventually("received", std::to_string(received[i])))
-            << "sleeper " << i << " of " << count;
+            << "receiver " << i << " of " << count;
       }
     }
   }
@@ -203,7 +203,7 @@ TEST_F(Syscalls, GrowthOfTheHeapMapsMemoryAndWakesTheControlThread) {
   auto taken = trace(*subscriber, other, "take 1", 2)[label_take];
   std::vector<long> calls = grown[0];
   calls.insert(calls.end(), grown[1].begin(), grown[1].end());
-  EXPECT_FALSE(calls.empty()) << "8 MB do not fit into what is mapped at the start";
+  EXPECT_FALSE(calls.empty()) << "8 MB do not fit into the initially mapped memory";
   const std::set<long> of_memory{SYS_mmap,      SYS_munmap, SYS_madvise, SYS_mprotect,
                                  SYS_fallocate, SYS_futex,  SYS_fstat,   SYS_newfstatat,
                                  SYS_ftruncate, SYS_prlimit64};

@@ -1,13 +1,17 @@
 #!/usr/bin/env bash
 # SPDX-License-Identifier: Apache-2.0
 #
-# Goal: what is installed serves users under systemd: nodes find the daemon whether they or it came first; it survives kill -9,
-# restart and a hang as the same incarnation, two users who exchange messages meanwhile lose none, and a stop and a start take no
-# message from them either: they come to the daemon that knows nobody by themselves. A daemon of another layout in place of ours
-# says why it serves nobody and harms nothing. The units are as tight as their document says, and that is enough for all this.
-# Method: a systemd of its own, agnocast as cmake --install puts it, and systemd_inside.cpp run in there.
+# Goal: an installation serves users under systemd: nodes find the daemon whichever comes first; it
+# survives kill -9, restart and a hang as the same incarnation, two users who exchange messages
+# meanwhile lose none, and a stop and a start take no message from them either: they rejoin the
+# daemon without a store by themselves. A daemon of another layout in place of ours logs why it
+# serves nobody and harms nothing. The units are as tight as their document says, and that is
+# enough for all this.
+# Method: a systemd of its own, agnocast as cmake --install puts it, and systemd_inside.cpp run in
+# there.
 #
-#   systemd_test.sh BUILD_DIRECTORY INSIDE_PROGRAM SUPPORT_DIRECTORY NODE AGNOCASTD_OF_ANOTHER_LAYOUT [GTEST_OPTION…]
+#   systemd_test.sh BUILD_DIRECTORY INSIDE_PROGRAM SUPPORT_DIRECTORY NODE
+#                   AGNOCASTD_OF_ANOTHER_LAYOUT [GTEST_OPTION…]
 set -euo pipefail
 PATH=$PATH:/usr/sbin:/sbin  # not everybody's has them
 build=$1 inside=$2 node=$4 other=$5
@@ -23,7 +27,7 @@ dir=$(mktemp -d)
 trap 'machine_stop "$dir"; rm -rf "$dir"' EXIT
 mkdir "$dir/files"
 DESTDIR=$dir/files cmake --install "$build" --prefix /usr >"$dir/install" || { cat "$dir/install"; exit 1; }
-# What only the test needs: what is built lies where the machine cannot see it.
+# Files that only the test needs: the machine cannot see the build directory.
 mkdir "$dir/files/opt" "$dir/files/opt/agnocast"
 cp "$inside" "$node" "$other" "$dir/files/opt/agnocast/"
 mkdir "$dir/files/opt/agnocast/lib"
@@ -32,7 +36,7 @@ if [ -x "$dir/files/usr/bin/talker" ]; then
     xargs -r cp -L -t "$dir/files/opt/agnocast/lib"
 fi
 chmod -R a+rX "$dir/files/opt/agnocast"
-# Two who may connect, one who may not, and the user of the example.
+# Two users who may connect, one who may not, and the user of the example.
 cat >"$dir/files/usr/lib/sysusers.d/agnocast-test.conf" <<'END'
 u agnocast-one -
 u agnocast-two -
@@ -41,7 +45,7 @@ u robot -
 m agnocast-one agnocast
 m agnocast-two agnocast
 END
-# A sandbox may have root and no right to mount.
+# In a sandbox root may lack the right to mount.
 unshare --mount --pid --fork true 2>/dev/null || skip "needs the right to make namespaces"
 machine_start "$dir"
 # As the scripts of a package do it.

@@ -1,11 +1,11 @@
 // SPDX-License-Identifier: Apache-2.0
 //
 // Goal: the data plane orders memory correctly between real concurrent threads: no torn, stale,
-// re-used or missing message. Method: every "process" is a thread, every region a plain array; a
+// reused or missing message. Method: every "process" is a thread, every region a plain array; a
 // publisher with a small heap, subscribers that take, hold and release at random, leave and join
 // again. Payloads are poisoned when freed and verified at take and at release. Under
-// ThreadSanitizer the payload accesses are ordinary memory, so a missing acquire or release is a
-// reported race.
+// ThreadSanitizer the payload accesses are ordinary memory accesses, so a missing acquire or
+// release is a reported race.
 
 #include <dataplane/publisher_core.hpp>
 #include <dataplane/subscription_core.hpp>
@@ -110,7 +110,7 @@ class World {
     Environment environment{*this};
     const auto end = std::chrono::steady_clock::now() + time;
     while (std::chrono::steady_clock::now() < end) {
-      {  // what the control thread does with announcements
+      {  // the control thread's work on announcements
         const std::lock_guard lock(control_);
         for (; !attach_.empty(); attach_.pop_front()) {
           core->attach(attach_.front().first, attach_.front().second,
@@ -147,7 +147,7 @@ class World {
     core->pass(environment);
     const std::uint64_t history = scenario_.offered.transient_local ? scenario_.offered.depth : 0;
     EXPECT_LE(core->allocated_count(), history)
-        << "messages stay allocated that nobody can ask for";
+        << "messages stay allocated that no subscription can take";
     EXPECT_EQ(journal::verify_queue(words(), first(), slots, true), journal::Invariant::none);
   }
 
@@ -172,7 +172,7 @@ class World {
       const std::uint64_t stay = scenario_.rejoin ? 50 + random() % 200 : ~std::uint64_t{0};
       for (std::uint64_t i = 0; i < stay && !stop_; ++i) {
         if (held.size() < 5) {
-          if (random() % 2 == 0 || !link.has_news(head)) head = link.look();  // else by an old look
+          if (random() % 2 == 0 || !link.has_news(head)) head = link.look();  // else old look
           if (const auto found = link.take(window, head)) {
             EXPECT_GT(found->sequence, last);
             last = found->sequence;
@@ -228,7 +228,7 @@ constexpr abi::Qos keep_last(std::uint32_t depth, bool transient_local = false) 
 
 class DataplaneThreads : public testing::TestWithParam<Scenario> {};
 
-TEST_P(DataplaneThreads, NeverReadWhatWasFreed) {
+TEST_P(DataplaneThreads, NeverReadFreedMemory) {
   World world(GetParam());
   world.run(std::chrono::milliseconds(1500));
   std::printf("%-32s %8llu published %8llu taken %8llu lost %6llu joins\n", GetParam().name,

@@ -1,11 +1,11 @@
 // SPDX-License-Identifier: Apache-2.0
 //
-// Goal: a node's callbacks are handed from host to host without a race, a lost wake-up, or two
-// callbacks at a time; who is not the host sleeps on.
-// Method: the executors' core and the library's thread without daemon and client; a source of
-// callbacks is a queue that threads of this test fill, which ring like a publisher: only an armed
-// sleep word, through the real bells. Nothing is protected by more than the code under test promises,
-// so ThreadSanitizer sees what it forgets.
+// Goal: a node's callbacks move from executor to executor without a race, a lost wake-up, or two
+// callbacks at a time; a thread that does not run them keeps sleeping. Method: the executors' core
+// and the library's thread without daemon and client; a source of callbacks is a queue that
+// threads of this test fill. They ring like a publisher: only an armed sleep word, through the
+// real doorbells. The test adds no synchronisation beyond what the code under test promises, so
+// ThreadSanitizer sees what it lacks.
 
 #include <client/executors/executor_core.hpp>
 #include <client/executors/node_thread.hpp>
@@ -40,8 +40,8 @@ using M = SharedMemory;
 
 constexpr std::uint64_t word_offset = offsetof(abi::ClientRegionHeader, executor);
 
-/// A queue whose messages are taken without any lock of the consumer's: the callbacks of one node
-/// exclude each other, or this is a race.
+/// A queue whose messages are taken without a consumer lock: the callbacks of one node exclude
+/// each other, or this is a race.
 class Queue final : public CallbackSource {
  public:
   explicit Queue(std::uint64_t size) : messages_(size) {}
@@ -104,7 +104,7 @@ struct Node {
   bool is_armed() {
     return M::word(region.base(), word_offset).load(std::memory_order_relaxed) % 2 == 1;
   }
-  /// P6, P8: behind the commit.
+  /// P6, P8: after the commit.
   void ring(bool by_datagram) {
     M::fence();
     if (!is_armed()) return;
@@ -123,7 +123,7 @@ struct Node {
   std::shared_ptr<NodeThread> thread;
 };
 
-/// How often a thread of this process has gone to sleep.
+/// Returns how often a thread of this process has gone to sleep.
 std::uint64_t sleeps_of(pid_t thread) {
   std::ifstream status("/proc/self/task/" + std::to_string(thread) + "/status");
   const std::string name = "voluntary_ctxt_switches:";
@@ -134,7 +134,7 @@ std::uint64_t sleeps_of(pid_t thread) {
   return 0;
 }
 
-/// A spinning thread on an ExecutorCore, as Executor::spin() is.
+/// A spinning thread on an ExecutorCore, like Executor::spin().
 struct Spinner {
   explicit Spinner(bool polls) : core(std::move(*ExecutorCore::make())) {
     thread = std::thread([this, polls] {
@@ -152,7 +152,7 @@ struct Spinner {
   std::thread thread;
 };
 
-TEST(ExecutorThreads, EverythingIsRunOnceAndInOrderWhileHostsChange) {
+TEST(ExecutorThreads, EverythingRunsOnceAndInOrderWhileExecutorsChange) {
   constexpr std::uint64_t count = 20000;
   Node node;
   Spinner sleeping(false), polling(true);
@@ -163,7 +163,7 @@ TEST(ExecutorThreads, EverythingIsRunOnceAndInOrderWhileHostsChange) {
   for (Queue* queue : {first.get(), second.get()}) {
     publishers.emplace_back([&node, queue, by_datagram = queue == second.get()] {
       for (std::uint64_t i = 0; i < count; ++i) {
-        // In bursts: hosts fall asleep in between.
+        // In bursts: executors fall asleep in between.
         if (i % 500 == 0) std::this_thread::sleep_for(std::chrono::milliseconds(1));
         queue->push(i);
         node.ring(by_datagram);
@@ -188,17 +188,17 @@ TEST(ExecutorThreads, EverythingIsRunOnceAndInOrderWhileHostsChange) {
   }
 }
 
-// The safety timeout hides a lost wake-up for a second: so many of them do not fit into the deadline
-// of the next two tests.
+// The safety timeout hides a lost wake-up for a second: so many lost ones do not fit into the
+// deadline of the next two tests.
 constexpr std::uint64_t rounds = 300;
 std::chrono::steady_clock::time_point deadline_of_all_rounds() {
   return std::chrono::steady_clock::now() + std::chrono::seconds(60);
 }
 
-TEST(ExecutorThreads, EveryHostFallsAsleepAndIsWokenAfterAHandOver) {
+TEST(ExecutorThreads, EveryExecutorFallsAsleepAndIsWokenAfterAHandOver) {
   const auto deadline = deadline_of_all_rounds();
   const auto wait_for = [&](auto condition) {
-    while (!condition()) {  // asked once more it may be over: a host arms itself and looks again
+    while (!condition()) {  // may be true only briefly: an executor arms itself and looks again
       if (std::chrono::steady_clock::now() > deadline) return false;
       std::this_thread::yield();
     }
@@ -224,7 +224,7 @@ TEST(ExecutorThreads, EveryHostFallsAsleepAndIsWokenAfterAHandOver) {
   }
 }
 
-/// Runs once where the test says when it may end, then once more anywhere.
+/// Runs once until the test lets it end, then once more in any executor.
 struct Slow final : CallbackSource {
   std::atomic<std::uint64_t> begun{0}, ended{0};
   std::atomic<bool> may_end{false};
@@ -238,7 +238,7 @@ struct Slow final : CallbackSource {
   }
 };
 
-TEST(ExecutorThreads, ANewHostGoesOnWhenACallbackInTheOldOneHasEnded) {
+TEST(ExecutorThreads, ANewExecutorContinuesWhenACallbackInTheOldOneHasEnded) {
   const auto deadline = deadline_of_all_rounds();
   Node node;
   Spinner spinner(false);
@@ -260,13 +260,13 @@ TEST(ExecutorThreads, ANewHostGoesOnWhenACallbackInTheOldOneHasEnded) {
   }
 }
 
-TEST(ExecutorThreads, RemoveWaitsForTheCallbackInAnyHost) {
+TEST(ExecutorThreads, RemoveWaitsForTheCallbackInAnyExecutor) {
   Node node;
   Spinner spinner(false);
   auto slow = std::make_shared<Slow>();
   node.callbacks->add(slow);
   ASSERT_TRUE(eventually([&] { return slow->begun == 1; })) << "in the library's thread";
-  ASSERT_TRUE(spinner.core->adopt(node.callbacks)) << "moves while it runs";
+  ASSERT_TRUE(spinner.core->adopt(node.callbacks)) << "the node moves while the callback runs";
   std::thread ender([&] {
     std::this_thread::sleep_for(std::chrono::milliseconds(20));
     slow->may_end = true;
@@ -278,21 +278,21 @@ TEST(ExecutorThreads, RemoveWaitsForTheCallbackInAnyHost) {
   node.callbacks->add(queue);
   queue->push(1);
   node.ring(false);
-  EXPECT_TRUE(eventually([&] { return queue->taken() == 1; })) << "and the new host goes on";
+  EXPECT_TRUE(eventually([&] { return queue->taken() == 1; })) << "the new executor continues";
   spinner.core->drop(*node.callbacks);
 }
 
-TEST(ExecutorThreads, WhoIsNotTheHostSleepsThroughTheCallbacksOfWhoIs) {
+TEST(ExecutorThreads, AThreadThatIsNotTheExecutorSleepsThroughTheCallbacks) {
   constexpr std::uint64_t count = 2000;
   Node node;
   auto queue = std::make_shared<Queue>(count);
   node.callbacks->add(queue);
-  ASSERT_TRUE(eventually([&] { return node.is_armed(); })) << "the library's thread has begun";
+  ASSERT_TRUE(eventually([&] { return node.is_armed(); })) << "the library's thread has started";
   Spinner spinner(false);
   ASSERT_TRUE(spinner.core->adopt(node.callbacks));
   queue->push(0);
   ASSERT_TRUE(eventually([&] { return node.ring(false), queue->taken() == 1; }));
-  // Its last sleep as a host is over, and it waits to be one again.
+  // Its last sleep as the executor is over, and it waits to be the executor again.
   std::uint64_t before = sleeps_of(node.thread_number);
   EXPECT_TRUE(eventually([&] {
     std::this_thread::sleep_for(std::chrono::milliseconds(20));
@@ -308,7 +308,7 @@ TEST(ExecutorThreads, WhoIsNotTheHostSleepsThroughTheCallbacksOfWhoIs) {
   spinner.core->drop(*node.callbacks);
 }
 
-TEST(ExecutorThreads, ATurnKnowsWhatCameAndWentSinceTheLast) {
+TEST(ExecutorThreads, ACycleSeesSourcesAndNodesThatCameAndWent) {
   Node one, other;
   const std::unique_ptr<ExecutorCore> core = std::move(*ExecutorCore::make());
   const auto full = [] {
@@ -321,17 +321,17 @@ TEST(ExecutorThreads, ATurnKnowsWhatCameAndWentSinceTheLast) {
   EXPECT_EQ(run_turn(), 0u);
   const auto first = full(), second = full(), third = full();
   one.callbacks->add(first);
-  EXPECT_EQ(run_turn(), 1u) << "a source came";
+  EXPECT_EQ(run_turn(), 1u) << "a source was added";
   EXPECT_EQ(run_turn(), 1u) << "the same list again";
   one.callbacks->add(second);
-  EXPECT_EQ(run_turn(), 2u) << "one more";
+  EXPECT_EQ(run_turn(), 2u) << "another source was added";
   one.callbacks->remove(*first, nullptr);
-  EXPECT_EQ(run_turn(), 1u) << "the first went";
+  EXPECT_EQ(run_turn(), 1u) << "the first source was removed";
   ASSERT_TRUE(core->adopt(other.callbacks));
   other.callbacks->add(third);
-  EXPECT_EQ(run_turn(), 2u) << "a node came";
+  EXPECT_EQ(run_turn(), 2u) << "a node was added";
   core->drop(*one.callbacks);
-  EXPECT_EQ(run_turn(), 1u) << "a node went";
+  EXPECT_EQ(run_turn(), 1u) << "a node was removed";
   EXPECT_EQ(first->taken(), 3u);
   EXPECT_EQ(second->taken(), 3u);
   EXPECT_EQ(third->taken(), 2u);

@@ -20,11 +20,11 @@ namespace agnocast::daemon::fuzz {
 
 namespace {
 
-// Small tables are full soon.
+// Small tables fill up soon.
 constexpr Capacity capacity{8, 4, 6, 8, abi::slot_count_max};
 constexpr Arena arena{arena_base, window_count* window_bytes, window_bytes};
 
-/// For the bells of executors, of all inputs.
+/// For the doorbells of wait sets, of all inputs.
 const std::string& bells_directory() {
   static const test::TemporaryDirectory directory;
   return directory.path();
@@ -48,7 +48,7 @@ FakeBroker::FakeBroker()
   };
 }
 
-// --- Post
+// --- the client channel
 
 Process* FakeBroker::process_of(ClientIndex client) {
   for (Process& process : processes_) {
@@ -88,7 +88,7 @@ void FakeBroker::serve(Process& from, std::span<const std::byte> packet, const E
   } else if (const auto* const window = std::get_if<wire::WindowRequest>(&request)) {
     open_window(from, *window);
   } else if (const auto* const former = std::get_if<wire::BringWindow>(&request)) {
-    // Who says that a descriptor came has one, or decode() has let a packet pass that it must not.
+    // A packet that claims a descriptor has one; decode() must refuse all others.
     AGNOCAST_CHECK(brought != nullptr);
     bring_window(from, *former, *brought);
   } else if (const auto* const blocked = std::get_if<wire::Blocked>(&request)) {
@@ -104,7 +104,7 @@ void FakeBroker::serve(Process& from, std::span<const std::byte> packet, const E
   } else if (const auto* const unlinked = std::get_if<wire::Unlinked>(&request)) {
     if (membership_.unlinked(*from.client, *unlinked)) oracle_.unlinked(from, *unlinked);
   }
-  // Of an observer's requests a client can say none: decode() has refused them.
+  // A client cannot send an observer's requests: decode() has refused them.
   AGNOCAST_CHECK(from.session->role() != Role::observer);
   if (from.client && !from.session->greeted()) from.session.reset();  // refused
 }
@@ -163,7 +163,7 @@ void FakeBroker::bring_window(Process& from, const wire::BringWindow& request,
     return;
   const bool is_its_own =
       Regions::check_window(brought.fd->get(), request.base, request.bytes, from.uid).has_value();
-  // Its file is empty, as nobody uses it: which length is claimed for it decides the plan.
+  // Its file is empty, as no process uses it: the plan decides by the claimed length.
   AGNOCAST_CHECK(is_its_own == (request.base == brought.base && from.uid == brought.uid));
   if (!is_its_own || request.bytes != window_bytes || !plan_.adopt(request.base)) return;
   AGNOCAST_CHECK(regions_.bring_window(*from.client, *brought.fd).has_value());
@@ -191,7 +191,7 @@ void FakeBroker::open_executor(const Process& from, const ExecutorRequest& reque
 
 void FakeBroker::create(Process& from, const CreateRequest& request) {
   if (const Endpoint* const before = oracle_.created_before(from, request)) {
-    if (!request.again || before->left) return;  // no client uses an id twice, nor below
+    if (!request.again || before->left) return;  // a client uses no id twice, nor a lower one
     AGNOCAST_CHECK(membership_.answer_again(*from.client, request));
     return oracle_.check_answered_again(*before);
   }

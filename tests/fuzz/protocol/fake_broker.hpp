@@ -1,12 +1,12 @@
 // SPDX-License-Identifier: Apache-2.0
 //
 // Fake broker: the daemon without sockets. It has the parts of the real one that decide about
-// membership and memory (registry, regions, address plan, obstacles, doorbells, membership), over
-// real memory, and stands in Broker's place around them: a packet comes from a Process and goes to
-// a Process, and the oracle hears what is sent and what became of each request. Quotas and access
-// rules, which are Broker's own, are not there.
+// sessions and memory (registry, regions, address plan, obstacles, doorbells, endpoint manager),
+// over real memory, and takes Broker's place around them: a packet comes from a Process and goes
+// to a Process, and the oracle sees what is sent and the result of each request. It has no quotas
+// and no access rules, which belong to Broker.
 //
-// Everything is made anew for each input.
+// Each input gets a new one.
 #pragma once
 
 #include <base/unique_fd.hpp>
@@ -23,7 +23,7 @@
 
 namespace agnocast::daemon::fuzz {
 
-/// A descriptor that comes with a packet: the window at `base` as a daemon made it for a user.
+/// The descriptor in a packet: the window at `base`, as a daemon made it for a user.
 struct BroughtWindow {
   const UniqueFd* fd = nullptr;
   std::uint64_t base = 0;
@@ -38,24 +38,24 @@ class FakeBroker final : public Post {
   const Registry& registry() const { return registry_; }
   const AddressPlan& plan() const { return plan_; }
   Registry::Memory memory() const { return regions_.memory(); }
-  /// The region of a process, as the process itself can write it.
+  /// Returns the region of a process, writable as for the process itself.
   std::byte* region(ClientIndex client) const { return regions_.region(client); }
 
-  /// A packet of a process, on the connection that it has or on a new one.
+  /// Serves a packet of a process, on its connection or on a new one.
   void serve(Process& from, std::span<const std::byte> packet, const Envelope& envelope = {},
              const BroughtWindow* brought = nullptr);
-  /// A packet of the observer.
+  /// Serves a packet of the observer.
   void serve_observer(std::span<const std::byte> packet);
   void accept_observer() { observer_ = Session(PacketSocket(), PeerIdentity{}); }
-  /// The process ends, and somebody may come in its place.
+  /// Ends the process; another may take its place.
   void die(Process& process);
 
-  // --- Post
+  // --- the client channel
   using Post::send;
   Session* session_of(ClientIndex client) override;
   std::uint64_t user_namespace_of(ClientIndex) override { return 1; }
   void send(ClientIndex client, Outgoing packet) override;
-  void begin_anew(ClientIndex, std::string_view) override {}  // nobody here is told so much
+  void begin_anew(ClientIndex, std::string_view) override {}  // the books never fill up here
 
  private:
   Process* process_of(ClientIndex client);

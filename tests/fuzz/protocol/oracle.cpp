@@ -1,8 +1,8 @@
 // SPDX-License-Identifier: Apache-2.0
 //
-// Oracle: see the header. Rule RU is in three places: no client is given the place of one that
-// somebody knows (greeted), no window is given out that somebody has (window_given), no extent and
-// no place of an endpoint that somebody was told of (create_served).
+// Oracle: see the header. Rule RU is checked in three places: no client gets a place that another
+// process still knows (greeted), no window is assigned that a process still has (window_given), no
+// extent and no place of an endpoint that a process was notified of (create_served).
 
 #include <tests/fuzz/protocol/oracle.hpp>
 
@@ -54,14 +54,14 @@ auto own_of(const Process& who, std::uint64_t generation) {
                       [&](const Endpoint& endpoint) { return endpoint.generation == generation; });
 }
 
-/// Whether a statement names what was told: the same one, and not announced once more meanwhile.
+/// Returns whether a statement is about this notification, and not about an older announcement.
 bool is_about(const wire::Unlinked& statement, const Told& told) {
   return told.generation == statement.generation && told.packet <= statement.seen;
 }
 
 }  // namespace
 
-// --- what the daemon says
+// --- what the daemon sends
 
 void Oracle::hear(Process& to, std::uint64_t number, const Outgoing& packet) {
   switch (header_of(packet).opcode) {
@@ -117,7 +117,7 @@ void Oracle::hear_announcement(Process& to, const wire::Announcement& body, std:
     for (std::uint32_t w = 0; w < body.window_count; ++w)
       windows.push_back({body.window[w].base, body.window[w].base + body.window[w].bytes});
   }
-  // It is for an endpoint of the addressed process, and that one matches.
+  // It is for an endpoint of the addressed process, and the two match.
   const auto own = own_of(to, body.own_generation);
   if (own == to.own.end()) return;  // it is being created and not in the list yet
   AGNOCAST_CHECK(own->topic == body.topic && own->index == body.own_index &&
@@ -129,7 +129,7 @@ void Oracle::hear_announcement(Process& to, const wire::Announcement& body, std:
 void Oracle::hear_own(const Process& to, const wire::Own& body) {
   const auto known = own_of(to, body.generation);
   if (known == to.own.end()) {
-    // Drained, and somebody else has not let go yet: its process says so once more.
+    // Drained, but another process has not acknowledged yet: its process reports it again.
     AGNOCAST_CHECK(to.drained.count(body.generation) == 1 && body.active == 0);
     return;
   }
@@ -143,7 +143,7 @@ void Oracle::check_whole(const std::vector<Outgoing>& packets, Opcode last) {
     AGNOCAST_CHECK((header_of(packet).opcode == last) == (&packet == &packets.back()));
 }
 
-// --- what became of a request
+// --- the result of a request
 
 void Oracle::greeted(Process& who, ClientIndex client, std::uint64_t generation) {
   for (const Process& process : processes_) {
@@ -172,7 +172,7 @@ void Oracle::begin_welcome_back(Process& who) {
 
 void Oracle::end_welcome_back(const Process& who) const {
   AGNOCAST_CHECK(own_said_ == who.own.size());
-  // Of its own region a process is told with its endpoints alone.
+  // A process is notified of its own region only with its endpoints.
   for (const auto& [owner, told] : who.regions)
     AGNOCAST_CHECK(told.packet != 0 || owner == number(*who.client));
 }
@@ -234,7 +234,7 @@ void Oracle::leave_served(Process& who, const LeaveRequest& request, bool accept
   if (left != who.own.end()) left->left = true;
 }
 
-// docs/control-plane.md, leaving: of what else a `drained` speaks.
+// docs/control-plane.md, leaving: the other effects of a `drained`.
 void Oracle::drained_served(Process& who, const DrainedRequest& request, bool accepted) const {
   AGNOCAST_CHECK(accepted == done_);
   if (!accepted) return;

@@ -1,10 +1,10 @@
 // SPDX-License-Identifier: Apache-2.0
 //
-// Oracle: what the daemon may say and give, judged from the packets alone.
+// Oracle: what the daemon may send and assign, judged from the packets alone.
 //
-// It hears every packet that goes to a process, and after each request what became of it, and keeps
-// for every process what it knows (processes.hpp). It never looks into the daemon's tables: those
-// are compared with each other in table_checks.hpp. Whatever is not true aborts.
+// It sees every packet to a process and the result of each request, and records for every process
+// what it knows (processes.hpp). It never looks into the daemon's tables: table_checks.hpp
+// compares those with each other. Any error aborts.
 #pragma once
 
 #include <daemon/transport/requests.hpp>
@@ -24,37 +24,37 @@ class Oracle {
  public:
   explicit Oracle(Processes& processes) : processes_(processes) {}
 
-  // --- what the daemon says
-  /// A request is about to be served: forgets what the last one was answered with.
+  // --- what the daemon sends
+  /// A request is about to be served: forgets the previous answer.
   void expect_answer() {
     created_ = {};
     done_ = false;
   }
-  /// `number`: the packet's on the connection of `to`.
+  /// `number`: the packet's number on the connection of `to`.
   void hear(Process& to, std::uint64_t number, const Outgoing& packet);
-  /// An observer's answer ends with `last`, and with nothing else.
+  /// Checks that an observer's answer ends with `last`, and contains no other one.
   static void check_whole(const std::vector<Outgoing>& packets, Opcode last);
 
-  // --- what became of a request
+  // --- the result of a request
   void greeted(Process& who, ClientIndex client, std::uint64_t generation);
   void check_rejoin(const Process& who, const wire::Rejoin& request,
                     journal::RejoinDecision decision) const;
-  /// Between these two `who` is told once more what it has and whom it knows.
+  /// Between these two the daemon repeats to `who` what it has and which peers it knows.
   void begin_welcome_back(Process& who);
   void end_welcome_back(const Process& who) const;
-  /// What `who` says that it has there.
+  /// Records the ranges that `who` reports as blocked.
   static void blocked(Process& who, const Range& what) { who.blocked.push_back(what); }
-  /// A window that the daemon has chosen for `who`.
+  /// Checks a window that the daemon has chosen for `who`.
   static void check_not_blocked(const Process& who, const Range& window);
   void window_given(Process& who, const Range& window);
-  /// The endpoint that a request with this id has made, if there is one.
+  /// Returns the endpoint that a request with this id has created, if there is one.
   const Endpoint* created_before(const Process& who, const CreateRequest& request) const;
   void check_answered_again(const Endpoint& endpoint) const;
   void create_served(Process& who, const CreateRequest& request, bool was_made);
   void leave_served(Process& who, const LeaveRequest& request, bool accepted) const;
   void drained_served(Process& who, const DrainedRequest& request, bool accepted) const;
   static void unlinked(Process& who, const wire::Unlinked& statement);
-  /// It lives on with its memory and its windows; nobody counts on what it was told.
+  /// It lives on with its memory and windows; its notifications no longer count.
   static void revoked(Process& who);
 
  private:
@@ -65,7 +65,7 @@ class Oracle {
   Processes& processes_;
   wire::EndpointCreated created_{};
   bool done_ = false;
-  std::size_t own_said_ = 0;  // endpoints, to a process that has come back
+  std::size_t own_said_ = 0;  // endpoints reported to a process that has come back
   std::uint64_t last_generation_ = 0;
 };
 

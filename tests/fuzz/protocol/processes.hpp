@@ -1,8 +1,8 @@
 // SPDX-License-Identifier: Apache-2.0
 //
-// Processes: five of two users, and of each what an honest one would know: what it has, and what it
-// was told of and has not let go of. The oracle writes that down, from packets alone; the fake
-// broker keeps the connection; the scenario reads what a process can speak of.
+// Processes: five of two users, each with the knowledge of an honest one: what it has, and what it
+// was notified of and has not acknowledged. The oracle records that, from packets alone; the fake
+// broker keeps the connection; the scenario reads what a process can name.
 #pragma once
 
 #include <agnocast/abi/client_region.hpp>
@@ -25,10 +25,10 @@ namespace agnocast::daemon::fuzz {
 using wire::Kind;
 using wire::Opcode;
 
-// So few windows that they are used again and again. No window is ever mapped at its address.
+// So few windows that they are reused often. No window is ever mapped at its address.
 inline constexpr std::uint64_t arena_base = std::uint64_t{1} << 45, window_bytes = 2 << 20,
                                window_count = 8;
-// Of the one daemon that all of them speak to.
+// The incarnation of the one daemon that all of them use.
 inline constexpr std::uint64_t incarnation = 1;
 
 struct Range {
@@ -37,7 +37,7 @@ struct Range {
 };
 inline Range window_at(std::uint64_t base) { return {base, base + window_bytes}; }
 
-/// What a process was told of another's endpoint or region.
+/// A notification of another process's endpoint or region.
 struct Told {
   std::uint64_t packet = 0, generation = 0;
   std::uint64_t owner = 0;  // client
@@ -66,9 +66,9 @@ struct Process {
   std::map<std::uint64_t, std::vector<Range>> windows;  // by client
   std::vector<Endpoint> own;
   std::vector<Range> heap;          // its own windows
-  std::vector<Range> blocked;       // where it can have none
-  bool revoked = false;             // and has not ended
-  std::set<std::uint64_t> drained;  // generations that were its own
+  std::vector<Range> blocked;       // ranges where it can have none
+  bool revoked = false;             // but has not ended
+  std::set<std::uint64_t> drained;  // generations of its former endpoints
   std::set<std::uint64_t> created;  // ids of the requests that made its endpoints, drained or not
 };
 using Processes = std::array<Process, 5>;

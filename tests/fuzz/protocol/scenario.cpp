@@ -20,7 +20,7 @@ namespace agnocast::daemon::fuzz {
 
 namespace {
 
-/// A window as a former daemon made it for a user. One for each place and user serves all inputs.
+/// Returns a window that an earlier daemon made for a user. All inputs share it.
 const UniqueFd& former_window(std::uint64_t base, std::uint32_t uid) {
   static DescriptorStore store;
   static Regions regions = std::move(Regions::create(store).value());
@@ -54,7 +54,7 @@ void Scenario::step() {
   }
 }
 
-/// Any word into its own endpoints: what recovery reads at its death.
+/// Stores any words into the process's own endpoints: recovery reads them at its death.
 void Scenario::store(const Process& process) {
   if (!process.client || process.own.empty()) return;
   const Endpoint& where = one_of(process.own);
@@ -141,7 +141,7 @@ void Scenario::say_right_in_length(Process& process) {
   broker_.serve(process, packet);
 }
 
-/// What a process says before anything else would get far.
+/// Sends what a process must send before other requests get far.
 void Scenario::say_first(Process& process) {
   wire::Hello body{};
   body.fingerprint = abi::fingerprint();
@@ -260,7 +260,7 @@ void Scenario::say_unlinked(Process& process, const Announced& subject, std::uin
 void Scenario::watch() {
   const std::uint64_t id = ++last_request_;
   switch (up_to(5)) {
-    case 0: {  // a connection of its own
+    case 0: {  // a new connection
       broker_.accept_observer();
       auto body = make_body<wire::Observe>(Opcode::observe, id);
       body.fingerprint = abi::fingerprint() + (rarely() ? 1 : 0);

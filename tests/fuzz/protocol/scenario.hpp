@@ -3,10 +3,9 @@
 // Scenario: the input, read as steps of processes. A step is a packet, the end of a connection or
 // of a process, a store into a region, or a packet of the observer.
 //
-// Bytes that go out as they come in would seldom get past decode(). So most packets are about what
-// their sender has or was told, some with a wrong word in them; now and then they are anything.
-// The kept inputs (corpus/protocol) mean something else as soon as a draw is added, left out or
-// moved.
+// Raw bytes would seldom get past decode(). So most packets are about what their sender has or was
+// notified of, some with a wrong word; now and then they are random. The kept inputs
+// (corpus/protocol) change their meaning when a draw is added, removed or moved.
 #pragma once
 
 #include <tests/fuzz/protocol/fake_broker.hpp>
@@ -48,7 +47,7 @@ class Scenario {
   template <class Body>
   void ask(Process& from, Opcode opcode, Body body, std::uint64_t id = 0) {
     body.header = {opcode, sizeof body, id != 0 ? id : ++last_request_};
-    // As if it were not known whether the first one had arrived.
+    // As if the sender did not know whether the first one had arrived.
     if (up_to(15) == 0) body.header.request |= wire::asked_again;
     broker_.serve(from, packet_of(body));
   }

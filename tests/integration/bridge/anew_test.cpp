@@ -1,7 +1,8 @@
 // SPDX-License-Identifier: Apache-2.0
 //
-// Goal: a bridge goes on with another daemon, to which the same numbers mean other publishers. Method: topics of two types in
-// turn, the daemon killed for good and another one in its place while everybody lives.
+// Goal: a bridge goes on with another daemon, in which the same numbers mean other publishers.
+// Method: topics of two alternating types; the daemon is killed for good and replaced while all
+// processes live.
 
 #include <tests/integration/bridge/bridge_side.hpp>
 #include <tests/support/plain_node.hpp>
@@ -50,7 +51,7 @@ class Anew : public BridgeTest {
   }
 };
 
-TEST_F(Anew, KeepsEachTopicToItself) {
+TEST_F(Anew, NeverMixesTopics) {
   std::vector<Publisher<String>::SharedPtr> texts;
   std::vector<Publisher<Cloud>::SharedPtr> clouds;
   std::vector<DdsReader*> text_readers, cloud_readers;
@@ -62,7 +63,7 @@ TEST_F(Anew, KeepsEachTopicToItself) {
     text_readers.push_back(&other_.reads<String>("rt" + name("text", i), qos));
     cloud_readers.push_back(&other_.reads<Cloud>("rt" + name("cloud", i), qos));
   }
-  // Everybody says their topic, until everybody is heard.
+  // Every publisher publishes its topic until all readers hear theirs.
   const auto all_flow = [&] {
     std::vector<bool> heard(2 * pairs);
     return other_.eventually([&] {
@@ -98,10 +99,11 @@ TEST_F(Anew, KeepsEachTopicToItself) {
     SCOPED_TRACE(round);
     daemon->kill();
     begin();
-    // One of them is new, so that the numbers are given otherwise.
+    // One of them is new, so that the numbers are assigned differently.
     texts[0].reset();
     texts[0] = create_publisher<String>(PlainNode(), name("text", 0), 10);
-    // What knew each other before goes on without it: so wait until all have come to this one.
+    // Endpoints that matched before go on without a daemon: so wait until all have joined this
+    // one.
     Graph graph;
     ASSERT_TRUE(other_.eventually([&] {
       const auto now = graph.wait(100ms);
@@ -119,7 +121,7 @@ TEST_F(Anew, KeepsEachTopicToItself) {
   }
 }
 
-TEST_F(Anew, HandsHistoriesToReadersThatComeLater) {
+TEST_F(Anew, HandsHistoriesToLateReaders) {
   auto publisher = create_publisher<String>(PlainNode(), topic(), QoS(3).transient_local());
   for (const char* const data : {"1", "2", "3"}) {
     auto loan = publisher->borrow_loaned_message();
@@ -139,7 +141,7 @@ TEST_F(Anew, HandsHistoriesToReadersThatComeLater) {
   DdsReader& early = other_.reads<String>("rt" + topic(), qos);
   has_history(early);
   const Guid former = other_.last().writer;
-  // The publisher is back before the bridge looks.
+  // The publisher has rejoined before the bridge looks.
   ASSERT_EQ(::kill(bridge_->pid(), SIGSTOP), 0);
   daemon->kill();
   begin();
@@ -157,7 +159,7 @@ TEST_F(Anew, HandsHistoriesToReadersThatComeLater) {
   has_history(other_.reads<String>("rt" + topic(), qos));
 }
 
-TEST_F(Anew, SaysAtOnceThatTheDaemonIsGoneAndThatItIsBack) {
+TEST_F(Anew, ReportsAtOnceThatTheDaemonIsGoneAndThatItIsBack) {
   const std::string status_path = directory() + "/status.sock";
   bridge_.reset();
   start_bridge({"--status-socket", status_path});
@@ -177,7 +179,7 @@ TEST_F(Anew, SaysAtOnceThatTheDaemonIsGoneAndThatItIsBack) {
     EXPECT_TRUE(has_daemon("true"));
     EXPECT_TRUE(other_.eventually([&] { return said("agnocastd is there again") == round; }));
   }
-  // One that begins without a daemon.
+  // A bridge that starts without a daemon.
   daemon->kill();
   EXPECT_TRUE(other_.eventually([&] { return said("agnocastd is not there") == 3; }));
   bridge_.reset();

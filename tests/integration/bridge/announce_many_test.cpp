@@ -1,8 +1,8 @@
 // SPDX-License-Identifier: Apache-2.0
 //
-// Goal: 500 topics that only this host has are found in DDS, and nothing of them is subscribed to. Method: as many
-// publishers, a bridge that announces and one that does not; what each costs is printed, and not asserted. In a network
-// of its own the traffic is that of discovery alone:
+// Goal: DDS finds 500 topics that only this host has, and the bridge subscribes to none of them.
+// Method: as many publishers, a bridge that announces and one that does not; the test prints the
+// cost of each and asserts none. In a network of its own the traffic is that of discovery alone:
 //
 //   unshare -n sh -c 'ip link set lo up; integration_bridge --gtest_filter=AnnounceMany.*'
 
@@ -33,7 +33,7 @@ class AnnounceMany : public BridgeTest {
     text << std::ifstream("/proc/" + std::to_string(bridge_->pid()) + '/' + file).rdbuf();
     return text.str();
   }
-  /// Private memory of the bridge; shared one is that of its regions.
+  /// Returns the private memory of the bridge; its shared memory belongs to the regions.
   std::size_t private_kib() const {
     const std::string text = proc("status");
     const std::size_t at = text.find("RssAnon:");
@@ -49,7 +49,7 @@ class AnnounceMany : public BridgeTest {
     words >> user >> system;
     return (user + system) * 1000 / static_cast<double>(::sysconf(_SC_CLK_TCK));
   }
-  /// Everything that this network's loopback device has carried.
+  /// Returns all bytes that this network's loopback device has carried.
   static std::size_t loopback_bytes() {
     std::ifstream file("/proc/net/dev");
     for (std::string line; std::getline(file, line);) {

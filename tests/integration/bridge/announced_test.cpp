@@ -1,8 +1,8 @@
 // SPDX-License-Identifier: Apache-2.0
 //
-// Goal: in discovery the bridge is what a process of rmw_cyclonedds is: the same parameters, with the same values but
-// for whose they are. Method: the packets that Cyclone DDS sends for the real bridge, as it writes them to a file, beside
-// those recorded from ROS 2.
+// Goal: in discovery the bridge announces the same as a process of rmw_cyclonedds: the same
+// parameters, with the same values except for their owner. Method: the packets that Cyclone DDS
+// sends for the real bridge, captured in a file, compared with those recorded from ROS 2.
 
 #include <tests/integration/bridge/bridge_side.hpp>
 #include <tests/support/plain_node.hpp>
@@ -52,7 +52,7 @@ class Reader {
   Bytes bytes_;
 };
 
-/// The parameter lists of all DATA of discovery that the process of this capture sent.
+/// Returns the parameter lists of all discovery DATA that the process of this capture sent.
 std::vector<Parameters> sent_lists(const std::filesystem::path& capture) {
   std::ifstream file(capture, std::ios::binary);
   const std::string text{std::istreambuf_iterator<char>(file), {}};
@@ -65,7 +65,7 @@ std::vector<Parameters> sent_lists(const std::filesystem::path& capture) {
     for (std::size_t part = at + 64; part + 4 <= end;) {
       const std::size_t length = all.number(part + 2);
       const std::string kind = all.hex(part, 1), writer = all.hex(part + 12, 4);
-      // DATA with a payload of SPDP's or SEDP's writers.
+      // DATA with a payload of the SPDP or SEDP writers.
       if (kind == "15" && (writer == "000100c2" || writer == "000003c2" || writer == "000004c2") &&
           all.hex(part + 1, 1) == "05") {
         Parameters list;
@@ -81,7 +81,7 @@ std::vector<Parameters> sent_lists(const std::filesystem::path& capture) {
   return lists;
 }
 
-/// Parameters of a recorded list.
+/// Returns the parameters of a recorded list.
 Parameters recorded_list(const Sample& sample) {
   Parameters list;
   for (const auto& parameter : sample.json.at("parameters"))
@@ -90,8 +90,9 @@ Parameters recorded_list(const Sample& sample) {
   return list;
 }
 
-/// Without what is another for each process and each run; of a GUID its kind, reader or writer, is left. The names of
-/// host and program, which Cyclone DDS says of each process, were not recorded.
+/// Removes the values that differ for each process and each run; of a GUID the kind, reader or
+/// writer, stays. The names of host and program, which Cyclone DDS announces for each process,
+/// were not recorded.
 Parameters comparable(Parameters list) {
   for (const unsigned named : {property_list, host_and_version}) list.erase(named);
   for (const unsigned own : {domain_id, unicast_locator, metatraffic_locator, receive_buffer_size,
@@ -101,11 +102,11 @@ Parameters comparable(Parameters list) {
                           ? found->second.substr(found->second.size() - 2)
                           : std::to_string(found->second.size());
   }
-  // Its kind: how long a write waits is announced otherwise on purpose (participant.hpp). With that, it is a writer's
-  // default, which is not said.
+  // Only its kind: the bridge announces another blocking time on purpose (participant.hpp). With
+  // ROS's, it is a writer's default, which is not announced.
   if (list[endpoint_guid] == writer_kind) list.try_emplace(reliability, reliable);
   if (const auto found = list.find(reliability); found != list.end()) found->second.resize(8);
-  // Of keep-all the depth means nothing.
+  // The depth of keep-all has no meaning.
   if (const auto found = list.find(history); found != list.end() && found->second.starts_with("01"))
     found->second.resize(8);
   return list;
@@ -113,7 +114,7 @@ Parameters comparable(Parameters list) {
 
 class Announced : public BridgeTest {};
 
-TEST_F(Announced, IsWhatRmwCycloneddsWasRecordedToAnnounce) {
+TEST_F(Announced, EqualsTheRecordedAnnouncementsOfRmwCyclonedds) {
   if (recorded_samples().empty())
     GTEST_SKIP() << "AGNOCAST_GOLDEN_CDR_DIR names no folder of recorded packets";
   const std::filesystem::path capture = std::filesystem::path(daemon->directory()) / "sent.pcap";
@@ -129,7 +130,7 @@ TEST_F(Announced, IsWhatRmwCycloneddsWasRecordedToAnnounce) {
   const DdsReader& reader = other_.reads<String>("rt/chatter", qos);
   const DdsWriter& writer = other_.writes("rt/chatter", dds_type_name<String>(), qos);
   ASSERT_TRUE(other_.eventually([&] { return reader.matched() == 1 && writer.matched() == 1; }));
-  // The file is written to its end when the program ends.
+  // The file is complete when the program ends.
   ::kill(bridge_->pid(), SIGTERM);
   ASSERT_EQ(bridge_->finish(), 0);
 

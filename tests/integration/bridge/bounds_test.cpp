@@ -1,7 +1,8 @@
 // SPDX-License-Identifier: Apache-2.0
 //
-// Goal: neither many others, nor one that does not answer, nor a want of memory take from the bridge what it is for.
-// Method: more writers than there are places, a reader in DDS that is stopped, an allocation that fails.
+// Goal: neither many endpoints, nor one that does not answer, nor a lack of memory keep the bridge
+// from its task.
+// Method: more writers than places, a stopped reader in DDS, an allocation that fails.
 
 #include <tests/integration/bridge/bridge_side.hpp>
 #include <tests/support/plain_node.hpp>
@@ -59,13 +60,13 @@ TEST_F(Bounds, LeaveHalfOfATopicsPlacesToThePublishersOfThisHost) {
   }));
   EXPECT_TRUE(other_.eventually([&] { return said("not bridged what=\"writers of ") == 1; }));
   std::vector<Publisher<String>::SharedPtr> publishers;
-  // Of the bridge's own user, who may have three quarters of the places.
+  // They belong to the bridge's own user, who may have three quarters of the places.
   for (int i = 0; i < 60; ++i) {
     auto made = try_create_publisher<String>(PlainNode(), topic(), QoS(1));
     ASSERT_TRUE(made) << i << ": " << made.error().what;
     publishers.push_back(std::move(*made));
   }
-  // Those that have a place are heard, and keep it.
+  // The bridge reads those that have a place, and they keep it.
   std::set<std::string> first, later;
   const auto hear = [&](std::set<std::string>& heard) {
     return other_.eventually([&] {
@@ -87,7 +88,7 @@ TEST_F(Bounds, LeaveHalfOfATopicsPlacesToThePublishersOfThisHost) {
   EXPECT_EQ(first, later);
 }
 
-TEST_F(Bounds, OfAReaderThatDoesNotAcknowledgeAreThoseOfItsWritersAlone) {
+TEST_F(Bounds, OfAReaderThatDoesNotAcknowledgeAffectItsWritersAlone) {
   const auto peer = domain->peer("60 s");
   ASSERT_EQ(peer->ask("reader " + dds_topic() + " " + dds_type_name<String>() + " reliable all"),
             "made");
@@ -96,7 +97,8 @@ TEST_F(Bounds, OfAReaderThatDoesNotAcknowledgeAreThoseOfItsWritersAlone) {
   ASSERT_TRUE(publish(*first, "met"));
   ASSERT_NE(peer->ask("take " + dds_topic()), "(nothing)");
   ASSERT_EQ(::kill(peer->pid(), SIGSTOP), 0);
-  // Each with a history that a writer of DDS cannot get rid of, for a tap that is not there yet.
+  // Each with a history that a DDS writer cannot get rid of, for a local reader that does not
+  // exist yet.
   constexpr std::size_t count = 20, history = 5;
   std::vector<Publisher<String>::SharedPtr> publishers;
   for (std::size_t i = 0; i < count; ++i) {
@@ -106,7 +108,7 @@ TEST_F(Bounds, OfAReaderThatDoesNotAcknowledgeAreThoseOfItsWritersAlone) {
       (void)publish(*publishers.back(), std::string(100'000, 'x'));
   }
   ASSERT_TRUE(other_.eventually([&] { return said("keep-all blocks a publisher") > 0; }));
-  // Neither who looks nor another topic waits for it.
+  // Neither the status nor another topic waits for it.
   DdsReader& beside = other_.reads<String>(dds_topic() + "_beside", keep_last(100));
   auto free = create_publisher<String>(PlainNode(), topic() + "_beside", QoS(10));
   ASSERT_TRUE(other_.eventually([&] { return is_out(beside, *free); }));
@@ -120,11 +122,11 @@ TEST_F(Bounds, OfAReaderThatDoesNotAcknowledgeAreThoseOfItsWritersAlone) {
   ASSERT_EQ(::kill(peer->pid(), SIGCONT), 0);
   for (std::size_t i = 0; i < count * history; ++i) {
     ASSERT_TRUE(other_.eventually([&] { return peer->ask("take " + dds_topic()) != "(nothing)"; }))
-        << "nothing more comes after " << i;
+        << "nothing more arrives after " << i;
   }
 }
 
-TEST_F(Bounds, OfTimeHasWhatWaitsOfAWriterThatIsGone) {
+TEST_F(Bounds, OfTimeApplyToWaitingMessagesOfADeadWriter) {
   const auto never_reads = create_subscription<String>(PlainNode(), topic(), QoS(1).keep_all(5));
   DdsQos keep_all;
   keep_all.keep_all = true;
@@ -136,10 +138,11 @@ TEST_F(Bounds, OfTimeHasWhatWaitsOfAWriterThatIsGone) {
   ASSERT_TRUE(other_.eventually(has_source));
   writer.reset();
   EXPECT_TRUE(other_.eventually([&] { return !has_source(); }));
-  EXPECT_EQ(said("message not published"), 1u) << "what is dropped is said";
+  EXPECT_EQ(said("message not published"), 1u) << "the log reports the dropped message";
 }
 
-// Each allocation in turn: the bridge goes on, or ends with a status after which a unit starts it again.
+// Each allocation in turn: the bridge goes on, or ends with a status after which its unit restarts
+// it.
 TEST_F(Bounds, OfMemoryEndTheBridgeInOrder) {
   constexpr int allocations = 120;  // planning and applying a first route are about that many
   int ended = 0;
@@ -160,7 +163,7 @@ TEST_F(Bounds, OfMemoryEndTheBridgeInOrder) {
     EXPECT_TRUE(status == 0 || status == 1) << status << " at allocation " << number;
     ended += status;
   }
-  EXPECT_GT(ended, 0) << "nothing that planning needs failed";
+  EXPECT_GT(ended, 0) << "no allocation of the planning failed";
 }
 
 }  // namespace

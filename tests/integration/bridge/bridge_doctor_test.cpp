@@ -1,8 +1,8 @@
 // SPDX-License-Identifier: Apache-2.0
 //
-// Goal: whatever is wrong with a bridge, doctor names exactly that, and how it is mended. Method: the real agnocastd,
-// agnocast-bridge and agnocast-ctl, each set-up broken for real; what the host says of itself comes from files of the
-// test.
+// Goal: whatever is wrong with a bridge, doctor names exactly that, and its repair. Method: the
+// real agnocastd, agnocast-bridge and agnocast-ctl, each set-up broken for real; files of the test
+// stand in for the host's settings.
 
 #include <agnocast/agnocast.hpp>
 #include <bridge/dds/participant.hpp>
@@ -37,7 +37,8 @@ using testing::StartsWith;
 constexpr const char* string_type = "std_msgs::msg::dds_::String_";
 constexpr const char* rmem_max = "/proc/sys/net/core/rmem_max";
 
-/// What lies in the system's /etc, for who mounts it there: what a program needs, and what the test writes.
+/// A replacement for the system's /etc, to be mounted there: the files that a program needs, and
+/// those of the test.
 class SystemsFiles {
  public:
   SystemsFiles() {
@@ -52,14 +53,15 @@ class SystemsFiles {
   void write(const std::string& file, const std::string& text) const {
     std::ofstream(path() + '/' + file) << text;
   }
-  /// The link leads to "systemd/system/unit".
+  /// The link points to "systemd/system/unit".
   void enable(const std::string& unit) const {
     std::filesystem::create_symlink("../unit", path() + '/' + wants + unit);
   }
   void disable(const std::string& unit) const {
     std::filesystem::remove(path() + '/' + wants + unit);
   }
-  /// Runs a remedy with these files in /etc, up to what only a systemd could do; its status.
+  /// Runs a remedy with these files in /etc, up to the part that needs systemd; returns its
+  /// status.
   int mend(std::string remedy) const {
     remedy.resize(std::min(remedy.find(" && sudo systemctl"), remedy.size()));
     for (std::size_t at = 0; (at = remedy.find("sudo ", at)) != std::string::npos;)
@@ -87,7 +89,7 @@ class DoctorBridge : public testing::Test {
     if (!Doctored::has_namespaces()) GTEST_SKIP() << "needs root: a mount namespace";
     doctor_.overlay()[rmem_max] = "16777216\n";
   }
-  /// What bridges that the test killed have left.
+  /// Removes the remains of bridges that the test killed.
   void TearDown() override {
     const std::string socket = daemon->socket_path();
     const std::filesystem::path directory = socket.substr(0, socket.rfind('/'));
@@ -110,7 +112,8 @@ class DoctorBridge : public testing::Test {
     }));
     return started;
   }
-  /// What it finds of bridges. This process has the library of a test, and is no node as users have them.
+  /// Returns doctor's findings about bridges. This process has a test's library, and is no
+  /// ordinary node.
   std::vector<std::string> found(const std::vector<std::string>& environment = {}) {
     findings_ = doctor_.look(environment);
     std::vector<std::string> own;
@@ -138,7 +141,7 @@ class DoctorBridge : public testing::Test {
 Domain* DoctorBridge::domain = nullptr;
 DaemonProcess* DoctorBridge::daemon = nullptr;
 
-TEST_F(DoctorBridge, FindsNothingWithoutABridgeNorOfOneThatDoesItsWork) {
+TEST_F(DoctorBridge, FindsNothingWithoutABridgeOrAboutAHealthyOne) {
   EXPECT_THAT(found(), IsEmpty());
   auto publisher = create_publisher<String>(PlainNode(), topic(), 5);
   const auto running = bridge(domain->id());
@@ -154,7 +157,7 @@ TEST_F(DoctorBridge, NamesOneThatHasDiedAndItsRemedyStartsIt) {
   EXPECT_TRUE(soon([&] { return found().empty(); }));
 }
 
-TEST_F(DoctorBridge, NamesTheDomainThatNodesHaveAndNoBridge) {
+TEST_F(DoctorBridge, NamesADomainWithNodesAndNoBridge) {
   auto publisher = create_publisher<String>(PlainNode(), topic(), 5);
   const Domain other;
   const auto running = bridge(other.id());
@@ -184,7 +187,7 @@ TEST_F(DoctorBridge, NamesATypeThatABridgeDoesNotFind) {
   EXPECT_THAT(without.remedies,
               testing::Contains(". WORKSPACE/setup.sh && agnocast-ctl doctor  # WORKSPACE has "
                                 "std_msgs"))
-      << "a shell that does not have it cannot give it";
+      << "a shell without it cannot provide it";
   const Remedy remedy(remedy_);
   EXPECT_EQ(remedy.status(), 0) << remedy_;
   EXPECT_TRUE(soon([&] {
@@ -193,7 +196,7 @@ TEST_F(DoctorBridge, NamesATypeThatABridgeDoesNotFind) {
   })) << remedy_;
 }
 
-TEST_F(DoctorBridge, LooksAtWhatTheSystemsUnitsHaveAndNotAtWhatIsLeftOfThem) {
+TEST_F(DoctorBridge, ChecksTheInstalledUnitsAndNotTheirLeftovers) {
   const SystemsFiles etc;
   doctor_.directories()["/etc"] = etc.path();
   doctor_.directories()["/run/agnocast"] = daemon->directory() + "/run";
@@ -212,7 +215,7 @@ TEST_F(DoctorBridge, LooksAtWhatTheSystemsUnitsHaveAndNotAtWhatIsLeftOfThem) {
   etc.write("agnocast/bridge-100.toml", "");
 
   etc.enable("agnocast-bridge@100.service");
-  EXPECT_THAT(seen(), IsEmpty()) << "the unit is not there any more";
+  EXPECT_THAT(seen(), IsEmpty()) << "the unit does not exist any more";
   etc.write("systemd/system/unit", "");
   EXPECT_THAT(seen(), testing::ElementsAre("bridge-not-running: agnocast-bridge@100.service is "
                                            "enabled, but its bridge does not answer"));
@@ -242,7 +245,7 @@ TEST_F(DoctorBridge, NamesAFileOfCycloneDdsThatTheUnitsDoNotSeeAndItsRemedyMoves
   std::filesystem::remove(file);
 }
 
-TEST_F(DoctorBridge, NamesWhatCycloneDdsDoesNotTake) {
+TEST_F(DoctorBridge, NamesSettingsThatCycloneDdsRefuses) {
   const auto with = [&](const std::string& uri) { return found({"CYCLONEDDS_URI=" + uri}); };
   EXPECT_THAT(with(std::getenv("CYCLONEDDS_URI")), IsEmpty());
   for (const char* const wrong : {"<CycloneDDS><Domain></CycloneDDS>",
@@ -264,7 +267,7 @@ TEST_F(DoctorBridge, NamesMistakesInTheConfigurationOfOneThatRuns) {
   EXPECT_THAT(remedy_, HasSubstr("agnocast-bridge --check-config --config " + file));
 }
 
-TEST_F(DoctorBridge, NamesASocketsBufferThatIsSmallForWhatComes) {
+TEST_F(DoctorBridge, NamesASocketBufferThatIsTooSmallForTheTraffic) {
   auto subscription = create_subscription<String>(PlainNode(), topic(), 5);
   const auto running = bridge(domain->id());
   const auto participant = domain->participant();
@@ -286,7 +289,7 @@ TEST_F(DoctorBridge, NamesASocketsBufferThatIsSmallForWhatComes) {
   ASSERT_TRUE(take_soon(subscription));
   EXPECT_THAT(found(), IsEmpty()) << "16 MiB";
   doctor_.overlay()[rmem_max] = "212992\n";
-  // The bridge counts a message when it has published it, and that may be after it was taken.
+  // The bridge counts a message when it has published it, possibly after it was taken.
   EXPECT_TRUE(soon([&] { return !found().empty(); }));
   EXPECT_THAT(found(),
               testing::ElementsAre("receive-buffer: " + topic() +

@@ -1,7 +1,8 @@
 // SPDX-License-Identifier: Apache-2.0
 //
-// What tests of the bridge as a program have: agnocastd, agnocast-bridge, this process with its agnocast endpoints,
-// and Other, a participant of DDS as another host's would be; all in a domain of the test's own.
+// Fixture for tests of the bridge as a program: agnocastd, agnocast-bridge, this process with its
+// agnocast endpoints, and Other, a DDS participant like one of another host; all in a domain of
+// the test's own.
 #pragma once
 
 #include <agnocast/agnocast.hpp>
@@ -86,7 +87,7 @@ class Other {
         time_ns);
     return written && *written == bridge::WriteOutcome::sent;
   }
-  /// What the reader has, or gets within the time.
+  /// Returns the next message, waiting up to `wait`.
   template <class T>
   std::shared_ptr<T> take(DdsReader& reader, std::chrono::milliseconds wait = patience) {
     const auto end = std::chrono::steady_clock::now() + wait;
@@ -116,7 +117,7 @@ class Other {
   }
   DdsParticipant& participant() { return *participant_; }
   const DdsSample& last() const { return last_; }
-  /// All of its endpoints.
+  /// Deletes all of its endpoints.
   void forget() {
     readers_.clear();
     writers_.clear();
@@ -129,8 +130,8 @@ class Other {
   DdsSample last_;
 };
 
-/// One daemon and one domain for all tests of a program, since the library has them once in a process; a bridge
-/// for each.
+/// One daemon and one domain for all tests of a program, since the library has one of each per
+/// process; a bridge for each test.
 class BridgeTest : public testing::Test {
  protected:
   static void SetUpTestSuite() {
@@ -142,7 +143,7 @@ class BridgeTest : public testing::Test {
   }
   void SetUp() override { start_bridge(); }
   void TearDown() override {
-    if (HasFailure()) std::cerr << "agnocast-bridge said:\n" << bridge_log();
+    if (HasFailure()) std::cerr << "log of agnocast-bridge:\n" << bridge_log();
     ::unlink(log_path_.c_str());
   }
 
@@ -150,7 +151,7 @@ class BridgeTest : public testing::Test {
                     const std::vector<std::string>& environment = {}) {
     bridge_ = make_bridge(arguments, environment);
   }
-  /// One more; all write to one log.
+  /// Starts one more bridge; all write to one log.
   std::unique_ptr<SteeredProcess> make_bridge(const std::vector<std::string>& arguments = {},
                                               const std::vector<std::string>& environment = {}) {
     std::vector<std::string> words = {"/bin/sh", "-c", "log=$1; shift; exec env \"$@\" 2>>\"$log\"",
@@ -165,14 +166,14 @@ class BridgeTest : public testing::Test {
     text << std::ifstream(log_path_).rdbuf();
     return text.str();
   }
-  /// How often the log says it.
+  /// Returns how often the log contains this text.
   std::size_t said(const std::string& what) const {
     const std::string log = bridge_log();
     std::size_t count = 0;
     for (std::size_t at = log.find(what); at != log.npos; at = log.find(what, at + 1)) ++count;
     return count;
   }
-  /// What the bridge with this --status-socket says of itself; empty if it does not answer.
+  /// Returns the status of the bridge with this --status-socket; empty if it does not answer.
   static std::string status_at(const std::string& path) {
     const UniqueFd fd(::socket(AF_UNIX, SOCK_STREAM | SOCK_CLOEXEC, 0));
     const auto address = unix_address(path);
@@ -183,7 +184,7 @@ class BridgeTest : public testing::Test {
       text.append(letters, static_cast<std::size_t>(count));
     return text;
   }
-  /// Whether each side has its part: what is published from now on gets there.
+  /// Returns whether both sides have matched: later messages arrive.
   static bool is_out(const DdsReader& reader, const PublisherBase& publisher,
                      std::size_t subscriptions = 1) {
     return reader.matched() == 1 && publisher.get_subscription_count() == subscriptions;

@@ -1,7 +1,8 @@
 // SPDX-License-Identifier: Apache-2.0
 //
-// Runs inside the machine of bridge_systemd_test.sh: the units of the bridge, killed, hanging, reloaded, in several
-// domains. This process has the agnocast endpoints, and is the other participant in DDS.
+// Runs inside the machine of bridge_systemd_test.sh: the units of the bridge, killed, hanging,
+// reloaded, in several domains. This process has the agnocast endpoints, and is the other
+// participant in DDS.
 
 #include <agnocast/agnocast.hpp>
 #include <bridge/cdr/cdr.hpp>
@@ -96,7 +97,7 @@ class Traffic {
     writer_ = participant_->create_writer("rt/in", name, qos).value();
   }
 
-  /// Sends one each way and takes what has come.
+  /// Sends one message each way and takes those that have arrived.
   void turn() {
     auto loan = publisher_->borrow_loaned_message();
     loan->data = "out";
@@ -168,7 +169,7 @@ void print(const char* what, std::vector<double> seconds) {
               seconds[seconds.size() / 2], seconds.back(), seconds.size());
 }
 
-TEST_F(BridgeUnit, IsThereAgainWithinSecondsOfEachKillAndMessagesFlowBothWays) {
+TEST_F(BridgeUnit, RunsAgainWithinSecondsOfEachKillAndMessagesFlowBothWays) {
   Traffic traffic(domain_);
   ASSERT_TRUE(traffic.flows());
   std::vector<double> out, in;
@@ -207,7 +208,7 @@ TEST_F(BridgeUnit, GoesOnWithAnotherDaemon) {
   EXPECT_EQ(main_pid(), pid);
 }
 
-TEST_F(BridgeUnit, OneThatHangsIsStartedAgainAndAnIdleOneIsNot) {
+TEST_F(BridgeUnit, IsRestartedWhenItHangsButNotWhenItIsIdle) {
   std::filesystem::create_directories("/run/systemd/system/agnocast-bridge.service.d");
   write_file("/run/systemd/system/agnocast-bridge.service.d/test.conf",
              "[Service]\nWatchdogSec=2s\n");
@@ -221,7 +222,7 @@ TEST_F(BridgeUnit, OneThatHangsIsStartedAgainAndAnIdleOneIsNot) {
   ASSERT_TRUE(systemctl("daemon-reload", ""));
 }
 
-TEST_F(BridgeUnit, TakesRulesOverThatAreReadAgainAndLeavesThemWhenTheyAreWrong) {
+TEST_F(BridgeUnit, AppliesReloadedRulesAndKeepsTheOldOnesWhenTheyAreWrong) {
   Traffic traffic(domain_);
   ASSERT_TRUE(traffic.flows());
   const pid_t pid = main_pid();
@@ -229,7 +230,7 @@ TEST_F(BridgeUnit, TakesRulesOverThatAreReadAgainAndLeavesThemWhenTheyAreWrong) 
   ASSERT_TRUE(systemctl("reload"));
   EXPECT_TRUE(eventually([&] { return !traffic.is_read(); }));
   configure("default = 3\n");
-  EXPECT_FALSE(systemctl("reload")) << "who reloads hears of it";
+  EXPECT_FALSE(systemctl("reload")) << "the caller of reload gets the failure";
   ASSERT_EQ(::kill(pid, SIGHUP), 0);
   EXPECT_TRUE(eventually([] {
     return output_of(
@@ -262,7 +263,7 @@ TEST_F(BridgeUnit, ServesAFurtherDomainWithTheTemplate) {
   systemctl("stop", second);
 }
 
-/// What doctor says mends the first finding of a check; empty: it finds nothing.
+/// Returns doctor's remedy for the first finding of a check; empty without a finding.
 std::string remedy_of(const std::string& check, const std::string& environment) {
   std::istringstream said(output_of("env " + environment + " agnocast-ctl doctor 2>&1"));
   bool is_it = false;
@@ -279,7 +280,7 @@ int mend(std::string remedy) {
   return std::system((remedy + " >/dev/null").c_str());
 }
 
-TEST_F(BridgeUnit, GetsTheMessagesOfAWorkspaceInAClosedHomeByWhatDoctorSays) {
+TEST_F(BridgeUnit, FindsAWorkspaceInAClosedHomeAfterDoctorsRemedy) {
   const std::string home = "/home/somebody", workspace = home + "/ws";
   std::filesystem::create_directories(workspace);
   std::filesystem::copy("/opt/agnocast/lib", workspace + "/lib");
@@ -300,7 +301,7 @@ TEST_F(BridgeUnit, GetsTheMessagesOfAWorkspaceInAClosedHomeByWhatDoctorSays) {
   std::filesystem::remove_all(home);
 }
 
-TEST_F(BridgeUnit, StartsWithAFileOfCycloneDdsInTmpAfterWhatDoctorSays) {
+TEST_F(BridgeUnit, StartsWithAFileOfCycloneDdsInTmpAfterDoctorsRemedy) {
   write_file("/tmp/dds.xml", std::getenv("CYCLONEDDS_URI"));
   write_file("/etc/default/agnocast-bridge",
              "ROS_DOMAIN_ID=" + std::to_string(domain_.id()) +
@@ -314,7 +315,7 @@ TEST_F(BridgeUnit, StartsWithAFileOfCycloneDdsInTmpAfterWhatDoctorSays) {
   std::filesystem::remove("/tmp/dds.xml");
 }
 
-TEST_F(BridgeUnit, HasUnitsWithoutFaultThatAreAsTightAsTheDocumentSays) {
+TEST_F(BridgeUnit, HasValidUnitsThatAreAsTightAsTheDocumentSays) {
   const std::string units = "/usr/lib/systemd/system/agnocast-bridge";
   EXPECT_EQ(output_of("systemd-analyze verify " + units + ".service " + units + "@7.service 2>&1"),
             "");
@@ -333,7 +334,7 @@ TEST_F(BridgeUnit, HasUnitsWithoutFaultThatAreAsTightAsTheDocumentSays) {
   const int tenths = static_cast<int>(stated * 10 + 0.5);
   EXPECT_TRUE(is_within(tenths)) << output_of(
       "systemd-analyze security --offline=true --no-pager " + units + ".service");
-  EXPECT_FALSE(is_within(tenths - 1)) << "it is better than is said";
+  EXPECT_FALSE(is_within(tenths - 1)) << "the exposure is lower than documented";
 }
 
 }  // namespace

@@ -1,8 +1,10 @@
 #!/usr/bin/env bash
 # SPDX-License-Identifier: Apache-2.0
 #
-# Goal: under systemd the bridge that is killed is there again at once, and messages flow both ways; its units are right and tight.
-# Method: a systemd of its own, agnocast as cmake --install puts it, and bridge_systemd_inside.cpp run in there.
+# Goal: under systemd a killed bridge is restarted at once, and messages flow both ways; its units
+# are valid and tight.
+# Method: a systemd of its own, agnocast as cmake --install puts it, and bridge_systemd_inside.cpp
+# run in there.
 #
 #   bridge_systemd_test.sh BUILD_DIRECTORY INSIDE_PROGRAM SUPPORT_DIRECTORY [GTEST_OPTION…]
 set -euo pipefail
@@ -15,14 +17,14 @@ skip() { echo "SKIPPED: $1"; exit 77; }
 [ "$(id -u)" -eq 0 ] || skip "needs root: it boots a systemd"
 [ -x /usr/lib/systemd/systemd ] || skip "needs systemd"
 for tool in unshare nsenter pivot_root; do command -v "$tool" >/dev/null || skip "needs $tool"; done
-# A sandbox may have root and no right to mount.
+# In a sandbox root may lack the right to mount.
 unshare --mount --pid --fork true 2>/dev/null || skip "needs the right to make namespaces"
 
 dir=$(mktemp -d)
 trap 'machine_stop "$dir"; rm -rf "$dir"' EXIT
 mkdir "$dir/files"
 DESTDIR=$dir/files cmake --install "$build" --prefix /usr >"$dir/install" || { cat "$dir/install"; exit 1; }
-# What is built lies where the machine cannot see it, and message packages are not installed.
+# The machine cannot see the build directory, and message packages are not installed.
 mkdir -p "$dir/files/opt/agnocast/lib" "$dir/files/etc/agnocast"
 cp "$inside" "$dir/files/opt/agnocast/"
 ldd "$inside" | awk '$1 !~ "^libagnocast" && $3 ~ "^/" && $3 !~ "^/(usr/)?lib" { print $3 }' | sort -u |

@@ -1,9 +1,10 @@
 // SPDX-License-Identifier: Apache-2.0
 //
-// Goal: what is published on this host with agnocast arrives in DDS as a ROS 2 node would have written it, and the
-// other way round, once each, with its history and in the name of its node; and the bridge may die.
-// Method: the real agnocastd and agnocast-bridge; this process has the agnocast endpoints, and is the other participant
-// in DDS, on the loopback interface and in a domain of its own.
+// Goal: a message published on this host with agnocast arrives in DDS as a ROS 2 node would have
+// written it, and the other way round, once each, with its history and in the name of its node;
+// and the bridge may die.
+// Method: the real agnocastd and agnocast-bridge; this process has the agnocast endpoints, and is
+// the other participant in DDS, on the loopback interface and in a domain of its own.
 
 #include <tests/integration/bridge/bridge_side.hpp>
 #include <tests/support/plain_node.hpp>
@@ -65,7 +66,7 @@ String text(const std::string& data) {
   return message;
 }
 
-TEST_F(BridgeTest, TakesMessagesOutInTheirOrder) {
+TEST_F(BridgeTest, ForwardsMessagesToDdsInTheirOrder) {
   DdsReader& reader = other_.reads<String>(dds_topic(), keep_last(100));
   auto publisher = create_publisher<String>(PlainNode(), topic(), 100);
   ASSERT_TRUE(other_.eventually([&] { return is_out(reader, *publisher); }));
@@ -82,7 +83,7 @@ TEST_F(BridgeTest, TakesMessagesOutInTheirOrder) {
   EXPECT_EQ(other_.take<String>(reader, 200ms), nullptr) << "once each";
 }
 
-TEST_F(BridgeTest, BringsMessagesInToSharedMemory) {
+TEST_F(BridgeTest, ForwardsMessagesFromDdsToSharedMemory) {
   auto subscription = create_subscription<String>(PlainNode(), topic(), 100);
   DdsWriter& writer = other_.writes(dds_topic(), test::dds_type_name<String>(), keep_last(100));
   ASSERT_TRUE(other_.eventually([&] { return writer.matched() == 1; }));
@@ -97,7 +98,7 @@ TEST_F(BridgeTest, BringsMessagesInToSharedMemory) {
   EXPECT_FALSE(subscription->take()) << "once each";
 }
 
-TEST_F(BridgeTest, MovesMegabytesBothWaysUnchanged) {
+TEST_F(BridgeTest, ForwardsMegabytesBothWaysUnchanged) {
   DdsReader& reader = other_.reads<Cloud>(dds_topic() + "_out", keep_last(10));
   auto publisher = create_publisher<Cloud>(PlainNode(), topic() + "_out", 10);
   auto subscription = create_subscription<Cloud>(PlainNode(), topic() + "_in", 10);
@@ -124,7 +125,7 @@ TEST_F(BridgeTest, MovesMegabytesBothWaysUnchanged) {
   EXPECT_TRUE(*in == cloud);
 }
 
-TEST_F(BridgeTest, TakesOutTheLastMessagesOfAPublisherThatIsGone) {
+TEST_F(BridgeTest, ForwardsTheLastMessagesOfAnEndedPublisher) {
   DdsReader& reader = other_.reads<String>(dds_topic(), keep_last(100));
   for (int i = 0; i < 5; ++i) {
     auto publisher = create_publisher<String>(PlainNode(), topic(), 100);
@@ -144,7 +145,7 @@ TEST_F(BridgeTest, TakesOutTheLastMessagesOfAPublisherThatIsGone) {
   }
 }
 
-TEST_F(BridgeTest, BringsInTheLastMessagesOfAWriterThatIsGone) {
+TEST_F(BridgeTest, ForwardsTheLastMessagesOfAnEndedWriter) {
   auto subscription = create_subscription<String>(PlainNode(), topic(), 100);
   for (int i = 0; i < 5; ++i) {
     auto writer = other_.participant().create_writer(dds_topic(), test::dds_type_name<String>(),
@@ -161,7 +162,7 @@ TEST_F(BridgeTest, BringsInTheLastMessagesOfAWriterThatIsGone) {
   }
 }
 
-// Writers whose whole life falls into a time in which the bridge does not plan.
+// Writers that come and go while the bridge does not plan.
 class ShortLived : public BridgeTest {
  protected:
   void SetUp() override {
@@ -178,8 +179,9 @@ class ShortLived : public BridgeTest {
   void lives_and_goes() {
     auto writer = make_writer();
     for (int i = 0; i < 20; ++i) ASSERT_TRUE(Other::write(*writer, text(std::to_string(i))));
-    writer.reset();  // when all of them are acknowledged
-    // For Cyclone in the bridge to hear that it is gone; where this is too short, less is tested.
+    writer.reset();  // waits until all of them are acknowledged
+    // Time for Cyclone in the bridge to notice its end; where this is too short, the test covers
+    // less.
     std::this_thread::sleep_for(300ms);
   }
   void expect_all() {
@@ -223,7 +225,7 @@ TEST_F(ShortLived, WhileAgnocastdIsAway) {
   expect_all();
 }
 
-TEST_F(BridgeTest, KeepsAllForASubscriptionThatReadsLate) {
+TEST_F(BridgeTest, KeepsAllMessagesForASlowKeepAllSubscription) {
   auto subscription = create_subscription<String>(PlainNode(), topic(), QoS(1).keep_all(5));
   DdsQos keep_all;
   keep_all.keep_all = true;
@@ -240,7 +242,7 @@ TEST_F(BridgeTest, KeepsAllForASubscriptionThatReadsLate) {
   }
 }
 
-TEST_F(BridgeTest, SaysThatAMessageIsMalformedAndGoesOn) {
+TEST_F(BridgeTest, ReportsAMalformedMessageAndGoesOn) {
   auto subscription = create_subscription<String>(PlainNode(), topic(), 100);
   DdsWriter& writer = other_.writes(dds_topic(), test::dds_type_name<String>(), keep_last(100));
   ASSERT_TRUE(other_.eventually([&] { return writer.matched() == 1; }));
@@ -258,10 +260,10 @@ TEST_F(BridgeTest, SaysThatAMessageIsMalformedAndGoesOn) {
   EXPECT_THAT(log, testing::HasSubstr("malformed message topic=" + topic()));
   EXPECT_THAT(log, testing::HasSubstr("at byte 4 in data"));
   EXPECT_EQ(log.find("malformed message"), log.rfind("malformed message"))
-      << "not as often as another host likes";
+      << "logged less often than another host sends them";
 }
 
-TEST_F(BridgeTest, NeverGivesBackWhatItHasTaken) {
+TEST_F(BridgeTest, NeverReturnsAMessageToItsOwnSide) {
   // Both sides publish and subscribe on one topic.
   auto publisher = create_publisher<String>(PlainNode(), topic(), 100);
   auto subscription = create_subscription<String>(PlainNode(), topic(), 100);
@@ -281,11 +283,11 @@ TEST_F(BridgeTest, NeverGivesBackWhatItHasTaken) {
   while (const auto got = subscription->take()) in.push_back(got->data);
   EXPECT_EQ(out, std::vector<std::string>(20, "here"));
   EXPECT_EQ(std::count(in.begin(), in.end(), "here"), 20) << "directly";
-  EXPECT_EQ(std::count(in.begin(), in.end(), "there"), 20) << "by the bridge";
+  EXPECT_EQ(std::count(in.begin(), in.end(), "there"), 20) << "through the bridge";
   EXPECT_EQ(in.size(), 40u);
 }
 
-TEST_F(BridgeTest, HandsHistoryOverBothWays) {
+TEST_F(BridgeTest, ForwardsHistoryBothWays) {
   auto publisher =
       create_publisher<String>(PlainNode(), topic() + "_out", QoS(3).transient_local());
   for (int i = 0; i < 5; ++i) {
@@ -326,7 +328,7 @@ TEST_F(BridgeTest, KeepsBestEffortBestEffort) {
   EXPECT_TRUE(is_best_effort);
 }
 
-TEST_F(BridgeTest, AnnouncesAPublisherAndTakesNothingOfItUntilSomebodyReads) {
+TEST_F(BridgeTest, AnnouncesAPublisherAndReadsItOnlyForAReaderInDds) {
   auto publisher = create_publisher<String>(PlainNode(), topic(), QoS(3).transient_local());
   const auto writers = [&] {
     std::set<Guid> guids;
@@ -349,14 +351,14 @@ TEST_F(BridgeTest, AnnouncesAPublisherAndTakesNothingOfItUntilSomebodyReads) {
       }
     }
     return false;
-  })) << "it is in nobody's name";
+  })) << "no node owns it";
   const auto say = [&](const std::string& text) {
     auto loan = publisher->borrow_loaned_message();
     loan->data = text;
     EXPECT_TRUE(publisher->publish(std::move(loan)));
   };
   for (int round = 1; round <= 2; ++round) {
-    EXPECT_EQ(publisher->get_subscription_count(), 0u) << "it is subscribed to for nobody";
+    EXPECT_EQ(publisher->get_subscription_count(), 0u) << "the bridge subscribes for nobody";
     const Guid before = *writers().begin();
     say("history " + std::to_string(round));
     {
@@ -368,7 +370,7 @@ TEST_F(BridgeTest, AnnouncesAPublisherAndTakesNothingOfItUntilSomebodyReads) {
         const auto heard = other_.take<String>(reader);
         ASSERT_NE(heard, nullptr);
         EXPECT_EQ(heard->data, "history " + std::to_string(i)) << "each once, in its order";
-        EXPECT_EQ(other_.last().writer, before) << "not by the writer that was announced";
+        EXPECT_EQ(other_.last().writer, before) << "not from the announced writer";
       }
       ASSERT_TRUE(other_.eventually([&] { return publisher->get_subscription_count() == 1; }));
       EXPECT_EQ(other_.take<String>(reader, std::chrono::milliseconds(300)), nullptr);
@@ -377,13 +379,13 @@ TEST_F(BridgeTest, AnnouncesAPublisherAndTakesNothingOfItUntilSomebodyReads) {
     ASSERT_TRUE(other_.eventually([&] {
       return publisher->get_subscription_count() == 0 && writers().size() == 1 &&
              !writers().contains(before);
-    })) << "no writer is announced once nobody reads";
+    })) << "the bridge announces a writer again once nobody reads";
   }
   publisher.reset();
   EXPECT_TRUE(other_.eventually([&] { return writers().empty(); }));
 }
 
-TEST_F(BridgeTest, HasAWriterOnlyWhileSomebodyReadsItIfItShallNotAnnounce) {
+TEST_F(BridgeTest, HasAWriterOnlyWhileItIsReadIfAnnouncementsAreOff) {
   const std::string file = daemon->directory() + "/quiet.toml";
   std::ofstream(file) << "announce = false\n";
   bridge_.reset();
@@ -403,7 +405,7 @@ TEST_F(BridgeTest, HasAWriterOnlyWhileSomebodyReadsItIfItShallNotAnnounce) {
   }
   ASSERT_TRUE(other_.eventually([&] { return count(Remote::Kind::writer) == 0; }));
   EXPECT_EQ(other_.remote_count(dds_topic() + "_late", Remote::Kind::writer), 0u);
-  // Another configuration announces what is there already.
+  // A new configuration announces existing topics.
   std::ofstream(file) << "announce = true\n";
   ASSERT_EQ(::kill(bridge_->pid(), SIGHUP), 0);
   ASSERT_TRUE(other_.eventually([&] { return count(Remote::Kind::writer) == 1; }));
@@ -420,7 +422,7 @@ TEST_F(BridgeTest, HasAWriterOnlyWhileSomebodyReadsItIfItShallNotAnnounce) {
   }
 }
 
-TEST_F(BridgeTest, ShowsNodesAndWhatIsTheirs) {
+TEST_F(BridgeTest, ShowsNodesWithTheirEndpoints) {
   auto graph = RosGraph::create(other_.participant(), RosGraph::Speak::humble).value();
   auto publisher = create_publisher<String>(PlainNode(), topic(), 5);
   DdsReader& reader = other_.reads<String>(dds_topic(), {});
@@ -435,7 +437,7 @@ TEST_F(BridgeTest, ShowsNodesAndWhatIsTheirs) {
     return node.has_value();
   }));
   ASSERT_EQ(node->writers.size(), 1u);
-  // DDS tells of the writer in its own time.
+  // DDS announces the writer in its own time.
   ASSERT_TRUE(
       other_.eventually([&] { return other_.participant().remotes().contains(node->writers[0]); }));
   const auto writer = other_.participant().remotes().find(node->writers[0]);

@@ -1,7 +1,7 @@
 // SPDX-License-Identifier: Apache-2.0
 //
-// A DDS domain of one test: an id that no other test of this machine has meanwhile, on the loopback
-// device only; and the process on its other side.
+// A DDS domain of one test: an id that no other test of this machine uses meanwhile, on the
+// loopback device only; and the process on its other side.
 #pragma once
 
 #include <tests/integration/bridge/dds_side.hpp>
@@ -20,8 +20,8 @@ class Domain {
  public:
   Domain() {
     ::setenv("CYCLONEDDS_URI", configuration("10 s").c_str(), 1);
-    // Whoever binds the name has the id. Above 101 ports would be those that Linux gives to
-    // clients.
+    // The process that binds the name has the id. Above 101 the ports would be those that Linux
+    // assigns to clients.
     for (id_ = 1; id_ <= 101; ++id_) {
       taken_.reset(::socket(AF_UNIX, SOCK_DGRAM | SOCK_CLOEXEC, 0));
       sockaddr_un name{};
@@ -38,14 +38,14 @@ class Domain {
   std::unique_ptr<DdsParticipant> participant() const {
     return std::move(DdsParticipant::create({.domain = id_}).value());
   }
-  /// Others think it gone when they have not heard of it for `lease`.
+  /// Starts the other side; others think it gone after `lease` without news.
   std::unique_ptr<SteeredProcess> peer(const std::string& lease = "10 s") const {
     return std::make_unique<SteeredProcess>(
         std::vector<std::string>{AGNOCAST_TEST_DDS_PEER, std::to_string(id_)},
         std::vector<std::string>{"CYCLONEDDS_URI=" + configuration(lease)});
   }
 
-  /// For CYCLONEDDS_URI; `more` are elements beside.
+  /// Returns the text for CYCLONEDDS_URI; `more` are further elements.
   static std::string configuration(const std::string& lease, const std::string& more = "") {
     return "<CycloneDDS><Domain><General><Interfaces><NetworkInterface name=\"lo\"/></Interfaces>"
            "</General><Discovery><LeaseDuration>" +

@@ -1,7 +1,7 @@
 // SPDX-License-Identifier: Apache-2.0
 //
-// The other process of the DDS tests, steered line by line: raw endpoints as the bridge has them,
-// and those of a plain program of Cyclone DDS with types of idlc.
+// The other process of the DDS tests, steered line by line: raw endpoints like the bridge's, and
+// those of a plain program of Cyclone DDS with types of idlc.
 //   dds_peer DOMAIN
 
 #include <tests/integration/bridge/dds_side.hpp>
@@ -23,7 +23,7 @@ namespace {
 using String = std_msgs_msg_dds__String_;
 using Cloud = sensor_msgs_msg_dds__PointCloud2_;
 
-/// What a program has that knows DDS only.
+/// The endpoints of a program that knows only DDS.
 class Plain {
  public:
   explicit Plain(dds_domainid_t domain)
@@ -74,7 +74,7 @@ class Plain {
       return text.str();
     });
   }
-  /// What another participant's writer of a topic announces beside QoS.
+  /// Returns what another participant's writer of a topic announces beside QoS.
   std::string announced(const std::string& topic) {
     const dds_entity_t reader =
         dds_create_reader(participant_, DDS_BUILTIN_TOPIC_DCPSPUBLICATION, nullptr, nullptr);
@@ -210,14 +210,15 @@ class Peer {
     if (!until(raw(), [&] { return writer.matched() > 0; })) return "not matched";
     return send(writer, bytes).value() == bridge::WriteOutcome::sent ? "sent" : "not sent";
   }
-  /// Takes what is there: of this topic, how many strings so far, and how many of them have another letter.
+  /// Takes the available samples: returns how many strings this topic had so far, and how many
+  /// have another letter.
   std::string letters(const std::string& topic, char letter) {
     auto& [strings, strange] = letters_[topic];
     (void)raw().discovered();
     while (const auto sample = readers_.at(topic)->take()) {
       if (sample->state != DdsSample::State::valid) continue;
       const Bytes& bytes = received(*sample).bytes;
-      std::uint32_t length = 0;  // with the zero
+      std::uint32_t length = 0;  // including the zero
       if (bytes.size() >= 8) std::memcpy(&length, bytes.data() + 4, 4);
       const bool is_whole = length >= 1 && length <= bytes.size() - 8;
       ++strings;
@@ -226,7 +227,7 @@ class Peer {
     }
     return std::to_string(strings) + ' ' + std::to_string(strange);
   }
-  /// Sends back what came; says whether it was what it should be, and in how many pieces it came.
+  /// Sends the sample back; reports whether it was the expected one, and the number of its pieces.
   std::string echo(std::size_t size) {
     const auto sample = next(raw(), *readers_.at("rt/down"));
     if (!sample) return "(nothing)";

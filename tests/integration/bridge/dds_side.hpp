@@ -1,7 +1,7 @@
 // SPDX-License-Identifier: Apache-2.0
 //
-// What both sides of the DDS tests have: payloads that can be checked, a decoder that keeps the
-// bytes, and waiting for what others do.
+// Helpers of both sides of the DDS tests: payloads that can be checked, a decoder that keeps the
+// bytes, and waiting for the other side.
 #pragma once
 
 #include <bridge/dds/participant.hpp>
@@ -36,7 +36,7 @@ inline std::shared_ptr<void> keep_bytes(bridge::RawPieces pieces) {
   return received;
 }
 
-/// Encapsulation of XCDR1, then `size` bytes that tell where they lie.
+/// Returns an XCDR1 encapsulation, then `size` bytes that depend on their position.
 inline Bytes pattern(std::size_t size) {
   Bytes bytes(4 + size);
   bytes[1] = std::byte{1};
@@ -73,7 +73,7 @@ inline DdsQos qos_of(const std::string& words) {
   return qos;
 }
 
-/// Waits and collects what is discovered until `done()`; false when patience is over.
+/// Waits and collects discovery until `done()`; returns false after a timeout.
 template <class Done>
 bool until(DdsParticipant& participant, const Done& done,
            std::vector<bridge::RemoteChange>* changes = nullptr) {
@@ -87,7 +87,7 @@ bool until(DdsParticipant& participant, const Done& done,
   return false;
 }
 
-/// The next sample with data.
+/// Returns the next sample with data.
 inline std::optional<DdsSample> next(DdsParticipant& participant, DdsReader& reader) {
   std::optional<DdsSample> sample;
   until(participant, [&] {

@@ -1,41 +1,12 @@
 // SPDX-License-Identifier: Apache-2.0
 //
 // The DDS layer against real Cyclone DDS: another process with raw endpoints or as a plain program
-// with types of idlc, killed, stopped or well.
+// with types of idlc, which is killed, stopped or runs.
 
-#include <tests/integration/bridge/dds_domain.hpp>
-#include <tests/support/descriptors.hpp>
-
-#include <dirent.h>
-#include <gtest/gtest.h>
-#include <sys/resource.h>
-
-#include <fstream>
-#include <stdexcept>
-#include <thread>
+#include <tests/integration/bridge/dds_fixture.hpp>
 
 namespace agnocast::test {
 namespace {
-
-using bridge::Remote;
-using bridge::RemoteChange;
-using bridge::WriteOutcome;
-using namespace std::chrono_literals;
-
-constexpr auto raw_type = "agnocast_test::msg::dds_::Raw_";
-constexpr int answer_s = 90;
-
-std::unique_ptr<DdsWriter> writer(DdsParticipant& of, const std::string& topic,
-                                  const std::string& qos = "reliable 10",
-                                  const std::string& type = raw_type) {
-  return std::move(of.create_writer(topic, type, qos_of(qos)).value());
-}
-std::unique_ptr<DdsReader> reader(DdsParticipant& of, const std::string& topic,
-                                  const std::string& qos = "reliable 10",
-                                  const std::string& type = raw_type,
-                                  bridge::RawDecoder decoder = keep_bytes) {
-  return std::move(of.create_reader(topic, type, qos_of(qos), std::move(decoder)).value());
-}
 
 TEST(Raw, BytesArriveEqualAndInTheFragmentsTheyCameIn) {
   const Domain domain;
@@ -83,7 +54,7 @@ TEST(Raw, WriterAndSourceTimeTravelWithTheSample) {
   EXPECT_TRUE(sample->writer.is_of_participant(left->guid()));
 }
 
-TEST(Raw, SamplesOfAWriterThatIsGoneStillSayWhoseTheyAre) {
+TEST(Raw, SamplesOfAnEndedWriterStillNameIt) {
   const Domain domain;
   const auto left = domain.participant(), right = domain.participant();
   auto from = writer(*left, "rt/a");
@@ -114,7 +85,7 @@ TEST(Raw, TheLastWritersEndIsASampleWithoutData) {
   EXPECT_EQ(last->object, nullptr);
 }
 
-TEST(Raw, RefusedPayloadsAreCountedAndPassedOver) {
+TEST(Raw, RefusedPayloadsAreCountedAndSkipped) {
   const Domain domain;
   const auto left = domain.participant(), right = domain.participant();
   const auto from = writer(*left, "rt/a");
@@ -135,7 +106,7 @@ TEST(Raw, RefusedPayloadsAreCountedAndPassedOver) {
   EXPECT_FALSE(to->take());
 }
 
-TEST(Raw, NothingIsSentOfWhatCannotBeFilled) {
+TEST(Raw, ASampleThatCannotBeFilledIsNotSent) {
   const Domain domain;
   const auto left = domain.participant(), right = domain.participant();
   const auto from = writer(*left, "rt/a");
@@ -151,7 +122,7 @@ TEST(Raw, NothingIsSentOfWhatCannotBeFilled) {
             WriteOutcome::refused);
   EXPECT_EQ(try_to(8, [](auto) -> std::size_t { throw std::runtime_error("no"); }),
             WriteOutcome::refused);
-  // Less than was measured: what is not filled does not leave the process.
+  // Fewer bytes than measured: the unfilled sample does not leave the process.
   EXPECT_EQ(try_to(4096,
                    [](std::span<std::byte> to_fill) {
                      std::fill_n(to_fill.begin(), 6, std::byte{7});
@@ -163,7 +134,7 @@ TEST(Raw, NothingIsSentOfWhatCannotBeFilled) {
   EXPECT_EQ(received(*sample).bytes, bytes_of("0707070707070000"));
 }
 
-TEST(Raw, BytesBehindWhatWasFilledAreZeroOnTheWire) {
+TEST(Raw, UnfilledBytesAreZeroOnTheWire) {
   const Domain domain;
   const auto participant = domain.participant();
   const auto down = writer(*participant, "rt/down");
@@ -176,7 +147,7 @@ TEST(Raw, BytesBehindWhatWasFilledAreZeroOnTheWire) {
     SCOPED_TRACE(size);
     const Bytes bytes = pattern(size);
     peer->tell("echo " + std::to_string(size));
-    // More was measured than is filled, and all of it was used meanwhile.
+    // More bytes were measured than are filled, and the memory held other data before.
     const auto sent = down->write(
         bytes.size() + 64,
         [&](std::span<std::byte> room) {
@@ -209,7 +180,7 @@ TEST(Raw, OwnWritesAreNotReadBack) {
   EXPECT_EQ(back->decoded(), 1u);
 }
 
-// CDR of what tests of plain programs send, written out by hand.
+// The CDR that plain programs send in these tests, written by hand.
 Bytes string_cdr(const std::string& text) {
   Bytes bytes = bytes_of("00010000");
   bytes.push_back(std::byte(text.size() + 1));
@@ -235,8 +206,8 @@ Bytes cloud_cdr(std::size_t size) {
   bytes.push_back(std::byte{1});  // is_dense
   return bytes;
 }
-/// Without padding at the end, and without its length, which Cyclone's serializer puts into the
-/// options.
+/// Removes the padding at the end and the record of its length, which Cyclone's serializer puts
+/// into the options.
 Bytes body(Bytes bytes, std::size_t size) {
   EXPECT_EQ(bytes.size(), (size + 3) / 4 * 4);
   bytes.resize(size);
@@ -289,7 +260,7 @@ TEST(Plain, WritersAnnounceXcdr1AloneAndNoTypeInformation) {
   const auto from = writer(*participant, "rt/a");
   const auto peer = domain.peer();
   EXPECT_EQ(peer->ask("announced rt/a", answer_s), "xcdr1 untyped");
-  // To see that there is something to be seen: a type of idlc.
+  // A cross-check that the test can detect it: a type of idlc.
   const auto plain = domain.peer();
   ASSERT_EQ(plain->ask("plain", answer_s), "ready");
   EXPECT_EQ(peer->ask("announced rt/fromString", answer_s), "xcdr1 xcdr2 typed");
@@ -329,7 +300,7 @@ TEST(Qos, TransientLocalKeepsItsDepthForReadersThatComeLater) {
   for (const auto size : {"12", "16", "20"}) EXPECT_EQ(peer->ask("take rt/a", answer_s), size);
 }
 
-TEST(Qos, AStoppedReaderHoldsNoWriterForEver) {
+TEST(Qos, AStoppedReaderBlocksNoWriterForEver) {
   const Domain domain;
   const auto participant = domain.participant();
   const auto last = writer(*participant, "rt/last", "reliable 10");
@@ -341,9 +312,9 @@ TEST(Qos, AStoppedReaderHoldsNoWriterForEver) {
   ASSERT_TRUE(until(*participant, [&] { return last->matched() > 0 && all->matched() > 0; }));
   ::kill(peer->pid(), SIGSTOP);
   const Bytes large = pattern(400'000);
-  // Keep-last lets go of the oldest.
+  // Keep-last drops the oldest.
   for (int i = 0; i < 20; ++i) ASSERT_EQ(send(*last, large).value(), WriteOutcome::sent);
-  // Keep-all may not, and gives up when it owes too much.
+  // Keep-all may not, and refuses a write when too much is unacknowledged.
   int given_up = 0;
   for (int i = 0; i < 5; ++i) given_up += send(*all, large).value() == WriteOutcome::would_block;
   EXPECT_GT(given_up, 0);
@@ -351,7 +322,7 @@ TEST(Qos, AStoppedReaderHoldsNoWriterForEver) {
   ::kill(peer->pid(), SIGCONT);
   EXPECT_TRUE(
       until(*participant, [&] { return send(*all, pattern(77)).value() == WriteOutcome::sent; }));
-  // What was given up is missing, what was sent is there.
+  // The refused messages are missing, the sent ones arrive.
   for (; given_up < 5; ++given_up) EXPECT_EQ(peer->ask("take rt/all", answer_s), "400000");
   EXPECT_EQ(peer->ask("take rt/all", answer_s), "80");
 }
@@ -364,7 +335,7 @@ const RemoteChange* find(const std::vector<RemoteChange>& changes, bool is_there
   return nullptr;
 }
 
-TEST(Discovery, SaysWhoCameWithWhichQosAndWhoWent) {
+TEST(Discovery, ReportsNewEndpointsWithTheirQosAndEndedOnes) {
   const Domain domain;
   const auto participant = domain.participant();
   const auto own = writer(*participant, "rt/own");
@@ -412,14 +383,14 @@ TEST(Discovery, SaysWhoCameWithWhichQosAndWhoWent) {
   EXPECT_EQ(find(changes, false, Remote::Kind::reader, "rt/r"), nullptr);
 }
 
-TEST(Discovery, SaysWhoCameAndWentBetweenTwoLooks) {
+TEST(Discovery, ReportsEndpointsThatCameAndWentBetweenTwoLooks) {
   const Domain domain;
   const auto participant = domain.participant();
   const auto to = reader(*participant, "rt/w");
   const auto peer = domain.peer();
   ASSERT_EQ(peer->ask("reader rt/r agnocast_test::msg::dds_::Raw_ reliable 1"), "made");
   ASSERT_TRUE(until(*participant, [&] { return participant->remotes().size() == 2; }));
-  // From here on only Cyclone's threads follow.
+  // From here on only Cyclone's threads process discovery.
   const auto unseen = [](const auto& condition) {
     const auto end = std::chrono::steady_clock::now() + patience;
     while (!condition() && std::chrono::steady_clock::now() < end) std::this_thread::sleep_for(5ms);
@@ -449,7 +420,7 @@ TEST(Discovery, SaysWhoCameAndWentBetweenTwoLooks) {
   EXPECT_EQ(sample->writer, went->remote.guid);
 }
 
-TEST(Discovery, ForgetsWhatAKilledProcessHadWhenItsLeaseEnds) {
+TEST(Discovery, ForgetsTheEndpointsOfAKilledProcessWhenItsLeaseEnds) {
   const Domain domain;
   const auto participant = domain.participant();
   const auto to = reader(*participant, "rt/w");
@@ -469,156 +440,6 @@ TEST(Discovery, ForgetsWhatAKilledProcessHadWhenItsLeaseEnds) {
   EXPECT_NE(find(changes, false, Remote::Kind::reader, "rt/r"), nullptr);
   EXPECT_NE(find(changes, false, Remote::Kind::participant, ""), nullptr);
   EXPECT_TRUE(until(*participant, [&] { return to->matched() == 0; }));
-}
-
-TEST(Wait, NamesTheReadersThatHaveSamplesUntilTheyAreTaken) {
-  const Domain domain;
-  const auto left = domain.participant(), right = domain.participant();
-  const auto from = writer(*left, "rt/b");
-  const auto quiet = reader(*right, "rt/a");
-  const auto to = reader(*right, "rt/b");
-  ASSERT_TRUE(until(*right, [&] { return to->matched() > 0 && from->matched() > 0; }));
-  ASSERT_EQ(send(*from, pattern(1)).value(), WriteOutcome::sent);
-  ASSERT_EQ(send(*from, pattern(2)).value(), WriteOutcome::sent);
-  for (int left_to_take = 2; left_to_take > 0; --left_to_take) {
-    std::vector<DdsReader*> ready;
-    ASSERT_TRUE(until(*right, [&] {
-      const auto got = right->wait(1s).value();
-      ready.assign(got.readers.begin(), got.readers.end());
-      return !ready.empty();
-    }));
-    ASSERT_EQ(ready, std::vector<DdsReader*>{to.get()});
-    ASSERT_TRUE(to->take());
-  }
-  (void)right->discovered();
-  EXPECT_TRUE(right->wait(0s).value().readers.empty());
-}
-
-TEST(Wait, EndsWhenAnotherThreadInterruptsIt) {
-  const Domain domain;
-  const auto participant = domain.participant();
-  participant->interrupt();
-  EXPECT_TRUE(participant->wait(patience).value().interrupted);
-  EXPECT_FALSE(participant->wait(0s).value().interrupted);
-  std::thread other([&] { participant->interrupt(); });
-  EXPECT_TRUE(until(*participant, [&] { return participant->wait(patience).value().interrupted; }));
-  other.join();
-}
-
-TEST(Refusals, AreFailuresWithAText) {
-  const Domain domain;
-  const auto participant = domain.participant();
-  const auto made = participant->create_writer("rt/a b", raw_type, {});
-  ASSERT_FALSE(made);
-  EXPECT_EQ(made.error().text(), "create a topic: Bad Parameter");
-  EXPECT_FALSE(participant->create_reader("DCPSTopic", raw_type, {}, keep_bytes));
-}
-
-TEST(Limits, AReaderThatIsNotReadKeepsOneMessageAndNoMoreBytesThanItMay) {
-  const Domain domain;
-  const auto left = domain.participant(), right = domain.participant();
-  const auto from = writer(*left, "rt/a", "reliable all");
-  const auto to =
-      right->create_reader("rt/a", raw_type, qos_of("reliable all"), keep_bytes, 8 * 1024).value();
-  ASSERT_TRUE(until(*right, [&] { return to->matched() > 0 && from->matched() > 0; }));
-  const auto have_come = [&](std::uint64_t decoded, std::uint64_t overflow) {
-    return until(*right, [&] { return to->decoded() + to->overflow() == decoded + overflow; }) &&
-           to->decoded() == decoded && to->overflow() == overflow &&
-           right->limits().refused(bridge::Limit::unread_bytes_of_reader) == overflow;
-  };
-  const auto take_all = [&] {
-    int count = 0;
-    while (to->take()) ++count;
-    return count;
-  };
-  for (int i = 0; i < 12; ++i) ASSERT_TRUE(send(*from, pattern(1020)));
-  EXPECT_TRUE(have_come(8, 4)) << to->decoded() << ' ' << to->overflow();
-  EXPECT_EQ(take_all(), 8);
-  ASSERT_TRUE(send(*from, pattern(20'000)));
-  ASSERT_TRUE(send(*from, pattern(0)));
-  EXPECT_TRUE(have_come(9, 5)) << "one of any size, where nothing is unread";
-  EXPECT_EQ(take_all(), 1);
-  // However small, each costs what a KiB does.
-  for (int i = 0; i < 12; ++i) ASSERT_TRUE(send(*from, pattern(0)));
-  EXPECT_TRUE(have_come(17, 9)) << to->decoded() << ' ' << to->overflow();
-}
-
-TEST(Limits, ReadersThatAreFloodedLeaveOneMessageToEachOther) {
-  const Domain domain;
-  const auto left = domain.participant(), right = domain.participant();
-  const Bytes large(60 * bridge::mebibyte);
-  const auto nothing = [](bridge::RawPieces) { return std::make_shared<int>(); };
-  std::vector<std::unique_ptr<DdsReader>> readers;
-  // 240 MiB each of the first two; of the others what comes first.
-  for (const auto& [topic, decoded] :
-       {std::pair("rt/a", 4u), {"rt/b", 4u}, {"rt/c", 1u}, {"rt/d", 1u}}) {
-    SCOPED_TRACE(topic);
-    const auto from = writer(*left, topic, "reliable 1");
-    readers.push_back(reader(*right, topic, "reliable all", raw_type, nothing));
-    DdsReader& to = *readers.back();
-    ASSERT_TRUE(until(*right, [&] { return to.matched() > 0 && from->matched() > 0; }));
-    for (std::uint64_t i = 1; i <= 5; ++i) {
-      ASSERT_TRUE(send(*from, large));
-      ASSERT_TRUE(until(*right, [&] { return to.decoded() + to.overflow() == i; }));
-    }
-    EXPECT_EQ(to.decoded(), decoded);
-  }
-  EXPECT_EQ(right->limits().refused(bridge::Limit::unread_bytes_of_reader), 2u);
-  EXPECT_EQ(right->limits().refused(bridge::Limit::unread_bytes), 8u);
-  // What is taken makes room.
-  readers.clear();
-  const auto from = writer(*left, "rt/c", "reliable 1");
-  const auto to = reader(*right, "rt/c", "reliable all", raw_type, nothing);
-  ASSERT_TRUE(until(*right, [&] { return to->matched() > 0 && from->matched() > 0; }));
-  for (std::uint64_t i = 1; i <= 4; ++i) {
-    ASSERT_TRUE(send(*from, large));
-    ASSERT_TRUE(until(*right, [&] { return to->decoded() == i; }));
-  }
-}
-
-std::size_t entries_in(const char* directory) {
-  DIR* const open = ::opendir(directory);
-  std::size_t count = 0;
-  while (::readdir(open) != nullptr) ++count;
-  ::closedir(open);
-  return count;
-}
-std::size_t resident_kib() {
-  std::ifstream status("/proc/self/status");
-  for (std::string line; std::getline(status, line);)
-    if (line.starts_with("VmRSS:")) return std::stoul(line.substr(6));
-  return 0;
-}
-
-TEST(Endpoints, TwoThousandComeAndGoAndLeaveNothing) {
-  // What grows without end is to fail here, and not to take the machine's memory.
-  const rlimit addresses{rlim_t{8} << 30, RLIM_INFINITY};
-  ASSERT_EQ(::setrlimit(RLIMIT_AS, &addresses), 0);
-  const Domain domain;
-  const auto participant = domain.participant(), other = domain.participant();
-  const auto many = [&](int count) {
-    std::vector<std::unique_ptr<DdsWriter>> writers;
-    std::vector<std::unique_ptr<DdsReader>> readers;
-    for (int i = 0; i < count / 2; ++i) {
-      const std::string topic = "rt/topic_" + std::to_string(i);
-      writers.push_back(writer(*participant, topic));
-      readers.push_back(reader(*participant, topic));
-    }
-    EXPECT_TRUE(
-        until(*other, [&] { return other->remotes().size() > static_cast<std::size_t>(count); }));
-    writers.clear();
-    readers.clear();
-    EXPECT_TRUE(until(*other, [&] { return other->remotes().size() == 1; }));
-  };
-  many(2000);
-  const std::size_t descriptors = open_descriptor_count(), threads = entries_in("/proc/self/task");
-  const std::size_t before_kib = resident_kib();
-  many(2000);
-  many(2000);
-  EXPECT_EQ(open_descriptor_count(), descriptors);
-  EXPECT_EQ(entries_in("/proc/self/task"), threads);
-  // 4,000 endpoints that stayed would be above 20 MB.
-  EXPECT_LT(resident_kib(), before_kib + 8 * 1024);
 }
 
 }  // namespace

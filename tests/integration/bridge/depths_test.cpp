@@ -1,7 +1,8 @@
 // SPDX-License-Identifier: Apache-2.0
 //
-// Goal: what a publisher keeps, and whether it is held up, is the same beside publishers that keep less or more, and
-// readers that become deeper lose nothing. Method: the bridge is stopped while somebody publishes.
+// Goal: a publisher's history, and whether it blocks, are the same beside publishers that keep
+// less or more, and readers that become deeper lose nothing. Method: the bridge is stopped while
+// publishers publish.
 
 #include <tests/integration/bridge/bridge_side.hpp>
 #include <tests/support/plain_node.hpp>
@@ -39,7 +40,7 @@ class Depths : public BridgeTest {
   }
   void stop() const { ASSERT_EQ(::kill(bridge_->pid(), SIGSTOP), 0); }
   void go_on() const { ASSERT_EQ(::kill(bridge_->pid(), SIGCONT), 0); }
-  /// Until it hears them both; one that keeps all may be held up meanwhile.
+  /// Waits until the reader receives both; a keep-all publisher may block meanwhile.
   bool hears(DdsReader& reader, Publisher<String>& one, Publisher<String>& other) {
     bool from_one = false, from_other = false;
     return other_.eventually([&] {
@@ -55,17 +56,17 @@ class Depths : public BridgeTest {
       return from_one && from_other;
     });
   }
-  /// 0 … numbers - 1 come next, in this order.
+  /// Expects 0 … numbers - 1 next, in this order.
   void take_numbers(DdsReader& reader, int numbers) {
     for (int i = 0; i < numbers; ++i) {
       const auto got = other_.take<String>(reader);
-      ASSERT_NE(got, nullptr) << "nothing more comes after " << i;
+      ASSERT_NE(got, nullptr) << "nothing more arrives after " << i;
       ASSERT_EQ(got->data, std::to_string(i));
     }
   }
 };
 
-TEST_F(Depths, AreThoseOfEachPublisherAlsoOfOneThatComesLater) {
+TEST_F(Depths, AreThoseOfEachPublisherAlsoOfALaterOne) {
   DdsReader& reader = other_.reads<String>(dds_topic(), keep_last(5000));
   auto shallow = create_publisher<String>(PlainNode(), topic(), 1);
   ASSERT_TRUE(other_.eventually([&] { return is_out(reader, *shallow); }));
@@ -77,7 +78,7 @@ TEST_F(Depths, AreThoseOfEachPublisherAlsoOfOneThatComesLater) {
   int expected = 0;
   while (expected < count) {
     const auto got = other_.take<String>(reader);
-    ASSERT_NE(got, nullptr) << "nothing more comes, and so much is lost before " << expected;
+    ASSERT_NE(got, nullptr) << "nothing more arrives; messages lost before " << expected;
     if (got->data == "one" || got->data == "other") continue;
     ASSERT_EQ(got->data, std::to_string(expected));
     ++expected;
@@ -99,13 +100,13 @@ TEST_F(Depths, OfOneMessageEachLeaveALateReaderAllHistories) {
   std::set<std::string> got;
   while (got.size() < expected.size()) {
     const auto message = other_.take<String>(reader);
-    ASSERT_NE(message, nullptr) << "nothing more comes after " << got.size();
+    ASSERT_NE(message, nullptr) << "nothing more arrives after " << got.size();
     EXPECT_TRUE(got.insert(message->data).second) << message->data << " came twice";
   }
   EXPECT_EQ(got, expected);
 }
 
-TEST_F(Depths, OfOneMessageEachAreKeptWhileTheBridgeIsBehind) {
+TEST_F(Depths, OfOneMessageEachAreKeptWhileTheBridgeLags) {
   DdsReader& reader = other_.reads<String>(dds_topic(), keep_last(5000));
   auto one = create_publisher<String>(PlainNode(), topic(), 1);
   auto other = create_publisher<String>(PlainNode(), topic(), 1);
@@ -116,14 +117,14 @@ TEST_F(Depths, OfOneMessageEachAreKeptWhileTheBridgeIsBehind) {
   go_on();
   for (bool has_one = false, has_other = false; !has_one || !has_other;) {
     const auto got = other_.take<String>(reader);
-    ASSERT_NE(got, nullptr) << "nothing more comes; of one: " << has_one;
+    ASSERT_NE(got, nullptr) << "nothing more arrives; of one publisher: " << has_one;
     has_one |= got->data == "last of one";
     has_other |= got->data == std::to_string(count - 1);
   }
 }
 
-// Its own tap is made because of it, and after it has seen another one.
-TEST_F(Depths, OfANewPublisherLoseNothingOfWhatItPublishesAtOnce) {
+// The bridge makes its local reader for it, after it has seen another publisher.
+TEST_F(Depths, OfANewPublisherLoseNoneOfItsFirstMessages) {
   DdsReader& reader = other_.reads<String>(dds_topic(), keep_last(5000));
   auto first = create_publisher<String>(PlainNode(), topic(), 10);
   ASSERT_TRUE(other_.eventually([&] { return is_out(reader, *first); }));
@@ -137,14 +138,14 @@ TEST_F(Depths, OfANewPublisherLoseNothingOfWhatItPublishesAtOnce) {
   }
 }
 
-// A tap of another depth has only the last one, and may be first.
-TEST_F(Depths, OfANewPublisherAreNotThoseOfATapThatKeepsLess) {
+// A local reader of another depth has only its last message, and may be first.
+TEST_F(Depths, OfANewPublisherAreNotThoseOfAShallowerLocalReader) {
   DdsReader& reader = other_.reads<String>(dds_topic(), keep_last(5000));
   std::vector<Publisher<String>::SharedPtr> all = {
       create_publisher<String>(PlainNode(), topic(), 1)};
   ASSERT_TRUE(other_.eventually([&] { return is_out(reader, *all.front()); }));
   for (std::size_t round = 0; round < 20; ++round) {
-    // The first one of a depth has its tap made, the second one finds it.
+    // The first one of a depth makes a local reader, the second one finds it.
     all.push_back(create_publisher<String>(PlainNode(), topic(), 10 + round / 2));
     const Publisher<String>& next = *all.back();
     ASSERT_TRUE(other_.eventually([&] { return next.get_subscription_count() == 2 + round / 2; }));
@@ -156,7 +157,7 @@ TEST_F(Depths, OfANewPublisherAreNotThoseOfATapThatKeepsLess) {
   }
 }
 
-TEST_F(Depths, OfANewKeepAllPublisherHoldItUpAndLoseNothing) {
+TEST_F(Depths, OfANewKeepAllPublisherBlockItAndLoseNothing) {
   DdsReader& reader = other_.reads<String>(dds_topic(), keep_last(5000));
   auto first = create_publisher<String>(PlainNode(), topic(), QoS(1).keep_all(10));
   ASSERT_TRUE(other_.eventually([&] { return is_out(reader, *first); }));
@@ -166,14 +167,14 @@ TEST_F(Depths, OfANewKeepAllPublisherHoldItUpAndLoseNothing) {
     for (int i = 0; i < 40; ++i) {
       const auto deadline = std::chrono::steady_clock::now() + patience;
       while (!publish(*next, std::to_string(i)))
-        ASSERT_LT(std::chrono::steady_clock::now(), deadline) << "held up for ever";
+        ASSERT_LT(std::chrono::steady_clock::now(), deadline) << "blocked for ever";
     }
     SCOPED_TRACE(round);
     ASSERT_NO_FATAL_FAILURE(take_numbers(reader, 40));
   }
 }
 
-TEST_F(Depths, OfKeepAllHoldUpItsPublisherAndNoOther) {
+TEST_F(Depths, OfKeepAllBlockTheirPublisherAndNoOther) {
   DdsReader& reader = other_.reads<String>(dds_topic(), keep_last(5000));
   auto last = create_publisher<String>(PlainNode(), topic(), 5);
   ASSERT_TRUE(other_.eventually([&] { return is_out(reader, *last); }));
@@ -183,13 +184,14 @@ TEST_F(Depths, OfKeepAllHoldUpItsPublisherAndNoOther) {
   PublishResult held;
   for (int i = 0; i < count && held.code != Errc::would_block; ++i)
     held = publish(*all, std::to_string(i));
-  EXPECT_EQ(held.code, Errc::would_block) << "the bridge has not read, and nobody waits for it";
+  EXPECT_EQ(held.code, Errc::would_block)
+      << "the bridge has not read, and the publish does not wait for it";
   for (int i = 0; i < count; ++i) EXPECT_TRUE(publish(*last, "last"));
   go_on();
   EXPECT_TRUE(hears(reader, *last, *all));
 }
 
-TEST_F(Depths, OfInletsGrowWithoutALossToThoseWhoAreThere) {
+TEST_F(Depths, OfDdsReadersGrowWithoutALossForExistingReaders) {
   auto early = create_subscription<String>(PlainNode(), topic(), 100);
   std::vector<Subscription<String>::SharedPtr> late;
   DdsWriter& writer = other_.writes(dds_topic(), dds_type_name<String>(), keep_last(100));
@@ -211,7 +213,7 @@ TEST_F(Depths, OfInletsGrowWithoutALossToThoseWhoAreThere) {
     }
     return depths;
   };
-  // Each has the bridge read with another inlet, while messages flow.
+  // Each makes the bridge read with another DDS reader, while messages flow.
   for (const std::int32_t depth : {150, 300, 1000}) {
     late.push_back(
         create_subscription<String>(PlainNode(), topic(), QoS(static_cast<std::size_t>(depth))));

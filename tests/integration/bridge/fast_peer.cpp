@@ -1,17 +1,18 @@
 // SPDX-License-Identifier: Apache-2.0
 //
-// A program of Fast DDS that has nothing of ours and does what rmw_fastrtps_cpp does for topics of one node, as it does
-// with ROS_LOCALHOST_ONLY=1: UDP on the loopback device, and the shared memory of its vendor beside it. Its types are
-// written with Fast CDR. Steered line by line:
-//   fast_peer DOMAIN [no-shm]        its node is /fast_peer. no-shm: for one that is to be killed, which would leave files behind
-//     writer NAME TOPIC TYPE QOS…    TYPE: String, Bool, Cloud, Markers; QOS: best or reliable, transient, all or a depth
+// A program of Fast DDS without any of our code that does the same as rmw_fastrtps_cpp for topics
+// of one node, with ROS_LOCALHOST_ONLY=1: UDP on the loopback device, and the vendor's shared
+// memory beside it. Its types are written with Fast CDR. Steered line by line:
+//   fast_peer DOMAIN [no-shm]        its node is /fast_peer. no-shm: for one to be killed
+//     writer NAME TOPIC TYPE QOS…    TYPE: String, Bool, Cloud, Markers
+//                                    QOS: best or reliable, transient, all or a depth
 //     reader NAME TOPIC TYPE QOS…
 //     matched NAME                   how many
 //     write NAME NUMBER              the message of that number (values.hpp)
-//     letters NAME NUMBER COUNT      a String of so many
-//     take NAME                      the next message, as text; "none" when none is there
+//     letters NAME NUMBER COUNT      a String of that many letters
+//     take NAME                      the next message, as text; "none" without one
 //     others TOPIC                   endpoints that other participants announce: a sorted list
-//     nodes                          of other participants, by ros_discovery_info: "NODE TOPIC …", a sorted list
+//     nodes                          of others, by ros_discovery_info: sorted "NODE TOPIC …"
 //     delete NAME
 
 #include <tests/integration/bridge/values.hpp>
@@ -121,7 +122,7 @@ struct SeeEntities {
 template <class M, class See>
 class TypeOf : public TopicDataType {
  public:
-  /// `fixed_bytes`: of the body, if every message has as many.
+  /// `fixed_bytes`: the size of the body, if it is the same for all messages.
   TypeOf(const char* name, std::uint32_t fixed_bytes) {
     setName(name);
     m_isGetKeyDefined = false;
@@ -209,7 +210,7 @@ const std::map<std::string, Type>& types() {
 
 using Gid = decltype(rmw_dds_common::msg::Gid::data);
 
-/// 16 bytes of DDS and 8 zeros.
+/// Returns 16 bytes of DDS and 8 zeros.
 Gid gid_of(const rtps::GUID_t& guid) {
   Gid gid{};
   const auto after =
@@ -218,7 +219,7 @@ Gid gid_of(const rtps::GUID_t& guid) {
   return gid;
 }
 
-/// What others announce. Fast DDS tells it in threads of its own.
+/// Endpoints that others announce. Fast DDS reports them in threads of its own.
 class Others : public DomainParticipantListener {
  public:
   void on_participant_discovery(DomainParticipant*,
@@ -231,7 +232,7 @@ class Others : public DomainParticipantListener {
     else
       participants_.insert(gid);
   }
-  // Own endpoints are told as well.
+  // It reports own endpoints as well.
   void on_subscriber_discovery(DomainParticipant* own, rtps::ReaderDiscoveryInfo&& news) override {
     if (news.info.guid().guidPrefix == own->guid().guidPrefix) return;
     note("reader ", news.info, news.status == rtps::ReaderDiscoveryInfo::REMOVED_READER);
@@ -429,7 +430,7 @@ class Peer {
     return status.current_count;
   }
 
-  /// The own node, whole, as after each change.
+  /// Announces the own node, completely, as after each change.
   void tell() {
     ParticipantEntitiesInfo info;
     info.gid.data = gid_of(participant_->guid());

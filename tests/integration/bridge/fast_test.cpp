@@ -1,7 +1,8 @@
 // SPDX-License-Identifier: Apache-2.0
 //
-// Goal: nodes of ROS 2 that speak Fast DDS, the other vendor, and nodes of this host hear and see each other, whatever is
-// killed. Method: fast_peer; what each peer of another make must get is in peer_test.cpp.
+// Goal: ROS 2 nodes on Fast DDS, the other vendor, and nodes of this host receive and see each
+// other, whichever process is killed. Method: fast_peer; peer_test.cpp covers the messages common
+// to both vendors.
 
 #include <tests/integration/bridge/peer_side.hpp>
 #include <tests/support/ctl.hpp>
@@ -18,7 +19,7 @@ namespace {
 using namespace std::chrono_literals;
 using std_msgs::msg::Bool;
 
-TEST_F(Peer, HasRoomForMessagesOfAFixedSizeAsTheBridgeWritesThem) {
+TEST_F(Peer, HasRoomForTheBridgesMessagesOfAFixedSize) {
   make("reader r " + dds_topic() + " Bool 10");
   make("writer w " + dds_topic() + "_in Bool 10");
   const auto publisher = create_publisher<Bool>(PlainNode(), topic(), 10);
@@ -53,7 +54,8 @@ TEST_F(Peer, ExchangesMessagesOfAMegabyteUnchanged) {
   const auto publisher = create_publisher<String>(PlainNode(), topic(), 10);
   const auto subscription = create_subscription<String>(PlainNode(), topic() + "_in", 10);
   ASSERT_TRUE(answers("matched r", "1"));
-  // Cyclone DDS takes a message for history that is under way, in fragments, when the first heartbeat comes.
+  // Cyclone DDS treats a message that is in transit, in fragments, at the first heartbeat as
+  // history.
   meet<StringKind>(subscription, "letters w 0 " + std::to_string(letters));
   ASSERT_TRUE(other_.eventually([&] { return publisher->get_subscription_count() == 1; }));
   for (std::uint64_t number = 0; number < 5; ++number) {
@@ -111,7 +113,7 @@ TEST_F(Peer, IsShownWithItsNodeByAgnocastCtl) {
       << ctl().err;
 }
 
-/// Both ways between this process and a peer, without a loss once it is made.
+/// Messages both ways between this process and a peer, without a loss once matched.
 class KilledPeer : public Peer {
  protected:
   void SetUp() override {
@@ -125,7 +127,7 @@ class KilledPeer : public Peer {
     EXPECT_EQ(killed_->ask("reader r " + dds_topic() + "_out String 100"), "made");
     EXPECT_EQ(killed_->ask("writer w " + dds_topic() + "_in String 100"), "made");
   }
-  /// Until what is sent after this call arrives, on both sides.
+  /// Waits until messages sent after this call arrive, on both sides.
   void expect_flow(const std::string& after) {
     SCOPED_TRACE(after);
     const std::uint64_t since = number_;
@@ -144,7 +146,7 @@ class KilledPeer : public Peer {
       while (const auto got = subscription_->take()) in |= sent.contains(text_of<SeeString>(*got));
       return out && in;
     })) << (out ? "" : "nothing goes out; ")
-        << (in ? "" : "nothing comes in; ") << "since " << since;
+        << (in ? "" : "nothing comes in; ") << "no message goes out; " << since;
   }
 
   std::unique_ptr<SteeredProcess> killed_;
@@ -155,7 +157,7 @@ class KilledPeer : public Peer {
   std::uint64_t number_ = 0;
 };
 
-TEST_F(KilledPeer, HearsAndIsHeardAgainAfterEitherSideWasKilled) {
+TEST_F(KilledPeer, ReceivesAndIsReceivedAgainAfterEitherSideWasKilled) {
   expect_flow("the start");
   for (int round = 0; round < 2; ++round) {
     bridge_->kill();
@@ -165,12 +167,12 @@ TEST_F(KilledPeer, HearsAndIsHeardAgainAfterEitherSideWasKilled) {
     start_peer();
     expect_flow("SIGKILL of the peer");
   }
-  // What the dead ones had goes when their leases are over; nothing but what lives is left.
+  // Endpoints of dead peers go when their leases end; only those of living ones are left.
   EXPECT_TRUE(other_.eventually([&] {
     return killed_->ask("matched r") == "1" && killed_->ask("matched w") == "1" &&
            publisher_->get_subscription_count() == 1 && subscription_->get_publisher_count() == 1;
   })) << killed_->ask("matched r")
-      << " writers, " << killed_->ask("matched w") << " readers";
+      << " no message comes in; " << killed_->ask("matched w") << " readers";
 }
 
 }  // namespace

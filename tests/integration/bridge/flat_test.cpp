@@ -1,7 +1,7 @@
 // SPDX-License-Identifier: Apache-2.0
 //
-// Goal: who comes and goes leaves nothing behind in the bridge, and a bridge for which there is nothing to do does
-// nothing. Method: the real bridge, looked at in /proc.
+// Goal: endpoints that come and go leave nothing behind in the bridge, and an idle bridge does
+// nothing. Method: the real bridge, observed in /proc.
 
 #include <tests/integration/bridge/bridge_side.hpp>
 #include <tests/integration/bridge/held.hpp>
@@ -27,7 +27,7 @@ class Flat : public BridgeTest {
   std::string name(const char* way, std::size_t i) const {
     return topic() + "/" + way + std::to_string(i);
   }
-  /// Of the bridge, on topics of this test.
+  /// Returns the bridge's endpoints on this test's topics.
   std::size_t count(Remote::Kind kind) {
     std::size_t found = 0;
     for (const auto& [guid, remote] : other_.participant().remotes())
@@ -36,7 +36,7 @@ class Flat : public BridgeTest {
   }
 };
 
-TEST_F(Flat, TenThousandEndpointsOfOthersAndOursComeAndGoAndLeaveNothing) {
+TEST_F(Flat, TenThousandEndpointsOfBothSidesComeAndGoAndLeaveNothing) {
   static constexpr std::size_t topics = 40, of_each = 12, rounds = 11, warm_rounds = 3;
   static_assert(topics * of_each * 2 * rounds >= 10'000);
   const auto staying = create_subscription<String>(PlainNode(), topic() + "/staying", 5);
@@ -54,7 +54,7 @@ TEST_F(Flat, TenThousandEndpointsOfOthersAndOursComeAndGoAndLeaveNothing) {
     ASSERT_TRUE(other_.eventually([&] {
       return count(Remote::Kind::writer) == topics && count(Remote::Kind::reader) == topics + 1;
     }));
-    // Every route is there on this side as well.
+    // Every route exists on this side as well.
     ASSERT_TRUE(other_.eventually([&] {
       return std::all_of(publishers.begin(), publishers.end(),
                          [](const auto& one) { return one->get_subscription_count() == 1; }) &&
@@ -62,7 +62,7 @@ TEST_F(Flat, TenThousandEndpointsOfOthersAndOursComeAndGoAndLeaveNothing) {
                          [](const auto& one) { return one->get_publisher_count() == of_each; });
     }));
     other_.forget();
-    // Nothing flows any more; publishers stay announced for as long as they are there.
+    // No messages flow any more; publishers stay announced as long as they exist.
     ASSERT_TRUE(other_.eventually([&] {
       return std::all_of(publishers.begin(), publishers.end(),
                          [](const auto& one) { return one->get_subscription_count() == 0; });
@@ -86,8 +86,8 @@ TEST_F(Flat, TenThousandEndpointsOfOthersAndOursComeAndGoAndLeaveNothing) {
   })) << after.descriptors
       << " descriptors, before " << before.descriptors << "; " << after.threads
       << " threads, before " << before.threads;
-  // 7,000 endpoints that stayed would be above 30 MB. What was needed at a time, when a loaded machine let much come at once,
-  // goes again in later rounds; what is lost would only become more.
+  // 7,000 leaked endpoints would exceed 30 MB. A peak, when a loaded machine let many endpoints
+  // come at once, goes away in later rounds; a leak would only grow.
   const auto is_flat = [&] {
     return held_by(bridge_->pid()).resident_kib < before.resident_kib + 8 * 1024;
   };
@@ -99,7 +99,7 @@ TEST_F(Flat, TenThousandEndpointsOfOthersAndOursComeAndGoAndLeaveNothing) {
                          << before.resident_kib;
 }
 
-/// How often each thread but Cyclone DDS's went to sleep, as each wakes before; by name and id.
+/// Returns how often each thread but Cyclone DDS's slept, and so woke; by name and id.
 std::map<std::string, std::uint64_t> switches_of(pid_t pid) {
   static const std::set<std::string> of_cyclone = {"gc",     "tev",     "recv",        "recvMC",
                                                    "recvUC", "dq.user", "dq.builtins", "xmit.user"};
@@ -133,7 +133,7 @@ TEST_F(Flat, WithoutMessagesTheBridgeSleepsAndTheLibrarysThreadsWakeOnceASecond)
            std::all_of(subscriptions.begin(), subscriptions.end(),
                        [](const auto& one) { return one->get_publisher_count() == 1; });
   }));
-  // What has just been made settles first; a machine may be slow at that.
+  // New threads settle first, which may take a slow machine longer.
   constexpr std::uint64_t seconds = 4;
   std::string counted;
   EXPECT_TRUE(other_.eventually([&] {

@@ -1,6 +1,6 @@
 // SPDX-License-Identifier: Apache-2.0
 //
-// What a process holds, to see that it has not more of it than before.
+// The resources of a process, to check that it has no more than before.
 #pragma once
 
 #include <dirent.h>

@@ -1,21 +1,22 @@
 // SPDX-License-Identifier: Apache-2.0
 //
-// A hostile participant of DDS, steered line by line: a program of Cyclone DDS that sends raw CDR, and says of itself
-// whatever it likes. Each line is answered when it is done.
+// A hostile participant of DDS, steered line by line: a program of Cyclone DDS that sends raw CDR
+// and false announcements. It answers each line when done.
 //
 //   hostile_peer DOMAIN
 //
-//   malform TOPIC TYPE               one of each malformed payload                          sent COUNT
-//   flood TOPIC TYPE QOS BYTES N     N strings of BYTES letters; QOS as qos_of() reads it   sent COUNT
-//   endpoints N                      N writers of topics that nobody has                    made
-//   others TOPIC TYPE N              N writers and N readers of that topic                  made
-//   forget                           all of these                                           forgotten
-//   churn TOPIC TYPE N               a writer that writes and a reader, made and deleted    done
-//   nodes                            malformed and huge ros_discovery_info                  sent COUNT
-//   ask SERVICE N BYTES              N requests of that size, of clients without ears       sent COUNT
-//   serve SERVICE                    a server that answers each request twice, and requests of others; until the end
-//   answered                         how many requests it has answered                      COUNT
-//   garbage PORT N                   N datagrams to 127.0.0.1: noise, and noise behind a header of RTPS
+//   malform TOPIC TYPE               one of each malformed payload → sent COUNT
+//   flood TOPIC TYPE QOS BYTES N     N strings of BYTES letters; QOS as in qos_of() → sent COUNT
+//   endpoints N                      N writers of topics that nobody else has → made
+//   others TOPIC TYPE N              N writers and N readers of that topic → made
+//   forget                           deletes all of these → forgotten
+//   churn TOPIC TYPE N               a writer that writes and a reader, made and deleted → done
+//   nodes                            malformed and huge ros_discovery_info → sent COUNT
+//   ask SERVICE N BYTES              N requests of that size, of readerless clients → sent COUNT
+//   serve SERVICE                    until the end: a server that answers each request twice,
+//                                    and requests of others
+//   answered                         how many requests it has answered → COUNT
+//   garbage PORT N                   N datagrams to 127.0.0.1: noise, some after an RTPS header
 
 #include <bridge/dds/names.hpp>
 #include <tests/integration/bridge/dds_side.hpp>
@@ -61,7 +62,8 @@ class Cdr {
   Bytes bytes_;
 };
 
-/// What no message of any of the types in the tests is, in an encapsulation that Cyclone DDS hands on.
+/// Returns payloads that are no message of any type in the tests, in an encapsulation that Cyclone
+/// DDS accepts.
 std::vector<Bytes> malformed() {
   std::vector<Bytes> all;
   const auto add = [&](const Bytes& bytes) { all.push_back(bytes); };
@@ -76,7 +78,7 @@ std::vector<Bytes> malformed() {
   Cdr nested;
   for (int i = 0; i < 1'000; ++i) nested.u32(0x40000000);
   add(nested);
-  // Counts that are believable alone, and not together.
+  // Counts that are plausible alone, and not together.
   Cdr greedy;
   for (int i = 0; i < 4'000; ++i) greedy.u32(4'001);
   add(greedy);
@@ -86,7 +88,7 @@ std::vector<Bytes> malformed() {
     for (std::byte& byte : noise) byte = std::byte(random());
     noise[0] = std::byte{0};
     noise[1] = std::byte{1};
-    noise[7] |= std::byte{0x80};  // its first length is always beyond it
+    noise[7] |= std::byte{0x80};  // its first length always exceeds it
     noise[11] |= std::byte{0x80};
     all.push_back(noise);
   }
@@ -197,18 +199,18 @@ class Attacker {
     std::vector<Bytes> all = malformed();
     all.push_back(head(1'000'000));
     all.push_back(head(0xffffffff));
-    // A million that are there: 24 bytes each, of which the first 1 MiB would be read.
+    // A million complete nodes: 24 bytes each, of which the bridge would read the first 1 MiB.
     Cdr million = head(1'000'000);
     for (int i = 0; i < 1'000'000; ++i) million.text("/").text("n").u32(0).u32(0);
     all.push_back(million);
-    // One node with as many endpoints as nobody has.
+    // One node with an impossible number of endpoints.
     all.push_back(head(1).text("/").text("n").u32(0x10000000));
-    // Of another participant.
+    // Claims a node of another participant.
     Cdr impostor;
     Bytes other(16, std::byte{9});
     impostor.raw(other.data(), other.size());
     all.push_back(impostor.u32(1).text("/").text("impostor").u32(0).u32(0));
-    // As many as one message may have, which are true.
+    // The maximum of one message, all true.
     Cdr many = head(40'000);
     for (int i = 0; i < 40'000; ++i) many.text("/").text("n").u32(0).u32(0);
     all.push_back(many);
@@ -232,7 +234,7 @@ class Attacker {
     for (std::size_t i = 0; i < count; ++i) {
       Cdr request;
       request.u64(77).u64(i).u64(1).u64(2);
-      const std::string rest(bytes, 'r');  // behind the last member: anything may follow there
+      const std::string rest(bytes, 'r');  // after the last member: any bytes may follow there
       request.raw(rest.data(), rest.size());
       sent += send(*writer, request, static_cast<std::int64_t>(i + 1)).has_value();
     }
@@ -267,8 +269,8 @@ class Attacker {
           (void)send(*writer, Cdr().u64(to).u64(which).u64(sum));
         };
         answer(client + 1, number, 1);       // another client
-        answer(client, number + 1'000, 2);   // what nobody has asked
-        (void)send(*writer, Cdr().u64(client));  // cut off
+        answer(client, number + 1'000, 2);   // no client has asked this
+        (void)send(*writer, Cdr().u64(client));  // truncated
         answer(client, number, a + b);
         answer(client, number, 3);  // again
         answer(client, number, 4);
@@ -292,7 +294,7 @@ class Attacker {
       for (std::uint8_t& byte : packet) byte = static_cast<std::uint8_t>(random());
       if (i % 3 != 0 && packet.size() >= 24) {
         std::memcpy(packet.data(), "RTPS\2\1\1\20", 8);
-        // A submessage that exists, with a length that is nearly right.
+        // An existing submessage kind, with a length that is nearly right.
         constexpr std::uint8_t kinds[] = {0x01, 0x06, 0x07, 0x08, 0x09, 0x0c, 0x0d,
                                           0x0e, 0x12, 0x13, 0x15, 0x16};
         packet[20] = kinds[random() % sizeof kinds];
@@ -319,7 +321,7 @@ class Attacker {
   void wait_for(const DdsWriter& writer) {
     (void)until(*participant_, [&] { return writer.matched() > 0; });
   }
-  /// What a writer has not sent goes with it.
+  /// Deleting a writer drops its unsent data.
   static void linger() { std::this_thread::sleep_for(std::chrono::milliseconds(200)); }
 
   std::unique_ptr<DdsParticipant> participant_;

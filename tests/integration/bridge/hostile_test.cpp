@@ -1,9 +1,10 @@
 // SPDX-License-Identifier: Apache-2.0
 //
-// Goal: a hostile participant in DDS costs the bridge bounded memory, and its own endpoints and messages alone: other
-// routes go on both ways, and what was refused is counted by its reason. Method: hostile_peer, a process that sends raw
-// payloads and announces whatever it likes, on the loopback device; beside it a topic with a publisher and a subscription
-// of this host and an honest participant, by which messages go on.
+// Goal: a hostile participant in DDS costs the bridge bounded memory, and affects only its own
+// endpoints and messages: other routes go on both ways, and refusals are counted by their reason.
+// Method: hostile_peer, a process that sends raw payloads and announces anything, on the loopback
+// device; beside it a topic with a publisher and a subscription of this host and an honest
+// participant, on which messages go on.
 
 #include <tests/integration/bridge/bridge_side.hpp>
 #include <tests/support/plain_node.hpp>
@@ -63,7 +64,7 @@ class HostileDds : public BridgeTest {
   }
   std::string beside() const { return topic() + "_beside"; }
 
-  /// A message each way arrives.
+  /// Returns whether a message each way arrives.
   bool is_still_bridging() {
     const std::string text = "number " + std::to_string(++number_);
     auto loan = out_->borrow_loaned_message();
@@ -80,7 +81,8 @@ class HostileDds : public BridgeTest {
       return is_out && is_in;
     });
   }
-  /// The most memory that the bridge has had, private and shared. Its own heap counts with what it touched.
+  /// Returns the bridge's peak memory, private and shared. Its own heap counts with the touched
+  /// pages.
   std::size_t peak_bytes() const {
     std::ifstream file("/proc/" + std::to_string(bridge_->pid()) + "/status");
     for (std::string line; std::getline(file, line);) {
@@ -128,7 +130,7 @@ TEST_F(HostileDds, MalformedPayloadsOfEveryTypeAreCountedAndNothingElse) {
                {"_c", dds_type_name<sensor_msgs::msg::PointCloud2>()},
                {"_m", dds_type_name<visualization_msgs::msg::MarkerArray>()}};
   for (const auto& [suffix, type] : kinds) {
-    // Again, since the bridge's side may hear of the writer after its first payloads.
+    // Repeated, since the bridge may discover the writer after its first payloads.
     EXPECT_TRUE(other_.eventually([&] {
       const std::string sent = ask("malform " + dds_topic() + suffix + " " + type);
       return sent.starts_with("sent ") && std::stoul(sent.substr(5)) > 200 &&
@@ -143,7 +145,7 @@ TEST_F(HostileDds, MalformedPayloadsOfEveryTypeAreCountedAndNothingElse) {
 }
 
 TEST_F(HostileDds, TenThousandEndpointsAreFollowedUpToALimit) {
-  // Cyclone DDS has no more than some 8,000 in one process.
+  // Cyclone DDS has at most some 8,000 in one process.
   const auto second = make_peer();
   ASSERT_EQ(ask("endpoints 5000"), "made");
   second->tell("endpoints 5000");
@@ -162,7 +164,7 @@ TEST_F(HostileDds, TenThousandEndpointsAreFollowedUpToALimit) {
   EXPECT_TRUE(is_still_bridging());
 }
 
-TEST_F(HostileDds, EndpointsThatComeAndGoFastHoldUpNobody) {
+TEST_F(HostileDds, EndpointsThatComeAndGoFastDelayNobody) {
   auto publisher = create_publisher<String>(PlainNode(), topic(), QoS(5).transient_local());
   const auto subscription = create_subscription<String>(PlainNode(), topic(), QoS(1000));
   peer_->tell("churn " + dds_topic() + " " + string_type + " 1000");
@@ -205,7 +207,7 @@ TEST_F(HostileDds, OneParticipantLeavesPlacesOfATopicToOthers) {
     other_.look(std::chrono::milliseconds(10));
     while (const auto heard = subscription->take()) is_heard |= heard->data == "honest";
     return is_heard;
-  })) << "all places are the hostile participant's";
+  })) << "the hostile participant has all places";
   EXPECT_TRUE(is_still_bridging());
 }
 
@@ -218,7 +220,7 @@ TEST_F(HostileDds, AFloodOfALargeKeepAllHistoryIsBoundedInMemory) {
   EXPECT_LT(peak_bytes(), 900 * mebibyte) << "1,500 MB were sent";
 }
 
-TEST_F(HostileDds, AFloodOfSmallMessagesLeavesOtherRoutesTheirTurn) {
+TEST_F(HostileDds, AFloodOfSmallMessagesDoesNotStarveOtherRoutes) {
   const auto subscription =
       create_subscription<String>(PlainNode(), topic(), QoS(10).best_effort());
   peer_->tell("flood " + dds_topic() + " " + string_type + " best,1 20 300000");
@@ -231,17 +233,17 @@ TEST_F(HostileDds, AFloodOfSmallMessagesLeavesOtherRoutesTheirTurn) {
 TEST_F(HostileDds, AHistoryTakesNoMoreOfTheHeapThanItsShare) {
   const auto subscription =
       create_subscription<String>(PlainNode(), topic(), QoS(1).transient_local());
-  // 400 MB, which the writer says it keeps.
+  // 400 MB, which the writer claims to keep.
   EXPECT_EQ(ask("flood " + dds_topic() + " " + string_type +
                 " reliable,transient,1000 2000000 200"),
             "sent 200");
   EXPECT_TRUE(other_.eventually([&] { return refused(Limit::history_bytes_of_source) > 0; }));
   EXPECT_TRUE(is_still_bridging());
-  EXPECT_TRUE(take_soon(subscription)) << "what is newest goes on";
+  EXPECT_TRUE(take_soon(subscription)) << "the newest messages still arrive";
 }
 
-TEST_F(HostileDds, LiesAboutNodesCostABoundedGraphAndTheirNamesAlone) {
-  // An honest writer's node is known by its participant's word.
+TEST_F(HostileDds, LiesAboutNodesCostABoundedGraphAndOnlyTheirOwnNames) {
+  // An honest writer's node is known from its participant's announcement.
   const auto honest = bridge::RosGraph::create(other_.participant(), bridge::RosGraph::Speak::iron)
                           .value();
   ASSERT_TRUE(honest->set_nodes({{"/", "honest", {}, {writer_->guid()}}}));
@@ -262,7 +264,7 @@ TEST_F(HostileDds, LiesAboutNodesCostABoundedGraphAndTheirNamesAlone) {
   EXPECT_LT(peak_bytes(), 400 * mebibyte);
 }
 
-TEST_F(HostileDds, WrongTypesUnderRightNamesAreNamedAndRightOnesGoOn) {
+TEST_F(HostileDds, WrongTypesUnderRightNamesAreReportedAndRightOnesGoOn) {
   auto publisher = create_publisher<String>(PlainNode(), topic(), QoS(10));
   const auto subscription = create_subscription<String>(PlainNode(), topic(), QoS(10));
   ASSERT_EQ(ask("others " + dds_topic() + " std_msgs::msg::dds_::Int32_ 300"), "made");
@@ -286,7 +288,7 @@ TEST_F(HostileDds, RequestsOfOneClientLeavePlacesToOthers) {
          const ipc_shared_ptr<AddTwoInts::Response>& response) {
         response->sum = request->a + request->b;
       });
-  // 500 MB, of a client without an ear for responses.
+  // 500 MB, of a client without a reader for responses.
   peer_->tell("ask " + topic() + " 5000 100000");
   for (int i = 0; i < 10; ++i) EXPECT_TRUE(is_still_bridging()) << i;
   EXPECT_EQ(peer_->answer(300), "sent 5000");
@@ -309,7 +311,7 @@ TEST_F(HostileDds, RequestsOfOneClientLeavePlacesToOthers) {
   for (const auto& [at, value] : {std::pair(4, 5), {12, 1}, {20, 2}, {28, 3}})
     request[static_cast<std::size_t>(at)] = std::byte(value);
   ASSERT_TRUE(send(asks, request));
-  // All clients of a service share the topic of its answers.
+  // All clients of a service share the topic of its responses.
   for (;;) {
     const auto answer = other_.take<Received>(answers);
     ASSERT_NE(answer, nullptr) << "the flood has taken its place";
@@ -323,7 +325,7 @@ TEST_F(HostileDds, RequestsOfOneClientLeavePlacesToOthers) {
   EXPECT_TRUE(is_still_bridging());
 }
 
-TEST_F(HostileDds, AServerThatAnswersTwiceOrOthersIsHeardOnce) {
+TEST_F(HostileDds, DuplicateAndForeignResponsesOfAServerAreDropped) {
   ASSERT_EQ(ask("serve " + topic()), "serves");
   const auto client = create_client<AddTwoInts>(PlainNode(), topic());
   ASSERT_TRUE(client->wait_for_service(std::chrono::seconds(60)));
@@ -348,8 +350,8 @@ TEST_F(HostileDds, AServerThatAnswersTwiceOrOthersIsHeardOnce) {
   EXPECT_TRUE(is_still_bridging());
 }
 
-TEST_F(HostileDds, NoiseAtItsPortsIsNothing) {
-  // RTPS 2.3, 9.6.1: the ports of the domain's first participants, of discovery and of messages.
+TEST_F(HostileDds, NoiseAtItsPortsIsIgnored) {
+  // RTPS 2.3, 9.6.1: the ports of the domain's first participants, for discovery and for messages.
   const std::size_t base = 7'400 + 250 * domain->id();
   for (std::size_t i = 0; i < 8; ++i) {
     for (const std::size_t kind : {10U, 11U})

@@ -1,6 +1,6 @@
 // SPDX-License-Identifier: Apache-2.0
 //
-// Two hosts on this one: network namespaces with a cable between (a veth pair), each with an agnocastd, an
+// Two hosts on this one: network namespaces connected by a veth pair, each with an agnocastd, an
 // agnocast-bridge and processes of its own. Needs root.
 #pragma once
 
@@ -27,7 +27,7 @@ inline bool can_make_network_namespaces() {
   return std::system("unshare --net true 2>/dev/null && ip -V >/dev/null 2>&1") == 0;
 }
 
-/// Holds its namespace until it ends.
+/// Keeps its namespace alive until it ends.
 class NetworkNamespace {
  public:
   NetworkNamespace() { EXPECT_EQ(holder_.ask("there"), "there"); }
@@ -58,7 +58,7 @@ class Host {
                 lease_ + "</LeaseDuration></Discovery></Domain></CycloneDDS>"});
   }
   SteeredProcess& bridge(std::uint32_t domain = 0) { return *bridges_.at(domain); }
-  /// A process with agnocast endpoints.
+  /// Starts a process with agnocast endpoints.
   std::unique_ptr<SteeredProcess> process(std::uint32_t domain = 0) const {
     return std::make_unique<SteeredProcess>(
         std::vector<std::string>{AGNOCAST_LOCAL_PEER},
@@ -97,7 +97,8 @@ struct TwoHosts {
   Host left, right;
 };
 
-/// What a subscription of local_peer got, by the names of publishers; and which publishers it was told of.
+/// The messages of a local_peer's subscription, by the names of publishers; and the publishers
+/// that it knows.
 struct Heard {
   std::map<std::string, std::vector<std::uint64_t>> numbers;
   std::map<std::string, std::vector<std::string>> publishers;
@@ -126,7 +127,7 @@ struct Heard {
         if (list[i - 1] >= list[i]) return false;
     return true;
   }
-  /// Every number between the first and the last.
+  /// Returns whether no number between is missing.
   bool is_complete(const std::string& name) const {
     const auto found = numbers.find(name);
     return found != numbers.end() && !found->second.empty() &&
@@ -134,7 +135,7 @@ struct Heard {
   }
 };
 
-// Only a test that fails waits as long.
+// Only a failing test waits this long.
 constexpr std::chrono::seconds patience{60};
 
 inline bool eventually_s(const std::function<bool()>& condition) {

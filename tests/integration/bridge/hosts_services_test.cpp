@@ -1,8 +1,8 @@
 // SPDX-License-Identifier: Apache-2.0
 //
-// Goal: a client of one host is answered by a server of another one as if there were no bridges between, never twice and
-// never in a circle; and whatever dies or is unplugged, each request ends, and later ones are answered. Method: that of
-// hosts_test.cpp.
+// Goal: a server on another host answers a client as if there were no bridges between, never twice
+// and never in a loop; and whatever dies or is unplugged, each request ends, and later ones are
+// answered. Method: that of hosts_test.cpp.
 
 #include <tests/integration/bridge/hosts.hpp>
 
@@ -13,7 +13,7 @@ namespace {
 
 using namespace std::chrono_literals;
 
-/// Of local_peer: the sums, and "failed" for those that ended without one.
+/// Returns local_peer's sums, and "failed" for requests that ended without one.
 std::vector<std::string> ended(SteeredProcess& process, const std::string& client) {
   std::vector<std::string> list;
   std::istringstream words(process.ask("ended " + client));
@@ -23,7 +23,7 @@ std::vector<std::string> ended(SteeredProcess& process, const std::string& clien
 bool is_ready(SteeredProcess& process, const std::string& client) {
   return eventually_s([&] { return process.ask("ready " + client) == "yes"; });
 }
-/// Asks one after the other.
+/// Sends one request after the other.
 void expect_answers(SteeredProcess& process, const std::string& client, int count, int add) {
   for (int i = 0; i < count; ++i) {
     ASSERT_EQ(process.ask("call " + client + ' ' + std::to_string(i) + " 10"), "sent");
@@ -37,7 +37,7 @@ void expect_answers(SteeredProcess& process, const std::string& client, int coun
   }
 }
 
-TEST_F(Hosts, AnswerEachOthersClientsOnceEach) {
+TEST_F(Hosts, AnswerClientsOfTheOtherHostOnceEach) {
   TwoHosts hosts;
   hosts.left.start_bridge();
   hosts.right.start_bridge();
@@ -65,14 +65,14 @@ TEST_F(Hosts, AnswerEachOthersClientsOnceEach) {
   expect_sound(hosts.right);
 }
 
-TEST_F(Hosts, LeaveRequestsToTheirOwnServerWhereBothHaveOne) {
+TEST_F(Hosts, LeaveRequestsToTheLocalServerWhereBothHaveOne) {
   TwoHosts hosts;
   hosts.left.start_bridge();
   hosts.right.start_bridge();
   const auto left = hosts.left.process(), right = hosts.right.process();
   ASSERT_EQ(left->ask("serve s /both 1000"), "made");
   ASSERT_EQ(right->ask("serve s /both 2000"), "made");
-  // Tells that the bridges have met.
+  // Shows that the bridges have met.
   ASSERT_EQ(right->ask("serve met /met 0"), "made");
   ASSERT_EQ(left->ask("client met /met"), "made");
   ASSERT_EQ(left->ask("client c /both"), "made");
@@ -80,7 +80,7 @@ TEST_F(Hosts, LeaveRequestsToTheirOwnServerWhereBothHaveOne) {
   ASSERT_TRUE(is_ready(*left, "met") && is_ready(*left, "c") && is_ready(*right, "c"));
   expect_answers(*left, "c", 30, 1000);
   expect_answers(*right, "c", 30, 2000);
-  // Requests that go in a circle would still be coming while these are answered.
+  // Looping requests would still be arriving while these are answered.
   expect_answers(*left, "met", 30, 0);
   EXPECT_EQ(left->ask("served s"), "30");
   EXPECT_EQ(right->ask("served s"), "30");
@@ -98,7 +98,7 @@ struct Asked {
     EXPECT_TRUE(is_ready(*client, "c"));
     expect_answers(*client, "c", 5, 0);
   }
-  /// Some of them are sent, others find nobody.
+  /// Sends some of them; others find no server.
   void ask_some() {
     for (int i = 0; i < 5; ++i) (void)client->ask("call c 1 2");
   }
@@ -129,7 +129,7 @@ TEST_F(Hosts, EndEachRequestWhenTheBridgeOfTheServerIsKilledAndAnswerLaterOnes) 
   }
 }
 
-TEST_F(Hosts, EndEachRequestWhenTheBridgeOfTheServerIsAtOnceAnotherOne) {
+TEST_F(Hosts, EndEachRequestWhenTheBridgeOfTheServerIsReplacedAtOnce) {
   Asked asked;
   asked.ask_some();
   asked.hosts.right.bridge().kill();

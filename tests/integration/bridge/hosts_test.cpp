@@ -1,7 +1,8 @@
 // SPDX-License-Identifier: Apache-2.0
 //
-// Goal: what is published on one host arrives on another as if there were no bridges between, once and in order, and
-// goes on after whatever dies or is unplugged. Method: two network namespaces as two hosts; real cables' ends, real SIGKILL.
+// Goal: a message published on one host arrives on another as if there were no bridges between,
+// once and in order, also after any process dies or the cable is unplugged. Method: two network
+// namespaces as two hosts; a veth pair, real SIGKILL.
 
 #include <tests/integration/bridge/hosts.hpp>
 
@@ -26,7 +27,8 @@ struct Flow {
     EXPECT_EQ(from->ask("pub p /flow " + qos), "made");
     EXPECT_EQ(to->ask("sub s /flow " + qos), "made");
   }
-  /// One more message; true when one that was published since the call of the same `since` has arrived.
+  /// Publishes one more message; returns true when one published since the call with the same
+  /// `since` has arrived.
   bool goes_on(std::uint64_t since) {
     publish();
     heard.take(*to, "s");
@@ -47,7 +49,7 @@ struct Flow {
   std::uint64_t count = 0;  // published
 };
 
-TEST_F(Hosts, ExchangeOneTopicBothWaysOnceEachAndPublishersStayWhoTheyAre) {
+TEST_F(Hosts, ExchangeOneTopicBothWaysOnceEachAndPublishersKeepTheirIdentity) {
   TwoHosts hosts;
   hosts.left.start_bridge();
   hosts.right.start_bridge();
@@ -134,13 +136,13 @@ TEST_F(Hosts, LoseNothingReliableWhileTheNetworkIsGoneForLessThanTheLease) {
   EXPECT_THAT(flow.heard.publishers["p"], SizeIs(1));
 }
 
-TEST_F(Hosts, GoOnAfterTheNetworkWasGoneForLongerThanTheLease) {
+TEST_F(Hosts, RecoverAfterTheNetworkWasGoneForLongerThanTheLease) {
   Flow flow("1 s");
   ASSERT_TRUE(flow.flows());
   const Held before = held_by(flow.hosts.left.bridge().pid());
   for (int round = 0; round < 2; ++round) {
     flow.hosts.unplug();
-    // The publisher in the writer's place goes when the lease ends.
+    // The publisher that stands for the writer goes when the lease ends.
     ASSERT_TRUE(eventually_s([&] {
       flow.publish();
       const CtlResult info =
@@ -158,7 +160,7 @@ TEST_F(Hosts, GoOnAfterTheNetworkWasGoneForLongerThanTheLease) {
   expect_sound(flow.hosts.right);
 }
 
-TEST_F(Hosts, GoOnAfterBridgesAndDaemonsWereKilledAndNothingIsLeftBehind) {
+TEST_F(Hosts, RecoverAfterBridgesAndDaemonsWereKilledAndLeaveNothingBehind) {
   Flow flow("1 s");
   ASSERT_TRUE(flow.flows());
   const auto settled = [&](pid_t pid) {
@@ -199,7 +201,7 @@ TEST_F(Hosts, GoOnAfterBridgesAndDaemonsWereKilledAndNothingIsLeftBehind) {
   }
   EXPECT_TRUE(flow.heard.is_once_and_in_order());
 
-  // While a daemon is not there messages flow on: nothing is lost at all.
+  // Without a daemon messages flow on: nothing is lost at all.
   flow.heard = {};
   for (Host* const host : {&flow.hosts.left, &flow.hosts.right}) {
     const pid_t killed = host->daemon().kill_worker();
@@ -209,7 +211,7 @@ TEST_F(Hosts, GoOnAfterBridgesAndDaemonsWereKilledAndNothingIsLeftBehind) {
   }
   EXPECT_TRUE(flow.heard.is_once_and_in_order());
   EXPECT_TRUE(flow.heard.is_complete("p"));
-  // New endpoints are bridged after it as before.
+  // Endpoints created afterwards are bridged as before.
   ASSERT_EQ(flow.from->ask("pub p2 /flow 1000"), "made");
   EXPECT_TRUE(eventually_s([&] {
     EXPECT_EQ(flow.from->ask("publish p2 1"), "published");

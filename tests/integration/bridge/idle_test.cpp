@@ -1,8 +1,9 @@
 // SPDX-License-Identifier: Apache-2.0
 //
-// Goal: a bridge with many routes that carry nothing sleeps, and has no more threads than one with few. Method: the real
-// bridge, and what the kernel counts of each of its threads: how often it went to sleep. Ours are those whose name begins
-// with agnocast; the others are Cyclone DDS's, which keep its leases and wake as they like.
+// Goal: a bridge with many idle routes sleeps, and has no more threads than one with few. Method:
+// the real bridge, and the kernel's count of how often each of its threads went to sleep. Names of
+// our threads begin with agnocast; the others are Cyclone DDS's, which keep its leases and wake as
+// they like.
 
 #include <tests/integration/bridge/bridge_side.hpp>
 #include <tests/support/plain_node.hpp>
@@ -25,10 +26,10 @@ using namespace std::chrono_literals;
 using std_msgs::msg::String;
 
 constexpr std::size_t route_count = 50;  // each way
-// Every lane has some of these already.
+// Every lane already has some of these.
 constexpr std::size_t few_count = 8;
 constexpr auto window = 10s;
-// Once a second, and half as often again for a machine that is busy.
+// Once a second, and half as often again for a busy machine.
 constexpr std::uint64_t sleeps_max = 15;
 
 class Idle : public BridgeTest {
@@ -83,18 +84,18 @@ class Idle : public BridgeTest {
   std::vector<DdsWriter*> writers_;
 };
 
-TEST_F(Idle, ABridgeOfManyRoutesSleepsAndHasNoThreadOfARoute) {
+TEST_F(Idle, ABridgeWithManyIdleRoutesSleepsAndHasNoThreadPerRoute) {
   add_routes(few_count);
   const auto few = tasks(true);
   add_routes(route_count);
-  // Threads that made something may still end.
+  // Threads that created endpoints may still end.
   EXPECT_TRUE(other_.eventually([&] { return tasks(true).size() <= few.size(); }))
       << "with few routes: " << names(few) << "with many: " << names(tasks(true));
   for (const auto& [id, task] : tasks(false))
     EXPECT_THAT(task.name, testing::AnyOf(testing::StartsWith("recv"), testing::StartsWith("dq."),
                                           "tev", "gc", "lease", "fsm", testing::StartsWith("xmit")))
         << "neither ours nor Cyclone's";
-  // Discovery may not have come to rest: one window in which they sleep is enough.
+  // Discovery may still be running: one interval in which they sleep is enough.
   std::string awake, all;
   for (int attempt = 0; attempt < 6; ++attempt) {
     const auto before = tasks(true);
@@ -110,7 +111,7 @@ TEST_F(Idle, ABridgeOfManyRoutesSleepsAndHasNoThreadOfARoute) {
     std::printf("in %d s, each of our threads:%s\n", static_cast<int>(window.count()), all.c_str());
     if (awake.empty()) return;
   }
-  FAIL() << "in " << window.count() << " s these went to sleep so often: " << awake;
+  FAIL() << "in " << window.count() << " s these threads went to sleep too often: " << awake;
 }
 
 }  // namespace

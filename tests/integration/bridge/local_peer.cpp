@@ -4,8 +4,8 @@
 //   local_peer
 //     pub NAME TOPIC QOS…     QOS: best, transient, all, a depth
 //     sub NAME TOPIC QOS…
-//     publish NAME COUNT      "NAME#0", "NAME#1", …: goes on where it was
-//     take NAME               all that is there: PUBLISHER/TEXT, each followed by a space
+//     publish NAME COUNT      "NAME#0", "NAME#1", …: continues the count
+//     take NAME               all messages there: PUBLISHER/TEXT, each followed by a space
 //     delete NAME
 // and with services of example_interfaces/AddTwoInts:
 //     serve NAME SERVICE ADD  answers with the sum and ADD
@@ -13,8 +13,8 @@
 //     client NAME SERVICE
 //     ready NAME              "yes" or "no"
 //     call NAME A B           "sent", or why not
-//     ended NAME              of the calls that have ended since: "SUM" or "failed", each followed by a space
-//     pending NAME            how many have not
+//     ended NAME              calls that ended since: "SUM" or "failed", each and a space
+//     pending NAME            how many have not ended
 
 #include <tests/support/plain_node.hpp>
 

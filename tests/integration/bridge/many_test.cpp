@@ -1,9 +1,10 @@
 // SPDX-License-Identifier: Apache-2.0
 //
-// Goal: with one to eight publishers and as many receivers on both sides of one topic, of any QoS, everybody gets of
-// everybody what the two QoS promise: all of it once and in order if both are reliable, some of it once and in order if
-// one is not, nothing if they do not match. Method: random rounds (AGNOCAST_TEST_SEED); the real bridge, and in DDS one
-// participant that writes and one that reads, since none hears itself.
+// Goal: with one to eight publishers and as many receivers on both sides of one topic, of any QoS,
+// each receiver gets from each publisher what both QoS promise: all messages once and in order if
+// both are reliable, some once and in order if one is not, nothing if they do not match. Method:
+// random rounds (AGNOCAST_TEST_SEED); the real bridge, and in DDS one participant that writes and
+// one that reads, since none receives its own messages.
 
 #include <tests/integration/bridge/bridge_side.hpp>
 #include <tests/support/plain_node.hpp>
@@ -129,7 +130,7 @@ class Many : public BridgeTest {
       return true;
     });
   }
-  /// Everything that may not be lost has come.
+  /// Returns whether every message that may not be lost has arrived.
   bool is_complete() const {
     return std::all_of(receivers_.begin(), receivers_.end(), [&](const Receiver& receiver) {
       for (std::size_t i = 0; i < senders_.size(); ++i) {
@@ -157,7 +158,7 @@ class Many : public BridgeTest {
   std::vector<Receiver> receivers_;
 };
 
-TEST_F(Many, GetOfEachOtherWhatTheirQosPromise) {
+TEST_F(Many, ReceiveExactlyWhatTheirQosPromise) {
   const char* const said = std::getenv("AGNOCAST_TEST_SEED");
   const unsigned seed = said != nullptr ? static_cast<unsigned>(std::stoul(said)) : 1;
   std::mt19937 random(seed);
@@ -179,7 +180,7 @@ TEST_F(Many, GetOfEachOtherWhatTheirQosPromise) {
         EXPECT_TRUE(senders_[i].send(std::to_string(i) + ":probe"));
       take_all();
       return have_all_met() || HasFailure();
-    })) << "somebody does not hear somebody";
+    })) << "a receiver does not hear a matching sender";
     for (std::uint64_t number = 0; number < message_count; ++number) {
       for (std::size_t i = 0; i < senders_.size(); ++i)
         ASSERT_TRUE(senders_[i].send(std::to_string(i) + ":" + std::to_string(number)));
@@ -188,8 +189,8 @@ TEST_F(Many, GetOfEachOtherWhatTheirQosPromise) {
     EXPECT_TRUE(eventually([&] {
       take_all();
       return is_complete();
-    })) << "somebody has not got everything";
-    for (int i = 0; i < 20; ++i) look();  // for what should not come
+    })) << "a receiver has not got everything";
+    for (int i = 0; i < 20; ++i) look();  // for messages that should not arrive
     take_all();
     for (std::size_t r = 0; r < receivers_.size(); ++r) {
       const Receiver& receiver = receivers_[r];

@@ -1,7 +1,7 @@
 // SPDX-License-Identifier: Apache-2.0
 //
-// For LD_PRELOAD: after SIGUSR1 the allocation of this number in AGNOCAST_NO_MEMORY fails, once, in whichever thread;
-// stderr says so.
+// For LD_PRELOAD: after SIGUSR1 the allocation with the number in AGNOCAST_NO_MEMORY fails, once,
+// in any thread; stderr reports it.
 
 #include <dlfcn.h>
 #include <unistd.h>

@@ -1,7 +1,8 @@
 // SPDX-License-Identifier: Apache-2.0
 //
-// What tests with a participant of DDS that has nothing of ours have: plain_peer or fast_peer, which are steered alike,
-// and messages that both sides make of a number and tell as a text.
+// Fixture for tests with a DDS participant that has none of our code: plain_peer or fast_peer,
+// which take the same commands, and messages that both sides derive from a number and print as
+// text.
 #pragma once
 
 #include <tests/integration/bridge/bridge_side.hpp>
@@ -40,7 +41,7 @@ inline constexpr const char* peer_name<MarkersKind> = "Markers";
 class Peer : public BridgeTest {
  protected:
   void TearDown() override {
-    // By itself: shared memory of Fast DDS stays behind one that is killed.
+    // Ends by itself: Fast DDS leaves its shared memory behind when killed.
     EXPECT_EQ(peer_.finish(), 0);
     BridgeTest::TearDown();
   }
@@ -53,15 +54,15 @@ class Peer : public BridgeTest {
     (void)other_.eventually([&] { return (text = peer_.ask("take " + reader)) != "none"; });
     return text;
   }
-  /// Fast DDS repeats what was lost on the way after 3 s.
+  /// Fast DDS repeats lost messages after 3 s.
   template <class Subscription>
   auto hear(const Subscription& subscription) {
     auto message = subscription->take();
     (void)other_.eventually([&] { return message || (message = subscription->take()); });
     return message;
   }
-  /// Writes of "w" arrive, such as `probe`: that its side knows of the reader does not say that the reader's side knows
-  /// of it.
+  /// Waits until writes of "w" arrive, such as `probe`: its side knowing the reader does not mean
+  /// that the reader's side knows it.
   template <class K, class Subscription>
   void meet(const Subscription& subscription, const std::string& probe = "write w 1000000") {
     constexpr std::uint64_t last = 1'000'001;

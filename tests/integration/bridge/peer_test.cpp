@@ -1,8 +1,9 @@
 // SPDX-License-Identifier: Apache-2.0
 //
-// Goal: programs that have nothing of ours understand what the bridge writes and are understood, member by member; and
-// QoS mean what they mean without a bridge between. Method: once with plain_peer, C of Cyclone DDS with types of idlc,
-// and once with fast_peer, Fast DDS as rmw_fastrtps uses it.
+// Goal: programs without any of our code understand the bridge's messages and are understood,
+// member by member; and QoS mean the same as without a bridge between. Method: once with
+// plain_peer, C of Cyclone DDS with types of idlc, and once with fast_peer, Fast DDS as
+// rmw_fastrtps uses it.
 
 #include <tests/integration/bridge/peer_side.hpp>
 
@@ -27,12 +28,12 @@ TYPED_TEST_SUITE(PeerOf, Kinds);
 
 constexpr std::uint64_t message_count = 10;
 
-TYPED_TEST(PeerOf, GetsEveryMemberOfWhatIsPublishedHere) {
+TYPED_TEST(PeerOf, ReceivesEveryMemberOfMessagesPublishedHere) {
   using K = TypeParam;
   this->make("reader r " + this->dds_topic() + " " + peer_name<K> + " 10");
   const auto publisher = create_publisher<typename K::M>(PlainNode(), this->topic(), 10);
   ASSERT_TRUE(this->answers("matched r", "1"));
-  // The bridge has met the publisher as well.
+  // The bridge has matched the publisher as well.
   ASSERT_TRUE(this->other_.eventually([&] { return publisher->get_subscription_count() == 1; }));
   for (std::uint64_t number = 0; number < message_count; ++number) {
     SCOPED_TRACE(number);
@@ -42,7 +43,7 @@ TYPED_TEST(PeerOf, GetsEveryMemberOfWhatIsPublishedHere) {
   EXPECT_EQ(this->peer_.ask("take r"), "none");
 }
 
-TYPED_TEST(PeerOf, IsHeardHereWithEveryMember) {
+TYPED_TEST(PeerOf, SendsEveryMemberToSubscriptionsHere) {
   using K = TypeParam;
   this->make("writer w " + this->dds_topic() + " " + peer_name<K> + " 10");
   const auto subscription = create_subscription<typename K::M>(PlainNode(), this->topic(), 10);
@@ -85,13 +86,13 @@ std::size_t matches_of(const Class& requested) {
   return count;
 }
 
-/// The message of the writer of class `of`, number `i`.
+/// Returns message number `i` of the writer of class `of`.
 std::uint64_t number_of(std::size_t of, std::uint64_t i) { return (of + 1) * 1000 + i; }
 
-/// Comes before the counted ones, to see that a writer and a reader have met on both sides.
+/// Sent before the counted messages, to see that a writer and a reader have matched on both sides.
 std::uint64_t probe_of(std::size_t of) { return number_of(of, each_count); }
 
-/// Takes what `next` gives, until everything that may not be lost is there and nothing else is.
+/// Takes from `next` until every message that may not be lost has arrived, and no other.
 void expect_what_matches(Other& other, const Class& requested,
                          const std::function<std::string()>& next) {
   SCOPED_TRACE(requested.words);
@@ -133,7 +134,7 @@ void expect_what_matches(Other& other, const Class& requested,
   }
 }
 
-TEST_F(Peer, GetsFromEachClassOfOneTopicWhatMatchesOnceAndInOrder) {
+TEST_F(Peer, ReceivesMatchingClassesOfOneTopicOnceAndInOrder) {
   std::vector<Publisher<String>::SharedPtr> publishers;
   for (const Class& one : classes())
     publishers.push_back(create_publisher<String>(PlainNode(), topic(), one.qos));
@@ -161,7 +162,7 @@ TEST_F(Peer, GetsFromEachClassOfOneTopicWhatMatchesOnceAndInOrder) {
                         [&] { return peer_.ask("take r" + std::to_string(r)); });
 }
 
-TEST_F(Peer, IsHeardHereByEachClassOfOneTopicOnceAndInOrder) {
+TEST_F(Peer, SendsToMatchingClassesOfOneTopicHereOnceAndInOrder) {
   std::vector<Subscription<String>::SharedPtr> subscriptions;
   for (const Class& one : classes())
     subscriptions.push_back(create_subscription<String>(PlainNode(), topic(), one.qos));
@@ -193,7 +194,7 @@ TEST_F(Peer, IsHeardHereByEachClassOfOneTopicOnceAndInOrder) {
     });
 }
 
-TEST_F(Peer, LateReadersGetTheHistoryIfItIsOfferedAndAskedFor) {
+TEST_F(Peer, LateReadersGetTheHistoryIfOfferedAndRequested) {
   const auto publisher = create_publisher<String>(PlainNode(), topic(), QoS(3).transient_local());
   make("reader early " + dds_topic() + " String transient 10");
   std::vector<std::string> texts;
@@ -207,8 +208,8 @@ TEST_F(Peer, LateReadersGetTheHistoryIfItIsOfferedAndAskedFor) {
   EXPECT_EQ(peer_.ask("take late"), "none");
 }
 
-TEST_F(Peer, LateSubscriptionsGetTheHistoryIfItIsOfferedAndAskedForAndElseNothing) {
-  // As deep as those of Fast DDS count here, which does not announce it.
+TEST_F(Peer, LateSubscriptionsGetTheHistoryOnlyIfOfferedAndRequested) {
+  // The depth that counts for Fast DDS here, which does not announce it.
   constexpr std::uint64_t depth = 10, count = 15;
   make("writer w " + dds_topic() + " String transient " + std::to_string(depth));
   const auto early = create_subscription<String>(PlainNode(), topic(), QoS(100).transient_local());
@@ -226,7 +227,7 @@ TEST_F(Peer, LateSubscriptionsGetTheHistoryIfItIsOfferedAndAskedForAndElseNothin
     ASSERT_TRUE(got);
     EXPECT_EQ(text_of<SeeString>(*got), text_of_number<StringKind>(i));
   }
-  // It meets the bridge's publisher in its own time.
+  // It matches the bridge's publisher in its own time.
   std::set<std::string> later;
   std::string first;
   EXPECT_TRUE(other_.eventually([&] {
@@ -240,8 +241,8 @@ TEST_F(Peer, LateSubscriptionsGetTheHistoryIfItIsOfferedAndAskedForAndElseNothin
   EXPECT_TRUE(later.contains(first)) << first;
 }
 
-TEST_F(Peer, ThatIsStoppedHoldsUpAKeepAllPublisherAndNoOtherAndLosesNothing) {
-  // Together far more than what a writer may owe and what may wait for it.
+TEST_F(Peer, ThatIsStoppedBlocksAKeepAllPublisherAndNoOtherAndLosesNothing) {
+  // Together far more than a writer may have unacknowledged and than may wait for it.
   constexpr std::uint64_t count = 1'000;
   constexpr std::size_t letters = 10'000;
   make("reader r " + dds_topic() + " String all");
@@ -261,13 +262,13 @@ TEST_F(Peer, ThatIsStoppedHoldsUpAKeepAllPublisherAndNoOtherAndLosesNothing) {
     return static_cast<bool>(result);
   };
   ASSERT_EQ(::kill(peer_.pid(), SIGSTOP), 0);
-  // Five times as long as a write waits for its readers, nothing more goes.
+  // No message moves for five times as long as a write waits for its readers.
   auto moved = std::chrono::steady_clock::now();
   while (sent < count && std::chrono::steady_clock::now() - moved < 500ms) {
     if (publish_one()) moved = std::chrono::steady_clock::now();
     std::this_thread::sleep_for(1ms);
   }
-  EXPECT_LT(sent, count) << "it was never held up";
+  EXPECT_LT(sent, count) << "it never blocked";
   for (std::uint64_t number = 0; number < 20; ++number) {
     const std::string text = publish<StringKind>(free, number);
     const auto got = other_.take<String>(beside);
@@ -283,8 +284,8 @@ TEST_F(Peer, ThatIsStoppedHoldsUpAKeepAllPublisherAndNoOtherAndLosesNothing) {
   EXPECT_EQ(peer_.ask("take r"), "none");
 }
 
-TEST_F(Peer, GetsAllOfAKeepAllPublisherInOrderAlthoughItReadsSlowly) {
-  // Together far more than what a writer may owe its readers.
+TEST_F(Peer, ReceivesAllOfAKeepAllPublisherInOrderAlthoughItReadsSlowly) {
+  // Together far more than a writer may have unacknowledged.
   constexpr std::uint64_t count = 2'000;
   constexpr std::size_t letters = 10'000;
   make("reader r " + dds_topic() + " String all");

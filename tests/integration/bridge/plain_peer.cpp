@@ -1,13 +1,14 @@
 // SPDX-License-Identifier: Apache-2.0
 //
-// A program of Cyclone DDS that has nothing of ours: its C interface, types of idlc, and names as ROS 2 has them in DDS.
-// Steered line by line:
+// A program of Cyclone DDS without any of our code: its C interface, types of idlc, and names as
+// ROS 2 has them in DDS. Steered line by line:
 //   plain_peer DOMAIN
-//     writer NAME TOPIC TYPE QOS…      TYPE: String, Cloud, Markers; QOS: best or reliable, transient, all or a depth
+//     writer NAME TOPIC TYPE QOS…      TYPE: String, Cloud, Markers
+//                                      QOS: best or reliable, transient, all or a depth
 //     reader NAME TOPIC TYPE QOS…
 //     matched NAME                     how many
 //     write NAME NUMBER                the message of that number (values.hpp)
-//     take NAME                        the next message, as text; "none" when none is there
+//     take NAME                        the next message, as text; "none" without one
 //     others TOPIC                     endpoints that other participants announce: a sorted list
 //     delete NAME
 

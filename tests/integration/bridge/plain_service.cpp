@@ -1,7 +1,7 @@
 // SPDX-License-Identifier: Apache-2.0
 //
-// A client or a server of AddTwoInts that has nothing of ours: Cyclone DDS' C interface, types of idlc, and everything
-// as rmw_cyclonedds does it. Steered line by line:
+// A client or a server of AddTwoInts without any of our code: Cyclone DDS' C interface, types of
+// idlc, and every step as rmw_cyclonedds does it. Steered line by line:
 //   plain_service DOMAIN client|server SERVICE ID
 //     matched              "REQUESTS REPLIES", how many
 //     ask NUMBER A B       of a client

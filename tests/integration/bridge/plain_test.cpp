@@ -1,7 +1,8 @@
 // SPDX-License-Identifier: Apache-2.0
 //
-// Goal: what the bridge has in DDS, and has here for it, has the QoS of what it stands for, as participants of Cyclone DDS
-// announce and see it. Method: plain_peer; that messages go by these QoS is in peer_test.cpp.
+// Goal: the bridge's endpoints, in DDS and here, have the QoS of those that they stand for, as
+// participants of Cyclone DDS announce and see it. Method: plain_peer; peer_test.cpp checks that
+// messages follow these QoS.
 
 #include <tests/integration/bridge/peer_side.hpp>
 
@@ -41,7 +42,7 @@ TEST_F(Peer, SeesWritersWithTheQosOfThePublishersAndNothingMore) {
   EXPECT_TRUE(answers("others " + dds_topic(), ""));
 }
 
-TEST_F(Peer, SeesReadersThatAskForWhatSubscriptionsAskFor) {
+TEST_F(Peer, SeesReadersWithTheQosOfTheSubscriptions) {
   const auto sees_only = [&](const std::string& wanted) {
     std::string said;
     EXPECT_TRUE(other_.eventually([&] {
@@ -83,8 +84,9 @@ TEST_F(Peer, HasAPublisherHereWithTheQosOfItsWriter) {
   }
 }
 
-// Not so with Fast DDS: its readers take what Cyclone DDS's writers repeat for them, also without a bridge.
-TEST_F(Peer, GetsNothingOfAHistoryThatItDoesNotAskFor) {
+// Not so with Fast DDS: its readers accept history that Cyclone DDS's writers repeat for others,
+// also without a bridge.
+TEST_F(Peer, ReceivesNoHistoryThatItDoesNotRequest) {
   const auto publisher = create_publisher<String>(PlainNode(), topic(), QoS(3).transient_local());
   make("reader early " + dds_topic() + " String transient 10");
   ASSERT_TRUE(answers("matched early", "1"));
@@ -98,8 +100,8 @@ TEST_F(Peer, GetsNothingOfAHistoryThatItDoesNotAskFor) {
   EXPECT_EQ(take("fresh"), newest);
 }
 
-TEST_F(Peer, LosesNothingThatItWritesToAKeepAllSubscriptionHereThatReadsSlowly) {
-  // As many as may wait in the bridge, docs/bridge.md.
+TEST_F(Peer, LosesNoMessageToASlowKeepAllSubscriptionHere) {
+  // The most that may wait in the bridge, docs/bridge.md.
   constexpr std::uint64_t count = 1'000;
   make("writer w " + dds_topic() + " String all");
   const auto subscription = create_subscription<String>(PlainNode(), topic(), QoS(1).keep_all(5));

@@ -1,7 +1,8 @@
 // SPDX-License-Identifier: Apache-2.0
 //
-// A library of message types as a message package has one, for agnocast_random_msgs/msg/T0 to T39. Which they are is
-// chosen at random when it is loaded, by AGNOCAST_TEST_SEED: the same in each process that has the same.
+// A library of message types like a message package's, for agnocast_random_msgs/msg/T0 to T39. It
+// chooses the types at random when it is loaded, by AGNOCAST_TEST_SEED: the same in each process
+// with the same seed.
 
 #include <tests/support/schema_tables.hpp>
 
@@ -22,7 +23,7 @@ class Chooser {
  public:
   explicit Chooser(std::uint64_t seed) : random_(seed) {}
 
-  /// Messages only have messages before them.
+  /// Messages only contain earlier messages.
   std::vector<std::pair<std::string, std::string>> fields(std::size_t index) {
     std::vector<std::pair<std::string, std::string>> list;
     for (std::size_t i = below(9) + 1; i-- > 0;)
@@ -41,7 +42,8 @@ class Chooser {
       type = below(2) == 0 ? "string" : "wstring";
       if (below(2) == 0) type += bound();
     } else if (index > 0 && below(4) == 0) {
-      // Near the beginning of the list: else a message would be as large as all before it together.
+      // Near the beginning of the list: otherwise a message would be as large as all earlier ones
+      // together.
       type = name_of(below(std::min<std::size_t>(index, 12)));
       is_message = true;
     }

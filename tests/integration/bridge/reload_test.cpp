@@ -1,7 +1,7 @@
 // SPDX-License-Identifier: Apache-2.0
 //
-// Goal: another configuration, by SIGHUP, loses no history and brings none twice. Method: rules that change the durability
-// of endpoints in DDS while both sides live.
+// Goal: another configuration, by SIGHUP, loses no history and delivers none twice. Method: rules
+// that change the durability of endpoints in DDS while both sides live.
 
 #include <tests/integration/bridge/bridge_side.hpp>
 #include <tests/support/plain_node.hpp>
@@ -38,7 +38,7 @@ class Reload : public BridgeTest {
     qos.transient_local = true;
     return qos;
   }
-  /// Whether the bridge's endpoint offers or requests a history, and no other one is there.
+  /// Returns whether the bridge's endpoint offers or requests a history, and is the only one.
   bool is_latched(Remote::Kind kind) {
     std::size_t count = 0, latched = 0;
     for (const auto& [guid, remote] : other_.participant().remotes()) {
@@ -50,7 +50,7 @@ class Reload : public BridgeTest {
   }
 };
 
-TEST_F(Reload, HandsTheHistoryToAWriterThatIsMadeAnew) {
+TEST_F(Reload, HandsTheHistoryToARecreatedWriter) {
   configure("to_dds = { durability = \"volatile\" }");
   start_bridge({"--config", file()});
   DdsReader& early = other_.reads<String>(dds_topic(), {});
@@ -74,7 +74,7 @@ TEST_F(Reload, HandsTheHistoryToAWriterThatIsMadeAnew) {
   }
 }
 
-TEST_F(Reload, BringsAHistoryOnceThoughAReaderIsMadeAnew) {
+TEST_F(Reload, DeliversAHistoryOnceAlthoughAReaderIsRecreated) {
   configure("from_dds = { durability = \"volatile\" }");
   start_bridge({"--config", file()});
   auto subscription = create_subscription<String>(PlainNode(), topic(), QoS(10).transient_local());

@@ -1,9 +1,10 @@
 #!/usr/bin/env bash
 # SPDX-License-Identifier: Apache-2.0
 #
-# Goal: real nodes of ROS 2 hear ours and are heard, and ROS's tools show ours under their own names. Method: where a workspace
-# of ROS 2 is sourced that has rmw_cyclonedds and demo_nodes_cpp: its command line and its demo nodes, our examples, the real
-# daemon and bridge, in a domain of their own on the loopback interface.
+# Goal: real ROS 2 nodes receive from ours and send to ours, and ROS's tools show ours under their
+# own names. Method: in a sourced ROS 2 workspace with rmw_cyclonedds and demo_nodes_cpp: its
+# command line and its demo nodes, our examples, the real daemon and bridge, in a domain of their
+# own on the loopback interface.
 #
 #   ros2_test.sh BUILD_DIRECTORY
 set -euo pipefail
@@ -20,7 +21,7 @@ end() { kill "${pids[@]}" 2>/dev/null || true; wait 2>/dev/null || true; rm -rf 
 trap end EXIT
 fail() { echo "FAILED: $1"; tail -n 20 "$dir"/*.log || true; exit 1; }
 start() { local log=$1; shift; "$@" >"$dir/$log.log" 2>&1 & pids+=($!); }
-# Until the command's output has the text; ROS's discovery and its daemon take their time.
+# Waits until the command's output has the text; ROS's discovery and its daemon take their time.
 shows() {
   local text=$1 said; shift
   for _ in $(seq 20); do
@@ -47,14 +48,14 @@ shows /talker ros2 node list --no-daemon
 shows "/chatter [std_msgs/msg/String]" ros2 topic list --no-daemon -t
 shows "/chatter: std_msgs/msg/String" ros2 node info --no-daemon /talker
 shows "Node name: talker" ros2 topic info --no-daemon -v /chatter
-# Readers that find the type in DDS. hz runs until it is told to end, and Python would keep what it prints until then.
+# Readers that find the type in DDS. hz runs until it is interrupted, and Python would buffer its
+# output until then.
 shows "data:" ros2 topic echo --no-daemon --once /chatter
 shows "average rate:" env PYTHONUNBUFFERED=1 timeout -s INT 8 ros2 topic hz /chatter
 
-# ROS 2 → ours.
-# Itself: ros2 run would leave it behind.
+# ROS 2 → ours. The program itself: ros2 run would leave it behind.
 start demo "$(ros2 pkg prefix demo_nodes_cpp)/lib/demo_nodes_cpp/talker" --ros-args -r chatter:=from_ros
-# Its verdict is about our talker's numbers, so it says that these are others.
+# The listener judges our talker's numbers, so it reports that these differ.
 timeout 30 "$build/examples/listener" --topic from_ros --count 3 --verbose >"$dir/listener.log" 2>&1 || true
 grep -qF "I heard: 'Hello World: " "$dir/listener.log" || fail "our listener does not hear ROS's talker"
 echo "heard each other"

@@ -55,7 +55,7 @@ RosEntities example(GuidLayout layout) {
   return entities;
 }
 
-/// What `key` has in a recorded sample: text between quotation marks.
+/// Returns the value of `key` in a recorded sample: text between quotation marks.
 std::string text_in(const std::string& json, const std::string& key) {
   const std::size_t at = json.find("\"" + key + "\": \"");
   if (at == std::string::npos) return {};
@@ -69,7 +69,7 @@ std::string recorded(const std::string& name) {
   return {std::istreambuf_iterator<char>(file), {}};
 }
 
-TEST(RosEntities, AreTheBytesThatRos2WasRecordedToSend) {
+TEST(RosEntities, EqualTheRecordedBytesOfRos2) {
   const std::string json = recorded("wire_ros_discovery_info.json");
   if (json.empty()) GTEST_SKIP() << "no wire_ros_discovery_info.json in AGNOCAST_GOLDEN_CDR_DIR";
   const std::string prefix = "01104754e7a7e61b2adf6c55";
@@ -87,7 +87,7 @@ TEST(RosEntities, AreTheBytesThatRos2WasRecordedToSend) {
   EXPECT_EQ(read(bytes_of(text_in(json, "payload_hex"))), entities);
 }
 
-TEST(RosEntities, SayOfServicesWhatRos2WasRecordedToSay) {
+TEST(RosEntities, DescribeServicesAsRecordedFromRos2) {
   const std::string json = recorded("wire_sedp_service_client_writer.json");
   if (json.empty())
     GTEST_SKIP() << "no wire_sedp_service_client_writer.json in AGNOCAST_GOLDEN_CDR_DIR";
@@ -98,7 +98,7 @@ TEST(RosEntities, SayOfServicesWhatRos2WasRecordedToSay) {
   EXPECT_NE(json.find(hex_of(bytes)), std::string::npos) << text;
 }
 
-TEST(RosEntities, AreReadAsWrittenInBothLayoutsAndWithBytesBehind) {
+TEST(RosEntities, AreReadAsWrittenInBothLayoutsAndWithTrailingBytes) {
   for (const GuidLayout layout : {GuidLayout::humble, GuidLayout::iron}) {
     const RosEntities entities = example(layout);
     Bytes bytes = write_entities(entities);
@@ -135,12 +135,12 @@ TEST(RosEntities, AreReadFromAnyTwoPiecesAndFromBigEndianBytes) {
   EXPECT_EQ(read_back->nodes, (std::vector<RosNode>{{"/", "a", {}, {}}}));
 }
 
-TEST(RosEntities, AreRefusedWhereverTheyEndOrCountTooMuch) {
+TEST(RosEntities, AreRefusedWhereverTheyAreTruncatedOrCountTooMuch) {
   for (const GuidLayout layout : {GuidLayout::humble, GuidLayout::iron}) {
     const Bytes whole = write_entities(example(layout));
     for (std::size_t size = 0; size < whole.size(); ++size)
       EXPECT_NE(read(Bytes(whole.begin(), whole.begin() + std::ptrdiff_t(size))), example(layout));
-    // Any four bytes as a count that lies: nothing is allocated for it, and it is not read as
+    // Any four bytes as a false count: nothing is allocated for it, and the result differs from
     // before.
     for (std::size_t at = 4; at + 4 <= whole.size(); at += 4) {
       Bytes lie = whole;
@@ -191,7 +191,7 @@ TEST(RosGraph, TwoProcessesSeeEachOthersNodesInBothLayouts) {
     EXPECT_EQ(other.nodes[0].name_space, "/peer");
     EXPECT_EQ(other.nodes[0].writers, std::vector<Guid>{other.participant});
     EXPECT_TRUE(participant->remotes().contains(other.participant));
-    // What was said in Humble's layout is said again in that of the others.
+    // After the change the others' layout is used for everything announced before in Humble's.
     EXPECT_EQ(graph->layout() == GuidLayout::iron, layout == "iron");
     EXPECT_TRUE(peer->eventually("others bridge", "/here 0 readers 2 writers " + layout));
 
@@ -208,7 +208,7 @@ TEST(RosGraph, TwoProcessesSeeEachOthersNodesInBothLayouts) {
   }
 }
 
-TEST(RosGraph, SpeaksAsMostOthersWithoutBridgesWhichEchoEachOther) {
+TEST(RosGraph, UsesTheLayoutOfMostOthersIgnoringBridges) {
   const Domain domain;
   const auto participant = domain.participant();
   const auto graph = graph_of(*participant, RosGraph::Speak::detect);
@@ -233,10 +233,11 @@ TEST(RosGraph, SpeaksAsMostOthersWithoutBridgesWhichEchoEachOther) {
   EXPECT_EQ(graph->layout(), GuidLayout::iron);
   const auto listener = peer_with("humble", "listener");
   ASSERT_TRUE(sees(4));
-  EXPECT_EQ(graph->layout(), GuidLayout::humble) << "as many, and only bridges make it more";
+  EXPECT_EQ(graph->layout(), GuidLayout::humble)
+      << "as many of each, and only bridges make it more";
 }
 
-TEST(RosGraph, CountsWhatIsMalformedAndWhoSpeaksForOthers) {
+TEST(RosGraph, CountsMalformedMessagesAndImpostors) {
   const Domain domain;
   const auto participant = domain.participant();
   const auto graph = graph_of(*participant, RosGraph::Speak::humble);

@@ -1,7 +1,8 @@
 // SPDX-License-Identifier: Apache-2.0
 //
-// Goal: a client in DDS is answered by a server of this host as by one of ROS 2, and the other way round, each with its
-// own answers. Method: plain_service, C of Cyclone DDS with types of idlc, in the form of rmw_cyclonedds.
+// Goal: a server of this host answers a client in DDS as one of ROS 2 would, and the other way
+// round, each with its own responses. Method: plain_service, C of Cyclone DDS with types of idlc,
+// in the form of rmw_cyclonedds.
 
 #include <tests/integration/bridge/bridge_side.hpp>
 #include <tests/support/plain_node.hpp>
@@ -52,7 +53,7 @@ class ServiceBridge : public BridgeTest {
     response->sum = request->a + request->b;
   }
   auto serve() { return create_service<AddTwoInts>(PlainNode(), topic(), add); }
-  /// The server's turn: answers the next request; what it was.
+  /// Lets the server answer the next request; returns the request.
   std::string serve_one(SteeredProcess& server) {
     const std::string request = say(server, "next");
     std::istringstream words(request);
@@ -72,7 +73,7 @@ class ServiceBridge : public BridgeTest {
   }
 };
 
-TEST_F(ServiceBridge, AnswersAClientInDdsByAServerHere) {
+TEST_F(ServiceBridge, AServerHereAnswersAClientInDds) {
   const auto service = serve();
   const auto client = plain("client", 4711);
   ASSERT_TRUE(is_matched(*client));
@@ -84,18 +85,18 @@ TEST_F(ServiceBridge, AnswersAClientInDdsByAServerHere) {
   }
 }
 
-TEST_F(ServiceBridge, AnswersTheRequestThatComesTogetherWithItsClient) {
+TEST_F(ServiceBridge, AnswersARequestThatComesTogetherWithItsClient) {
   const auto service = serve();
   for (std::uint64_t id = 1; id <= 5; ++id) {
     const auto client = plain("client", id);
-    // As rclcpp: it asks as soon as both ends are matched.
+    // Like rclcpp: it sends a request as soon as both ends are matched.
     ASSERT_TRUE(is_matched(*client));
     ASSERT_EQ(client->ask("ask 1 2 3"), "Success");
     EXPECT_EQ(say(*client, "take"), "1 5") << id;
   }
 }
 
-/// A client in DDS that asks for `number` + 1'000'000 under each number, and keeps the answers.
+/// A client in DDS that requests `number` + 1'000'000 under each number, and keeps the responses.
 class Many {
  public:
   Many(Other& other, const std::string& topic, std::int64_t count)
@@ -108,7 +109,7 @@ class Many {
   bool is_matched() {
     return other_.eventually([&] { return requests_.matched() == 1 && answers_.matched() == 1; });
   }
-  // As its type says: encapsulation, id and number, then two numbers, or one.
+  // As its type defines: encapsulation, id and number, then two numbers, or one.
   void ask(std::int64_t number) {
     const std::int64_t words[] = {77, number, number, 1'000'000};
     Bytes request(4 + sizeof words);
@@ -117,7 +118,7 @@ class Many {
     const auto sent = test::send(requests_, request);
     ASSERT_TRUE(sent && *sent == bridge::WriteOutcome::sent) << number;
   }
-  /// Whether there are so many in the end.
+  /// Returns whether this many arrive in the end.
   bool has_answers(std::size_t count) {
     return other_.eventually([&] {
       while (const auto sample = answers_.take()) {
@@ -154,7 +155,7 @@ TEST_F(ServiceBridge, AnswersABurstThatIsMuchLongerThanTheServersQueue) {
     ASSERT_NO_FATAL_FAILURE(many.ask(number));
   EXPECT_TRUE(many.has_answers(count))
       << many.numbers().size()
-      << " answers, not delivered to the bridge: " << service->get_undelivered_response_count();
+      << " responses; not delivered to the bridge: " << service->get_undelivered_response_count();
 }
 
 TEST_F(ServiceBridge, ForgetsNoRequestAsLongAsOthersAreAnswered) {
@@ -194,7 +195,7 @@ TEST_F(ServiceBridge, GivesEachClientInDdsItsOwnAnswers) {
     clients.push_back(plain("client", id));
     ASSERT_TRUE(is_matched(*clients.back()));
   }
-  // The same numbers from all of them, which all get everybody's answers.
+  // The same numbers from all of them, each of which receives all responses.
   for (int i = 1; i <= 8; ++i) {
     const std::string number = std::to_string(i);
     for (std::size_t c = 0; c < clients.size(); ++c)
@@ -207,7 +208,7 @@ TEST_F(ServiceBridge, GivesEachClientInDdsItsOwnAnswers) {
   for (const auto& client : clients) EXPECT_EQ(client->ask("take"), "none");
 }
 
-TEST_F(ServiceBridge, AnswersAClientHereByAServerInDds) {
+TEST_F(ServiceBridge, AServerInDdsAnswersAClientHere) {
   const auto client = create_client<AddTwoInts>(PlainNode(), topic());
   EXPECT_FALSE(client->service_is_ready());
   const auto server = plain("server", 1);
@@ -235,13 +236,13 @@ TEST_F(ServiceBridge, AnswersAClientHereByAServerInDds) {
   EXPECT_EQ(first.get()->sum, 11);
 }
 
-TEST_F(ServiceBridge, SaysThatAServerInDdsIsGone) {
+TEST_F(ServiceBridge, ReportsThatAServerInDdsIsGone) {
   const auto client = create_client<AddTwoInts>(PlainNode(), topic());
   auto server = plain("server", 1);
   ASSERT_TRUE(client->wait_for_service(patience));
   auto answer = send(*client, 1, 2);
   ASSERT_NE(say(*server, "next"), "none");
-  server.reset();  // SIGKILL: DDS tells when its lease is over
+  server.reset();  // SIGKILL: DDS reports it when its lease ends
   ASSERT_EQ(answer.wait_for(patience), std::future_status::ready);
   EXPECT_THROW(answer.get(), Error);
   EXPECT_FALSE(client->service_is_ready());
@@ -255,7 +256,7 @@ TEST_F(ServiceBridge, LeavesServersAndClientsHereToEachOther) {
   const auto other = plain("client", 1);
   ASSERT_TRUE(is_matched(*other));
   ASSERT_TRUE(client->wait_for_service(patience));
-  EXPECT_EQ(client->get_server_count(), 1u) << "the bridge is none";
+  EXPECT_EQ(client->get_server_count(), 1u) << "the bridge does not count";
   auto answer = send(*client, 3, 4);
   ASSERT_EQ(answer.wait_for(patience), std::future_status::ready);
   EXPECT_EQ(answer.get()->sum, 7);
@@ -297,7 +298,7 @@ TEST_F(ServiceBridge, DropsARequestThatCannotBeAnswered) {
     return room.size();
   };
   ASSERT_TRUE(writer.write(36, whole, 1));
-  // Nobody waits for that.
+  // No client waits for that.
   ASSERT_EQ(client->ask("ask 1 2 3"), "Success");
   EXPECT_EQ(say(*client, "take"), "1 5");
   ASSERT_TRUE(other_.eventually([&] {
@@ -305,7 +306,7 @@ TEST_F(ServiceBridge, DropsARequestThatCannotBeAnswered) {
   })) << bridge_log();
 }
 
-TEST_F(ServiceBridge, AnnouncesWhatRmwCycloneddsLooksForUnderTheNodesName) {
+TEST_F(ServiceBridge, AnnouncesServicesAsRmwCycloneddsExpectsThemUnderTheNodesName) {
   auto graph =
       bridge::RosGraph::create(other_.participant(), bridge::RosGraph::Speak::humble).value();
   const auto service = serve();
@@ -346,7 +347,7 @@ TEST_F(ServiceBridge, WaitsOnceForADaemonThatIsStoppedAndHasAllServicesAfterward
   start_bridge({"--status-socket", status_path});
   const std::string names[] = {topic() + "_a", topic() + "_b"};
   Client<AddTwoInts>::SharedPtr clients[2];
-  // As long as nobody in DDS serves it, the status says so.
+  // As long as nobody in DDS serves it, the status reports that.
   const auto is_missed = [&](const std::string& name, bool expected) {
     return other_.eventually([&] {
       const std::string status = status_at(status_path);
@@ -364,7 +365,7 @@ TEST_F(ServiceBridge, WaitsOnceForADaemonThatIsStoppedAndHasAllServicesAfterward
     EXPECT_TRUE(is_missed(names[i], false));
   }
   EXPECT_EQ(said("what=\"service " + names[0] + '"'), 1u) << bridge_log();
-  EXPECT_EQ(said("what=\"service " + names[1] + '"'), 0u) << "it was waited for again";
+  EXPECT_EQ(said("what=\"service " + names[1] + '"'), 0u) << "the bridge waited for it again";
   daemon->kill_worker(SIGCONT);
   for (int i = 0; i < 2; ++i) {
     ASSERT_TRUE(clients[i]->wait_for_service(patience));
@@ -385,7 +386,7 @@ TEST_F(ServiceBridge, MayBeKilledAndGoesOn) {
   ASSERT_EQ(say(*other, "take"), "1 2");
   bridge_.reset();  // SIGKILL
   start_bridge();
-  // What was asked of the dead one is lost, as with any server.
+  // Requests to the dead bridge are lost, as with any server.
   std::int64_t number = 1;
   EXPECT_TRUE(other_.eventually([&] {
     EXPECT_EQ(other->ask("ask " + std::to_string(++number) + " 5 5"), "Success");

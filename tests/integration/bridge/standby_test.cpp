@@ -1,7 +1,8 @@
 // SPDX-License-Identifier: Apache-2.0
 //
-// Goal: of several bridges of one domain at one daemon one has routes, whatever their order, and another one takes over
-// when it dies. Method: real bridges with status sockets of their own, killed; numbered messages both ways.
+// Goal: of several bridges of one domain at one daemon one has routes, whatever their order, and
+// another one takes over when it dies. Method: real bridges with status sockets of their own,
+// killed; numbered messages both ways.
 
 #include <tests/integration/bridge/bridge_side.hpp>
 #include <tests/support/plain_node.hpp>
@@ -41,7 +42,7 @@ class Standby : public BridgeTest {
   }
 };
 
-/// Numbered messages both ways, each of which may come once.
+/// Numbered messages both ways, each of which may arrive once.
 class Flow {
  public:
   Flow(Other& other, const std::string& topic) : other_(other) {
@@ -65,13 +66,13 @@ class Flow {
     while (const auto sample = reader_->take()) {
       if (sample->state != DdsSample::State::valid) continue;
       const auto& data = static_cast<String*>(sample->object.get())->data;
-      EXPECT_TRUE(out_.insert(std::stoi(data)).second) << data << " is written twice";
+      EXPECT_TRUE(out_.insert(std::stoi(data)).second) << data << " was written twice";
     }
     while (const auto message = subscription_->take()) {
-      EXPECT_TRUE(in_.insert(std::stoi(message->data)).second) << message->data << " comes twice";
+      EXPECT_TRUE(in_.insert(std::stoi(message->data)).second) << message->data << " came twice";
     }
   }
-  /// Whether what is sent from now on comes, both ways.
+  /// Returns whether messages sent from now on arrive, both ways.
   bool flows() {
     const int before = sent_;
     return other_.eventually([&] {
@@ -81,7 +82,7 @@ class Flow {
       return !out_.empty() && *out_.rbegin() > before && !in_.empty() && *in_.rbegin() > before;
     });
   }
-  /// All of this comes, and nothing more than that.
+  /// Expects all of these, and no further message.
   void expect_each_once() {
     const int before = sent_;
     for (int i = 0; i < 100; ++i) send();
@@ -109,11 +110,11 @@ class Flow {
   std::set<int> out_, in_;
 };
 
-TEST_F(Standby, HasNoRouteAndTakesOverFromOneThatIsKilled) {
+TEST_F(Standby, HasNoRouteAndTakesOverFromAKilledBridge) {
   auto first = bridge(1);
   ASSERT_TRUE(
       other_.eventually([&] { return !status_at(status_path(1)).empty() && !is_standby(1); }));
-  // Nobody has a topic yet.
+  // No topic exists yet.
   auto second = bridge(2);
   ASSERT_TRUE(other_.eventually([&] { return is_standby(2); }));
   EXPECT_EQ(said("another bridge serves this domain"), 1u);
@@ -128,13 +129,13 @@ TEST_F(Standby, HasNoRouteAndTakesOverFromOneThatIsKilled) {
     second = bridge(killed + 2);
     ASSERT_TRUE(other_.eventually([&] { return is_active(killed + 1); }));
     ASSERT_TRUE(other_.eventually([&] { return is_standby(killed + 2); }));
-    ASSERT_TRUE(flow.flows()) << "nobody has taken over";
+    ASSERT_TRUE(flow.flows()) << "no bridge has taken over";
     flow.expect_each_once();
   }
   EXPECT_EQ(said("the other bridge of this domain has ended"), 3u);
 }
 
-TEST_F(Standby, TakesOverFromOneThatIsRevokedWhichEndsItself) {
+TEST_F(Standby, TakesOverFromARevokedBridgeWhichExits) {
   auto first = bridge(1);
   ASSERT_TRUE(
       other_.eventually([&] { return !status_at(status_path(1)).empty() && !is_standby(1); }));
@@ -146,11 +147,11 @@ TEST_F(Standby, TakesOverFromOneThatIsRevokedWhichEndsItself) {
                              " process revoke " + std::to_string(first->pid());
   ASSERT_EQ(std::system(revoke.c_str()), 0) << revoke;
   ASSERT_TRUE(other_.eventually([&] { return is_active(2); }));
-  ASSERT_TRUE(flow.flows()) << "nobody has taken over";
-  EXPECT_EQ(first->finish(), 1) << "what a unit starts again";
+  ASSERT_TRUE(flow.flows()) << "no bridge has taken over";
+  EXPECT_EQ(first->finish(), 1) << "the status after which its unit restarts it";
 }
 
-TEST_F(Standby, IsAllButOneOfThoseThatBeginAtOnce) {
+TEST_F(Standby, IsTheStateOfAllButOneOfSimultaneousBridges) {
   std::vector<std::unique_ptr<SteeredProcess>> bridges;
   Flow flow(other_, topic());
   for (int i = 1; i <= 3; ++i) bridges.push_back(bridge(i));
@@ -162,7 +163,7 @@ TEST_F(Standby, IsAllButOneOfThoseThatBeginAtOnce) {
   flow.expect_each_once();
 }
 
-TEST_F(Standby, IsNoBridgeOfAnotherDomain) {
+TEST_F(Standby, IsNotTheStateOfABridgeOfAnotherDomain) {
   auto first = bridge(1);
   Flow flow(other_, topic());
   ASSERT_TRUE(flow.flows());

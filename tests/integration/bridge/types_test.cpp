@@ -1,8 +1,9 @@
 // SPDX-License-Identifier: Apache-2.0
 //
-// Goal: a message of any type comes out of the bridge as it went in, whatever its values are. Method: every installed type,
-// and types made at random, in the real bridge; both ways at once. The bytes in DDS are compared with, and come from,
-// tests/golden/encode.py, which shares nothing with the bridge.
+// Goal: a message of any type leaves the bridge as it entered it, whatever its values. Method:
+// every installed type, and types made at random, in the real bridge; both ways at once. The bytes
+// in DDS are compared with, and come from, tests/golden/encode.py, which shares no code with the
+// bridge.
 
 #include <tests/integration/bridge/bridge_side.hpp>
 #include <tests/support/plain_node.hpp>
@@ -32,7 +33,7 @@ std::string ros_name_of(const MessageMembers& members) {
   return name;
 }
 
-/// As .msg files write it.
+/// Returns the type as .msg files write it.
 std::string type_text_of(const MessageMember& member) {
   static const std::map<std::uint8_t, std::string> names = {
       {ros::ROS_TYPE_BOOLEAN, "bool"},   {ros::ROS_TYPE_OCTET, "byte"},
@@ -127,7 +128,7 @@ json value_of(const MessageMembers& members, const void* message) {
   return value;
 }
 
-/// What a type is tested with, and what came back.
+/// The test messages of a type, and the received ones.
 struct Tried {
   std::string name;
   IntrospectedType type;
@@ -140,7 +141,7 @@ struct Tried {
   DdsWriter* writer = nullptr;
 };
 
-// Of each type; the last has any text, which the encoder's files cannot say.
+// For each type; the last one has any text, which the encoder's files cannot express.
 constexpr std::size_t message_count = 4;
 
 class Types : public BridgeTest {
@@ -250,7 +251,7 @@ class Types : public BridgeTest {
   int batch_count_ = 0;
 };
 
-TEST_F(Types, EachInstalledOneGoesBothWaysUnchanged) {
+TEST_F(Types, EachInstalledTypeGoesBothWaysUnchanged) {
   const std::vector<std::string> names(std::begin(every_message_name),
                                        std::end(every_message_name));
   constexpr std::size_t at_once = 70;
@@ -263,7 +264,7 @@ TEST_F(Types, EachInstalledOneGoesBothWaysUnchanged) {
   }
 }
 
-TEST_F(Types, RandomOnesGoBothWaysUnchanged) {
+TEST_F(Types, RandomTypesGoBothWaysUnchanged) {
   ::setenv("AGNOCAST_TEST_SEED", seed().c_str(), 1);
   const std::string directory = std::filesystem::path(AGNOCAST_RANDOM_TYPES).parent_path().string();
   const TemporaryDirectory files;

@@ -1,8 +1,8 @@
 // SPDX-License-Identifier: Apache-2.0
 //
-// Values and texts of messages whose type is known as ROS's C++ struct on one side and as idlc's C struct on the other:
-// members have the same names, so each type is described once. Values makes the same message of the same number on
-// both sides; Text says every member, blobs by length and hash.
+// Values and texts of messages whose type is ROS's C++ struct on one side and idlc's C struct on
+// the other: members have the same names, so each type is described once. Values makes the same
+// message of the same number on both sides; Text prints every member, blobs by length and hash.
 #pragma once
 
 #include <algorithm>
@@ -39,11 +39,11 @@ auto* elements_of(Sequence& sequence) {
   else
     return sequence.data();
 }
-/// Of an empty one.
+/// Resizes an empty one.
 template <class Sequence>
 void resize(Sequence& sequence, std::size_t count) {
   if constexpr (CSequence<Sequence>) {
-    // As Cyclone DDS allocates, so that it can free.
+    // Allocates like Cyclone DDS, which frees it.
     using Element = std::remove_reference_t<decltype(*sequence._buffer)>;
     sequence._buffer = static_cast<Element*>(std::calloc(count, sizeof(Element)));
     sequence._length = sequence._maximum = static_cast<std::uint32_t>(count);
@@ -53,7 +53,7 @@ void resize(Sequence& sequence, std::size_t count) {
   }
 }
 
-/// A scan of a real lidar where there is one, 20 bytes for each point; else bytes of as many.
+/// Returns a scan of a real lidar if present, 20 bytes for each point; else as many other bytes.
 inline const std::vector<std::uint8_t>& scan() {
   static const std::vector<std::uint8_t> bytes = [] {
     std::vector<std::uint8_t> data;
@@ -69,7 +69,7 @@ inline const std::vector<std::uint8_t>& scan() {
   return bytes;
 }
 
-/// `count` letters, others for another number.
+/// Returns `count` letters, different for each number.
 inline std::string letters_of(std::uint64_t number, std::size_t count) {
   std::mt19937_64 random(number);
   std::string text(count, ' ');
@@ -218,7 +218,7 @@ struct SeeMarkers {
   }
 };
 
-/// The message of that number; `message` is as it was made.
+/// Fills a new `message` with that number's values.
 template <class SeeType, class Message>
 void set_values(std::uint64_t number, Message& message) {
   Values values(number);

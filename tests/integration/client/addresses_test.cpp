@@ -1,12 +1,12 @@
 // SPDX-License-Identifier: Apache-2.0
 //
-// Goal: a process that has something else where heaps lie gets its messages all the same: from the
-// start when it was there first, from then on when it joins later; nobody else notices, and what it
-// cannot get is counted and said.
+// Goal: a process with other memory in the arena gets its messages all the same: from the start
+// when its mapping came first, from then on when it joins later; no other process notices, and
+// messages that it cannot get are counted and reported.
 // Method: the real daemon with an arena of a few small windows at a known address; processes of
-// client_tool, with the hook, that map a page there before their first endpoint (a JIT's, say). For
-// a message that was begun before the heap moved: this program publishes through the public
-// interface and bad_input_node reads.
+// client_tool, with the hook, that map a page there before their first endpoint (a JIT's, say).
+// For a message begun before the heap moved, this program publishes through the public interface
+// and bad_input_node reads.
 
 #include <agnocast/abi/limits.hpp>
 #include <agnocast/agnocast.hpp>
@@ -42,7 +42,8 @@ std::string occupy(std::uint64_t number, std::uint64_t bytes = 4096) {
   return "occupy " + std::to_string(arena + number * window + window / 2) + " " +
          std::to_string(bytes);
 }
-/// A message may ring before its window is announced here; then it stays unread until that rings.
+/// A message may ring before its window is announced here; then it stays unread until the window
+/// rings.
 std::string take(ClientTool& tool) {
   for (;;) {
     if (const std::string rung = tool.ask("wait 5000"); rung != "news") return rung;
@@ -50,12 +51,12 @@ std::string take(ClientTool& tool) {
   }
 }
 
-/// The window in which the oldest held message of a tool lies.
+/// Returns the window in which the oldest held message of a tool lies.
 std::uint64_t window_of(ClientTool& tool) {
   return (std::stoull(tool.ask("address")) - arena) / window;
 }
 
-TEST(Addresses, WhatIsOccupiedBeforeAHeapExistsIsAvoidedByIt) {
+TEST(Addresses, AHeapAvoidsRangesThatWereOccupiedBeforeIt) {
   DaemonProcess daemon({.config = small_arena});
   ClientTool subscriber(daemon.socket_path()), publisher(daemon.socket_path());
   ASSERT_EQ(subscriber.ask(occupy(0)), "ok");
@@ -72,10 +73,10 @@ TEST(Addresses, WhatIsOccupiedBeforeAHeapExistsIsAvoidedByIt) {
   ClientTool next(daemon.socket_path());
   ASSERT_EQ(next.ask("pub /points 1"), "ok");
   ASSERT_EQ(next.ask("publish 1 10"), "ok");
-  ASSERT_EQ(take(subscriber), "1") << "of the second publisher, in window 3";
+  ASSERT_EQ(take(subscriber), "1") << "a message of the second publisher, in window 3";
 }
 
-TEST(Addresses, APublisherDoesWithoutWhatItHasOccupiedItself) {
+TEST(Addresses, APublisherAvoidsItsOwnOccupiedRanges) {
   DaemonProcess daemon({.config = small_arena});
   ClientTool publisher(daemon.socket_path()), subscriber(daemon.socket_path());
   ASSERT_EQ(publisher.ask(occupy(0, 3 * window)), "ok");
@@ -100,7 +101,8 @@ TEST(Addresses, AJoinerWithAnOccupiedRangeGetsMessagesFromThenOn) {
   ASSERT_EQ(joiner.ask("sub /points 20 tl"), "ok");
   ASSERT_TRUE(daemon.wait_for_log("heap collides"));
   EXPECT_THAT(daemon.log(), HasSubstr("it goes on in another window"));
-  EXPECT_THAT(daemon.log(), HasSubstr("300002000000-300002001000 r--p")) << "what is there";
+  EXPECT_THAT(daemon.log(), HasSubstr("300002000000-300002001000 r--p"))
+      << "the mapping that lies there";
   ASSERT_TRUE(publisher.eventually("first_window", "1"));
   ASSERT_EQ(publisher.ask("publish 3 100000"), "ok");
 
@@ -110,7 +112,7 @@ TEST(Addresses, AJoinerWithAnOccupiedRangeGetsMessagesFromThenOn) {
     ASSERT_EQ(joiner.ask("release"), "ok");
   }
   EXPECT_EQ(joiner.ask("take"), "none");
-  EXPECT_EQ(joiner.ask("lost"), "3") << "its history lies where it has something else";
+  EXPECT_EQ(joiner.ask("lost"), "3") << "its history lies where it has another mapping";
   EXPECT_EQ(joiner.ask("unreachable"), "3");
   EXPECT_EQ(joiner.ask("malformed"), "0");
   for (const char* number : {"2", "3", "4", "5", "6"}) ASSERT_EQ(take(other), number);
@@ -154,16 +156,16 @@ TEST(Addresses, AHeapThatCannotMoveSaysWhyAndServesTheOthers) {
   EXPECT_EQ(joiner.ask("take"), "none");
   EXPECT_EQ(joiner.ask("unreachable"), "50");
   EXPECT_EQ(joiner.ask("lost"), "50");
-  EXPECT_EQ(joiner.ask("wait 50"), "timeout") << "it does not turn in circles";
+  EXPECT_EQ(joiner.ask("wait 50"), "timeout") << "it sleeps instead of retrying";
   for (int i = 1; i <= 50; ++i) {
     ASSERT_EQ(other.ask("take"), std::to_string(i));
     ASSERT_EQ(other.ask("release"), "ok");
   }
-  EXPECT_TRUE(publisher.eventually("allocated", "0")) << "what is lost is held by nobody";
+  EXPECT_TRUE(publisher.eventually("allocated", "0")) << "no reader holds a lost message";
 }
 
-// All but one window are blocked in somebody, and half of the arena in one process of this user.
-TEST(Addresses, AWindowIsFoundWhereAsFewAsPossibleHaveSomething) {
+// Processes block all but one window, and one process of this user blocks half of the arena.
+TEST(Addresses, AWindowIsFoundWhereTheFewestProcessesHaveMappings) {
   DaemonProcess daemon({.config = small_arena});
   ClientTool first(daemon.socket_path()), second(daemon.socket_path()),
       publisher(daemon.socket_path());
@@ -174,8 +176,7 @@ TEST(Addresses, AWindowIsFoundWhereAsFewAsPossibleHaveSomething) {
   ASSERT_EQ(publisher.ask("pub /points 1"), "ok");
   ASSERT_EQ(publisher.ask("publish 1 10"), "ok");
   ASSERT_EQ(take(second), "1");
-  EXPECT_EQ(window_of(second), 8u)
-      << "nine windows of one user are too many to be avoided by others";
+  EXPECT_EQ(window_of(second), 8u) << "others do not avoid as many as nine windows of one user";
   ASSERT_TRUE(daemon.wait_for_log("it stays: too much is blocked by the reader's user"));
 }
 
@@ -195,7 +196,7 @@ struct MessageTraits<Text> {
 
 namespace {
 
-/// What a bad_input_node prints that is a subscriber and gets one message.
+/// Returns the output of a bad_input_node that subscribes and gets one message.
 std::string read_one(const std::string& arguments) {
   std::FILE* const pipe =
       ::popen(("timeout 60 " AGNOCAST_NODE " " + arguments + " 2>&1").c_str(), "r");
@@ -207,8 +208,9 @@ std::string read_one(const std::string& arguments) {
   return text;
 }
 
-// Its object lies in the window that was given up, or in the new one and what it points to does not.
-TEST(Addresses, AMessageThatWasBegunBeforeTheHeapMovedIsCopied) {
+// Either its object lies in the previous window, or the object lies in the new one and its target
+// does not.
+TEST(Addresses, AMessageBegunBeforeTheHeapMovedIsCopied) {
   DaemonProcess daemon({.config = small_arena});
   ::setenv("AGNOCAST_SOCKET", daemon.socket_path().c_str(), 1);
   auto publisher = create_publisher<Text>(test::PlainNode(), "/topic", QoS(1));

@@ -1,11 +1,14 @@
 // SPDX-License-Identifier: Apache-2.0
 //
-// Goal: the public interface does what its comments say, with a real message type, the real daemon and the real heap hook.
-// Method: publisher and subscriptions in this process (the hook is linked); the daemon in a private directory. What crosses processes is in
-// client_test.cpp and in the tests of the examples.
+// Goal: the public interface does what its comments say, with a real message type, the real daemon
+// and the real heap hook.
+// Method: publisher and subscriptions in this process (the hook is linked); the daemon in a
+// private directory. client_test.cpp and the tests of the examples cover several processes.
 
 #include <agnocast/agnocast.hpp>
 #include <tests/support/daemon_process.hpp>
+#include <tests/support/error_of.hpp>
+#include <tests/support/suite_daemon.hpp>
 
 #include <sensor_msgs/msg/point_cloud2.hpp>
 
@@ -26,15 +29,17 @@
 namespace agnocast {
 namespace {
 
+using test::error_of;
 using Cloud = sensor_msgs::msg::PointCloud2;
 
-/// What create_publisher needs of a node, and nothing else.
+/// The members of a node that create_publisher needs, and no other.
 struct PlainNode {
   const char* get_name() const { return "node"; }
   const char* get_namespace() const { return "/ns"; }
   const char* get_fully_qualified_name() const { return "/ns/node"; }
 };
-/// A look-alike of rclcpp::Node: names resolve through an interface of its own, remappings included.
+/// A look-alike of rclcpp::Node: names resolve through an interface of its own, remappings
+/// included.
 struct LookAlikeNode : PlainNode {
   struct Topics {
     std::string resolve_topic_name(const std::string& name) const {
@@ -58,14 +63,8 @@ struct LookAlikeQos {
   Durability durability() const { return how_durable; }
 };
 
-class Api : public testing::Test {
+class Api : public test::SuiteDaemon {
  protected:
-  // The library connects once per process, so all tests here share one daemon.
-  static void SetUpTestSuite() {
-    daemon = new test::DaemonProcess;
-    ::setenv("AGNOCAST_SOCKET", daemon->socket_path().c_str(), 1);
-  }
-  static test::DaemonProcess* daemon;
   PlainNode node;
 
   template <class T>
@@ -78,7 +77,6 @@ class Api : public testing::Test {
     return {};
   }
 };
-test::DaemonProcess* Api::daemon = nullptr;
 
 void fill(Cloud& cloud, std::uint32_t points) {
   cloud.header.frame_id = "a frame whose name does not fit into a string object";
@@ -118,12 +116,12 @@ TEST_F(Api, ALoanIsTheMessageThatArrives) {
               60e9);
 }
 
-TEST_F(Api, WhatWasBuiltElsewhereIsAdoptedAndSaidSo) {
+TEST_F(Api, ForeignMemoryIsAdoptedAndReported) {
   auto subscription = create_subscription<Cloud>(node, "moved", QoS(5));
   auto publisher = create_publisher<Cloud>(node, "moved", 1);
   std::vector<std::uint8_t> elsewhere(10000, 42);
   auto loan = publisher->borrow_loaned_message();
-  // Made in the loan's scope it would be shared already.
+  // Allocated in the loan's scope it would already be shared.
   std::vector<std::uint8_t> foreign;
   std::thread([&] { foreign.assign(20000, 7); }).join();
   loan->data = std::move(foreign);
@@ -188,7 +186,7 @@ TEST_F(Api, NodesWithCallbacksComeAndGoWithoutLimit) {
   }
 }
 
-TEST_F(Api, AtTheHoldQuotaACallbackThreadSleepsAndGoesOnAfterARelease) {
+TEST_F(Api, AtTheHoldQuotaACallbackThreadSleepsUntilARelease) {
   std::mutex mutex;
   std::condition_variable changed;
   std::vector<ipc_shared_ptr<const Cloud>> held;
@@ -208,7 +206,7 @@ TEST_F(Api, AtTheHoldQuotaACallbackThreadSleepsAndGoesOnAfterARelease) {
   }
   std::unique_lock lock(mutex);
   ASSERT_TRUE(changed.wait_for(lock, std::chrono::seconds(10), [&] { return held.size() == 2; }));
-  // Asleep, not asking in circles: the process uses next to no processor time.
+  // It sleeps instead of polling: the process uses next to no processor time.
   const std::clock_t before = std::clock();
   EXPECT_FALSE(
       changed.wait_for(lock, std::chrono::milliseconds(500), [&] { return held.size() == 3; }));
@@ -222,7 +220,7 @@ TEST_F(Api, AtTheHoldQuotaACallbackThreadSleepsAndGoesOnAfterARelease) {
   EXPECT_EQ(held.back()->width, 3u);
 }
 
-TEST_F(Api, DepthCountsOverAllPublishersOrForEachByItself) {
+TEST_F(Api, DepthCountsOverAllPublishersOrForEachOne) {
   const QoS qos = QoS(2).transient_local();
   std::vector<Publisher<Cloud>::SharedPtr> publishers;
   const auto publish = [&](std::size_t index, std::uint32_t width) {
@@ -231,7 +229,7 @@ TEST_F(Api, DepthCountsOverAllPublishersOrForEachByItself) {
     loan->width = width;
     ASSERT_TRUE(publishers[index]->publish(std::move(loan)));
   };
-  // Each publisher's widths, in the order in which they are taken.
+  // Returns each publisher's widths, in the order in which they are taken.
   const auto drain = [](Subscription<Cloud>& subscription) {
     std::map<std::uint32_t, std::vector<std::uint32_t>> widths;
     while (const auto cloud = subscription.take()) widths[cloud->height].push_back(cloud->width);
@@ -252,7 +250,7 @@ TEST_F(Api, DepthCountsOverAllPublishersOrForEachByItself) {
   const auto both = ElementsAre(2, 3);
   EXPECT_THAT(drain(*each), ElementsAre(Pair(0, both), Pair(1, both), Pair(2, both), Pair(3, both),
                                         Pair(4, both)));
-  // What one of them publishes afterwards pushes out only what is its own.
+  // Later messages of one publisher push out only its own.
   publish(0, 4);
   for (const std::uint32_t width : {5u, 6u, 7u}) publish(1, width);
   EXPECT_THAT(drain(*together), ElementsAre(Pair(1, ElementsAre(6, 7))));
@@ -289,7 +287,7 @@ TEST_F(Api, LookAlikesOfRclcppFit) {
 }
 
 // rclcpp::KeepAll has depth 0, and so has rclcpp::SystemDefaultsQoS.
-TEST_F(Api, TheBestAvailableMatchesEverybody) {
+TEST_F(Api, BestAvailableMatchesAllQos) {
   const LookAlikeQos best{7, LookAlikeQos::History::KeepLast,
                           LookAlikeQos::Reliability::BestAvailable,
                           LookAlikeQos::Durability::BestAvailable};
@@ -303,15 +301,15 @@ TEST_F(Api, TheBestAvailableMatchesEverybody) {
   auto strict = create_subscription<Cloud>(node, "best", QoS(best).reliable());
   EXPECT_TRUE(test::eventually([&] {
     return strict->get_incompatible_qos_status().total_count == 1;
-  })) << "said afterwards";
+  })) << "reported afterwards";
 }
 
-TEST_F(Api, AnHistoryOfRclcppWithoutADepthIsOne) {
+TEST_F(Api, ARclcppHistoryWithoutADepthHasDepthOne) {
   const LookAlikeQos all{0, LookAlikeQos::History::KeepAll};
   EXPECT_TRUE(QoS(all).is_keep_all());
   EXPECT_EQ(QoS(all).depth(), QoS(1).keep_all().depth());
   EXPECT_EQ(QoS(LookAlikeQos{10, LookAlikeQos::History::KeepAll}).depth(), QoS(all).depth())
-      << "which is not asked for then";
+      << "keep-all does not use the depth";
   EXPECT_TRUE(try_create_subscription<Cloud>(node, "keep_all", all));
   const LookAlikeQos defaults{0, LookAlikeQos::History::SystemDefault};
   EXPECT_FALSE(QoS(defaults).is_keep_all());
@@ -322,7 +320,7 @@ TEST_F(Api, AnHistoryOfRclcppWithoutADepthIsOne) {
   EXPECT_EQ(refused.error().code, Errc::depth_refused);
 }
 
-/// As rclcpp does with a wrong name, in both shapes.
+/// Throws as rclcpp does for a wrong name, in both forms.
 struct RefusingTopics {
   std::string resolve_topic_name(const std::string& name) const {
     throw std::runtime_error("Invalid topic name: " + name);
@@ -335,7 +333,7 @@ struct RefusingInterface : PlainNode {
 };
 struct RefusingNode : PlainNode, RefusingTopics {};
 
-TEST_F(Api, WhatANodeThrowsAboutANameIsAFailureLikeOthers) {
+TEST_F(Api, AnExceptionOfANodeAboutANameIsAnOrdinaryFailure) {
   const auto by_interface = try_create_publisher<Cloud>(RefusingInterface(), "a b", QoS(1));
   ASSERT_FALSE(by_interface);
   EXPECT_EQ(by_interface.error().code, Errc::invalid_name);
@@ -345,7 +343,7 @@ TEST_F(Api, WhatANodeThrowsAboutANameIsAFailureLikeOthers) {
   EXPECT_THAT(text_of(by_node.error()), testing::HasSubstr("Invalid topic name: a b"));
 }
 
-TEST_F(Api, APublisherThatIsGoneIsNotCountedThoughItsMessagesAreThere) {
+TEST_F(Api, AnEndedPublisherIsNotCountedAlthoughItsMessagesRemain) {
   auto subscription = create_subscription<Cloud>(node, "gone", QoS(5));
   auto publisher = create_publisher<Cloud>(node, "gone", 1);
   ASSERT_TRUE(publisher->publish(publisher->borrow_loaned_message()));
@@ -355,17 +353,7 @@ TEST_F(Api, APublisherThatIsGoneIsNotCountedThoughItsMessagesAreThere) {
   EXPECT_TRUE(take_soon(*subscription));
 }
 
-template <class Function>
-std::string error_of(Function function) {
-  try {
-    function();
-  } catch (const Error& error) {
-    return error.what();
-  }
-  return "(no error)";
-}
-
-TEST_F(Api, MistakesAreNamed) {
+TEST_F(Api, MisuseIsReported) {
   EXPECT_THAT(error_of([&] {
                 create_subscription<Cloud>(node, "none", QoS(1),
                                            SubscriptionOptions().hold_quota(0));
@@ -385,7 +373,7 @@ TEST_F(Api, MistakesAreNamed) {
       << "a loan of another publisher";
   EXPECT_TRUE(loan) << "the caller still has it";
   EXPECT_TRUE(other->publish(std::move(loan)));
-  EXPECT_EQ(other->publish(std::move(loan)).code, Errc::loan_invalid) << "published already";
+  EXPECT_EQ(other->publish(std::move(loan)).code, Errc::loan_invalid) << "it is already published";
   EXPECT_EQ(other->publish(std::unique_ptr<Cloud>()).code, Errc::loan_invalid);
 }
 

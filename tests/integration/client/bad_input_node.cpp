@@ -1,15 +1,15 @@
 // SPDX-License-Identifier: Apache-2.0
 //
-// A node of a few lines that does what its arguments say, one after the other, and ends as our
-// programs do: status 0, or 1 with "program: what: why" and "hint: command". Public headers only.
+// A node of a few lines that executes its arguments, one after the other, and ends as our programs
+// do: status 0, or 1 with "program: what: why" and "hint: command". Public headers only.
 //
 //   uid=N memlock=BYTES addresses=BYTES lock                the process, before it connects
 //   occupied=BYTES occupy=HEX                               maps as much (a page) there
 //   depth=N topic=NAME type=text|wide|number                of the endpoints that follow
-//   pub sub try_pub insist        keep an endpoint; try_: by its Result; insist: a try_pub that may
-//                                 fail
-//   publish=BYTES take=BYTES                                one message, to and from
-//   full=BYTES                                              keep loans of BYTES until one is refused
+//   pub sub try_pub insist        keep an endpoint; try_: by its Result; insist: a try_pub that
+//                                 may fail
+//   publish=BYTES take=BYTES                                one message
+//   full=BYTES                                            keep loans of BYTES until one is refused
 //   foreign moved twice empty                               misuse of loans
 //   fork                                                    with an open loan
 
@@ -166,7 +166,7 @@ class Program {
       auto probe = publishers_.back()->borrow_loaned_message();
       probe->data.assign(bytes, 'x');
       const auto result = publishers_.back()->publish(std::move(probe));
-      // Its neighbour's answer may still be on its way.
+      // Another window may still be on its way.
       if (!result && result.code != agnocast::Errc::heap_exhausted) return told(result);
       if (!result) {
         std::this_thread::sleep_for(std::chrono::milliseconds(10));

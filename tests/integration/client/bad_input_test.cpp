@@ -3,8 +3,8 @@
 // Goal: whatever is wrong, the user reads one sentence that names it (path, name and position,
 // limit with key and value, types, library) and one that helps.
 // Method: a program with a few lines (bad_input_node) against the real daemon, with the
-// configuration or the environment that provokes each case. Its whole output is compared; paths,
-// process numbers and hashes are replaced by words.
+// configuration or the environment that provokes each case. The test compares its whole output,
+// with paths, process numbers and hashes replaced by words.
 
 #include <agnocast/abi/fingerprint.hpp>
 #include <tests/support/daemon_process.hpp>
@@ -35,7 +35,7 @@ struct Outcome {
   std::string text;  // stdout and stderr
 };
 
-/// The node with these arguments; `environment` beside AGNOCAST_SOCKET.
+/// Runs the node with these arguments; `environment` beside AGNOCAST_SOCKET.
 Outcome node(const std::string& socket, const std::string& arguments,
              const std::string& environment = "LD_PRELOAD=" AGNOCAST_HOOK) {
   const std::string command = "timeout 60 env AGNOCAST_SOCKET=" + socket + " " + environment +
@@ -58,7 +58,7 @@ std::string replaced(const std::string& text, const std::string& pattern, const 
   return std::regex_replace(text, std::regex(pattern), word);
 }
 
-/// Status 1 and exactly these two lines, spelt "program: what: why" and "hint: command".
+/// Expects status 1 and exactly these two lines, spelt "program: what: why" and "hint: command".
 void expect_refusal(const Outcome& outcome, const std::string& why, Errc code) {
   EXPECT_EQ(outcome.status, 1);
   EXPECT_EQ(outcome.text, std::string("node: ") + sentence_of(code) + ": " + why +
@@ -73,7 +73,7 @@ void expect_unpublished(const Outcome& outcome, Errc code) {
 
 // --- the hook
 
-TEST(BadInput, AMissingHookIsNamedWithWhatWasPreloaded) {
+TEST(BadInput, AMissingHookIsNamedWithThePreloadedLibraries) {
   DaemonProcess daemon;
   expect_refusal(node(daemon, "pub", ""), "LD_PRELOAD is not set", Errc::hook_missing);
   expect_refusal(node(daemon, "pub", "LD_PRELOAD=" AGNOCAST_OTHER_MALLOC),
@@ -88,7 +88,7 @@ TEST(BadInput, AnIneffectiveHookIsNamedWithTheLibraryInItsPlace) {
   const Outcome once = node(daemon, "pub", preload);
   expect_refusal(once, why, Errc::hook_ineffective);
   EXPECT_EQ(node(daemon, "insist pub", preload).text, once.text + once.text)
-      << "the next try is told the same";
+      << "the next attempt gets the same text";
 }
 
 // --- the daemon
@@ -104,7 +104,7 @@ TEST(BadInput, ADaemonThatDoesNotRunIsNamedWithItsSocket) {
                  Errc::daemon_not_running);
 }
 
-TEST(BadInput, ADaemonThatIsStoppedIsWaitedForAndNamed) {
+TEST(BadInput, AStoppedDaemonIsWaitedForAndNamed) {
   DaemonProcess daemon;
   ASSERT_EQ(::kill(daemon.pid(), SIGSTOP), 0);
   const Outcome outcome = node(daemon, "sub");
@@ -130,9 +130,9 @@ TEST(BadInput, NoPermissionIsNamedWithTheSocketOrTheRule) {
   EXPECT_EQ(node(ruled, "topic=/secret/plan pub").status, 0);
 }
 
-/// Stands between a library and the daemon and changes the fingerprint that the library says: what
-/// a library of another build looks like.
-TEST(BadInput, AnotherLayoutIsNamedByBothSides) {
+/// Stands between a library and the daemon and changes the library's fingerprint, so that it looks
+/// like a library of another build.
+TEST(BadInput, BothSidesReportAnotherLayout) {
   DaemonProcess daemon;
   const std::string path = daemon.directory() + "/between.sock";
   auto listener = test::listen_at(path);
@@ -168,7 +168,7 @@ TEST(BadInput, AnotherLayoutIsNamedByBothSides) {
   EXPECT_TRUE(daemon.wait_for_log(why));
 }
 
-TEST(BadInput, AnAnswerWithoutItsDescriptorsIsToldFromALimitOfOpenFiles) {
+TEST(BadInput, AnAnswerWithoutItsDescriptorsIsDistinguishedFromALimitOfOpenFiles) {
   DaemonProcess daemon;
   const std::string path = daemon.directory() + "/proxy.sock";
   {
@@ -180,9 +180,9 @@ TEST(BadInput, AnAnswerWithoutItsDescriptorsIsToldFromALimitOfOpenFiles) {
                  "the welcome of agnocastd: Too many open files", Errc::os_failure);
 }
 
-// --- what is asked for
+// --- requests
 
-TEST(BadInput, ATypeMismatchIsNamedToBothSidesAndInTheLog) {
+TEST(BadInput, ATypeMismatchIsReportedToBothSidesAndInTheLog) {
   DaemonProcess daemon;
   WireClient running(daemon.socket_path());
   ASSERT_EQ(running.hello().opcode(), wire::Opcode::welcome);
@@ -332,8 +332,8 @@ TEST(BadInput, AnExhaustedWindowIsNamed) {
   EXPECT_TRUE(one.wait_for_log("[heap] windows_per_process is 1, this process has as many"));
 }
 
-TEST(BadInput, AnOccupiedArenaIsNamedWithWhatLiesThere) {
-  // One window, of which a page is taken.
+TEST(BadInput, AnOccupiedArenaIsNamedWithTheMappingThere) {
+  // One window, which overlaps an occupied page.
   DaemonProcess daemon({.config = "[heap]\nwindow_bytes = \"64MiB\"\narena_bytes = \"64MiB\"\n"
                                   "arena_base = 0x300000000000\n"});
   expect_refusal(node(daemon, "occupy=0x300000200000 sub pub"),
@@ -342,7 +342,7 @@ TEST(BadInput, AnOccupiedArenaIsNamedWithWhatLiesThere) {
                  Errc::arena_occupied);
 }
 
-TEST(BadInput, AnArenaOfWhichNothingIsFreeIsNamedWithWhatLiesThere) {
+TEST(BadInput, AnArenaWithoutFreeRangesIsNamedWithTheMappingsThere) {
   DaemonProcess daemon({.config = "[heap]\nwindow_bytes = \"64MiB\"\narena_bytes = \"64MiB\"\n"
                                   "arena_base = 0x300000000000\n"});
   expect_refusal(node(daemon, "occupied=67108864 occupy=0x300000000000 sub"),
@@ -359,7 +359,7 @@ TEST(BadInput, AMovedFromOrForeignLoanIsRefused) {
     expect_unpublished(node(daemon, misuse), Errc::loan_invalid);
 }
 
-TEST(BadInput, AForkedChildIsToldAndTheParentsLoanStaysGood) {
+TEST(BadInput, AForkedChildGetsAnErrorAndTheParentsLoanStaysValid) {
   DaemonProcess daemon;
   const Outcome outcome = node(daemon, "pub fork");
   EXPECT_EQ(outcome.status, 0);
@@ -373,7 +373,7 @@ TEST(BadInput, AForkedChildIsToldAndTheParentsLoanStaysGood) {
 
 // --- limits of the process
 
-// The arena alone is 64 GiB of addresses, and the process may lock 8 MiB: what is only reserved does
+// The arena alone is 64 GiB of addresses, and the process may lock 8 MiB: reserved addresses do
 // not count.
 TEST(BadInput, ASubscriberThatLocksItsMemoryUnderALimitWorks) {
   if (::geteuid() != 0) GTEST_SKIP() << "needs root to drop the right to lock any amount";
@@ -388,8 +388,8 @@ TEST(BadInput, ASubscriberThatLocksItsMemoryUnderALimitWorks) {
   EXPECT_EQ(outcome.text, "received 1000000 bytes\n");
 }
 
-// What is reserved around something does not count either.
-TEST(BadInput, ASubscriberThatLocksItsMemoryAndHasSomethingInTheArenaWorks) {
+// Reserved addresses around an occupied range do not count either.
+TEST(BadInput, ASubscriberThatLocksItsMemoryAndHasMappingsInTheArenaWorks) {
   if (::geteuid() != 0) GTEST_SKIP() << "needs root to drop the right to lock any amount";
   DaemonProcess daemon({.config = std::string(small_windows) + "arena_base = 0x300000000000\n",
                         .uid = {},
@@ -433,8 +433,8 @@ TEST(BadInput, ALockLimitThatIsTooSmallIsNamedWithItsValueAndTheNeed) {
                  Errc::lock_limit);
 }
 
-// A small address space, by ulimit -v: with an arena that fits, just enough is enough, and whatever is
-// missing is the limit of addresses, with its remedy.
+// A small address space, by ulimit -v: with an arena that fits, just enough is enough, and every
+// failure names the limit of addresses, with its remedy.
 TEST(BadInput, AnyLimitOfAddressesIsEnoughOrNamed) {
   DaemonProcess daemon({.config = "[heap]\nwindow_bytes = \"64MiB\"\narena_bytes = \"256MiB\"\n"});
   constexpr std::uint64_t mib = 1 << 20;

@@ -1,9 +1,9 @@
 // SPDX-License-Identifier: Apache-2.0
 //
-// Goal: the library's untyped core works against the real daemon between real processes, whoever
+// Goal: the library's untyped core works against the real daemon between real processes, whichever
 // dies. Method: agnocastd in a private directory; processes of client_tool steered line by line;
-// SIGKILL for deaths. Nothing sleeps a fixed time: what happens asynchronously is asked for until
-// it is true, up to a bound.
+// SIGKILL for deaths. Nothing sleeps a fixed time: the test polls each asynchronous condition
+// until it is true, up to a bound.
 
 #include <tests/support/client_tool.hpp>
 #include <tests/support/daemon_process.hpp>
@@ -40,7 +40,7 @@ TEST(Client, AnUnsizedMessageCrossesProcesses) {
       << "an idle publisher's memory comes back after the last release";
 }
 
-TEST(Client, ASleeperIsRungAndALateJoinerGetsTheHistory) {
+TEST(Client, ASleepingSubscriptionIsRungAndALateJoinerGetsTheHistory) {
   DaemonProcess daemon;
   ClientTool publisher(daemon.socket_path()), subscriber(daemon.socket_path());
   ASSERT_EQ(publisher.ask("pub /map 3 tl"), "ok");
@@ -56,7 +56,7 @@ TEST(Client, ASleeperIsRungAndALateJoinerGetsTheHistory) {
   EXPECT_EQ(subscriber.ask("take"), "6");
 }
 
-TEST(Client, WhatADeadPublisherCommittedIsDeliveredAndStaysValid) {
+TEST(Client, CommittedMessagesOfADeadPublisherAreDeliveredAndStayValid) {
   DaemonProcess daemon;
   ClientTool subscriber(daemon.socket_path());
   ASSERT_EQ(subscriber.ask("sub /last 10"), "ok");
@@ -81,7 +81,7 @@ TEST(Client, WhatADeadPublisherCommittedIsDeliveredAndStaysValid) {
   EXPECT_EQ(subscriber.ask("take"), "1");
 }
 
-TEST(Client, ASubscriptionCountsOnceItGetsWhatIsPublishedNext) {
+TEST(Client, ASubscriptionCountsOnceItGetsTheNextMessage) {
   DaemonProcess daemon;
   ClientTool publisher(daemon.socket_path()), subscriber(daemon.socket_path());
   ASSERT_EQ(subscriber.ask("sub /counted 5"), "ok");
@@ -105,7 +105,7 @@ TEST(Client, MessagesFlowWhileTheDaemonIsDead) {
   ASSERT_EQ(publisher.ask("pub /alone 1"), "ok");
   ASSERT_TRUE(publisher.eventually("matched", "1"));
   daemon.kill();
-  // More messages than slots: the publisher's memory must come back without the daemon, too.
+  // More messages than slots: the publisher must get its memory back without the daemon, too.
   for (int number = 1; number <= 1000; ++number) {
     subscriber.tell("wait 10000");
     ASSERT_EQ(publisher.ask("publish 1 1000"), "ok") << number;
@@ -140,7 +140,7 @@ TEST(Client, HoldsOfADeadSubscriberVanish) {
   EXPECT_TRUE(publisher.eventually("matched", "1"));
 }
 
-TEST(Client, EndpointsComeAndGoWithoutTraces) {
+TEST(Client, EndpointsComeAndGoAndLeaveNothingBehind) {
   DaemonProcess daemon;
   ClientTool publisher(daemon.socket_path()), subscriber(daemon.socket_path());
   for (int round = 0; round < 30; ++round) {
@@ -178,7 +178,7 @@ TEST(Client, TheHeapGrowsUnderAReader) {
 }
 
 // Destructors of messages run there: a fault has to reach the application's handler.
-TEST(Client, ItsThreadTakesNoSignalsButWhatItBringsUponItself) {
+TEST(Client, ItsThreadTakesOnlyTheSignalsThatItCauses) {
   DaemonProcess daemon;
   ClientTool tool(daemon.socket_path());
   ASSERT_EQ(tool.ask("sub /t 1"), "ok");

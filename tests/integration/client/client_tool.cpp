@@ -4,20 +4,20 @@
 // answers each line with one line. Linked with the heap hook, so it can publish. Used by the
 // integration tests.
 //
-//   sub TOPIC DEPTH [tl] [all]   pub TOPIC DEPTH [tl] [all]    → ok | error CODE WHAT
-//   lineage                                                     → of the publisher
-//   forge LINEAGE              → ok      says that it is that publisher, and that it has moved
-//   connect                                        → ok | error …
-//   state                                          → connected | reconnecting | island CODE | …
-//   publish COUNT ELEMENTS                               → ok | error …          numbers go on from
-//   1 take                                                 → none | NUMBER | damaged       holds
-//   what it took release                                              → ok | damaged | none the
-//   oldest held wait MS                                              → news | timeout        sleeps
-//   like an executor lost · allocated · links · unsub · unpub · quit      → a number | ok
+//   sub TOPIC DEPTH [tl] [all] · pub TOPIC DEPTH [tl] [all]    → ok | error CODE WHAT
+//   lineage                      → persistent endpoint id of the publisher
+//   forge LINEAGE                → ok      claims to be that publisher, and to have moved
+//   connect                      → ok | error …
+//   state                        → connected | reconnecting | island CODE | …
+//   publish COUNT ELEMENTS       → ok | error …          numbers continue from 1
+//   take                         → none | NUMBER | damaged       holds the message
+//   release                      → ok | damaged | none   the oldest held message
+//   wait MS                      → news | timeout        sleeps like an executor
+//   lost · allocated · links · unsub · unpub · quit      → a number | ok
 //   unreachable · malformed · first_window      → a number
-//   occupy ADDRESS BYTES                        → ok | error       maps something there
-//   address                                     → of the oldest held | none
-//   fork                                        → PID of a child that lives until it is killed
+//   occupy ADDRESS BYTES         → ok | error       maps memory there
+//   address                      → of the oldest held message | none
+//   fork                         → PID of a child that lives until it is killed
 
 #include <client/session/context.hpp>
 
@@ -130,7 +130,7 @@ class Tool {
     }
     return "island " + std::to_string(static_cast<int>(island_reason()));
   }
-  // An endpoint that nobody meets, gone at once.
+  // Makes an unmatched endpoint, gone at once.
   static std::string connect() {
     const std::string topic = "/client_tool_" + std::to_string(::getpid());
     EndpointRequest request;
@@ -164,7 +164,7 @@ class Tool {
   static std::string fork_child() {
     const pid_t pid = ::fork();
     if (pid == 0) {
-      ::close_range(0, 2, 0);  // not the pipe by which the parent's end is seen
+      ::close_range(0, 2, 0);  // not the pipe whose closing ends the parent
       for (;;) ::pause();
     }
     return std::to_string(pid);

@@ -1,7 +1,7 @@
 // SPDX-License-Identifier: Apache-2.0
 //
-// Goal: what agnocast-ctl says of real processes is what they did, and verify stays quiet while they
-// work as fast as they can and die in the middle of it. Method: the library itself (the hook is
+// Goal: agnocast-ctl reports the true counts of real processes, and verify finds nothing while
+// they work at full speed and die in the middle of it. Method: the library itself (the hook is
 // linked) for the counters, processes of client_tool for the traffic, SIGKILL for the deaths.
 
 #include <agnocast/agnocast.hpp>
@@ -36,7 +36,7 @@ struct PlainNode {
   const char* get_fully_qualified_name() const { return "/ns/node"; }
 };
 
-TEST(CtlLive, CountsWhatWasAdoptedAndLost) {
+TEST(CtlLive, CountsAdoptedAndLostMessages) {
   DaemonProcess daemon;
   ::setenv("AGNOCAST_SOCKET", daemon.socket_path().c_str(), 1);
   PlainNode node;
@@ -76,7 +76,7 @@ TEST(CtlLive, CountsWhatWasAdoptedAndLost) {
   first.reset();
   EXPECT_EQ(info()["subscriptions"][0]["held_messages"], 1);
 
-  // One that must not lose anything and reads nothing: the publisher is told to wait.
+  // A subscription that must not lose anything and reads nothing: publish returns would_block.
   auto keeper = create_subscription<Cloud>(node, "/kept", QoS(1).keep_all(2));
   auto hasty = create_publisher<Cloud>(node, "/kept", QoS(1).keep_all(2));
   const auto kept = [&] {
@@ -96,7 +96,7 @@ TEST(CtlLive, CountsWhatWasAdoptedAndLost) {
   EXPECT_EQ(kept()["published_messages"], 5 - refused);
 }
 
-TEST(CtlLive, CountsWhatFellOutOfADepthInAnotherProcess) {
+TEST(CtlLive, CountsMessagesLostBeyondADepthInAnotherProcess) {
   DaemonProcess daemon;
   ClientTool publisher(daemon.socket_path()), subscriber(daemon.socket_path());
   ASSERT_EQ(subscriber.ask("sub /points 3"), "ok");
@@ -113,12 +113,12 @@ TEST(CtlLive, CountsWhatFellOutOfADepthInAnotherProcess) {
   EXPECT_EQ(info["publishers"][0]["published_messages"], 10);
 }
 
-TEST(CtlLive, VerifyIsQuietUnderTrafficAndDeaths) {
+TEST(CtlLive, VerifyFindsNothingUnderTrafficAndDeaths) {
   DaemonProcess daemon;
   std::atomic<bool> stop{false};
   std::atomic<std::uint64_t> published{0}, taken{0}, deaths{0};
-  // Each thread steers one process after the other: works for a while, then is killed in the middle
-  // of a command.
+  // Each thread steers one process after the other: it works for a while, then is killed in the
+  // middle of a command.
   const auto publish = [&](int number) {
     for (int life = 0; !stop; ++life) {
       ClientTool tool(daemon.socket_path());

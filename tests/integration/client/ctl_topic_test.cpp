@@ -1,9 +1,9 @@
 // SPDX-License-Identifier: Apache-2.0
 //
-// Goal: `topic echo`, `topic pub` and `topic delay` take part beside typed nodes: what one side writes the
-// other reads, in ros2's shapes, with the promised exit statuses, and they end cleanly however they
-// are ended. Method: the real daemon, typed and generic endpoints in this process, agnocast-ctl as a
-// program of its own.
+// Goal: `topic echo`, `topic pub` and `topic delay` interoperate with typed nodes in both
+// directions, in ros2's formats, with the promised exit statuses, and they end cleanly however
+// they are ended. Method: the real daemon, typed and generic endpoints in this process,
+// agnocast-ctl as a program of its own.
 
 #include <agnocast/agnocast.hpp>
 #include <agnocast/generic.hpp>
@@ -12,6 +12,7 @@
 #include <tests/support/plain_node.hpp>
 #include <tests/support/random_message.hpp>
 #include <tests/support/steered_process.hpp>
+#include <tests/support/suite_daemon.hpp>
 #include <tests/support/temporary_directory.hpp>
 
 #include <gmock/gmock.h>
@@ -61,17 +62,12 @@ struct MessageTraits<Impostor> {
 
 namespace {
 
-class CtlTopic : public testing::Test {
+class CtlTopic : public test::SuiteDaemon {
  protected:
-  // The library connects once per process.
-  static void SetUpTestSuite() {
-    daemon = new test::DaemonProcess;
-    ::setenv("AGNOCAST_SOCKET", daemon->socket_path().c_str(), 1);
-  }
   static CtlResult ctl(std::vector<std::string> words) {
     return test::run_ctl(daemon->socket_path(), std::move(words));
   }
-  /// What pub prints, whether or not it had to wait for the subscription.
+  /// Returns pub's output, whether or not it had to wait for the subscription.
   static std::string without_waiting(std::string out) {
     const std::string line = "Waiting for at least 1 matching subscription(s)...\n";
     for (; out.starts_with(line); out.erase(0, line.size())) {
@@ -99,10 +95,8 @@ class CtlTopic : public testing::Test {
     message.data = data;
     return message;
   }
-  static test::DaemonProcess* daemon;
   PlainNode node;
 };
-test::DaemonProcess* CtlTopic::daemon = nullptr;
 
 PointCloud2 cloud() {
   PointCloud2 cloud;
@@ -114,7 +108,7 @@ PointCloud2 cloud() {
   return cloud;
 }
 
-TEST_F(CtlTopic, EchoPrintsWhatATypedNodePublishes) {
+TEST_F(CtlTopic, EchoPrintsTheMessagesOfATypedNode) {
   const auto publisher = latched("/echoed", cloud());
   std::string whole =
       "header:\n  stamp:\n    sec: 5\n    nanosec: 0\n  frame_id: top\nheight: 0\nwidth: 0\n"
@@ -133,7 +127,7 @@ TEST_F(CtlTopic, EchoPrintsWhatATypedNodePublishes) {
     EXPECT_EQ(result.err, "");
     return result.out;
   };
-  EXPECT_EQ(echo({}), cut) << "transient local is asked for, because the publisher offers it";
+  EXPECT_EQ(echo({}), cut) << "echo requests transient local, because the publisher offers it";
   EXPECT_EQ(echo({"--full-length"}), whole);
   EXPECT_EQ(echo({"sensor_msgs/PointCloud2", "-f", "--qos-durability", "transient_local"}), whole);
   EXPECT_THAT(echo({"-l", "2"}), HasSubstr("data:\n- 7\n- 7\n- '...'\n"));
@@ -163,7 +157,7 @@ TEST_F(CtlTopic, EchoPrintsWhatATypedNodePublishes) {
   EXPECT_EQ(nlohmann::json::parse(echo({"-j", "--field", "fields[0].name"}))["field"], "x");
 }
 
-TEST_F(CtlTopic, EchoWaitsForATopicWhoseTypeIsSaidAndGoesOn) {
+TEST_F(CtlTopic, EchoWaitsForATopicOfAGivenTypeAndGoesOn) {
   SteeredProcess echo(command({"topic", "echo", "/later", "std_msgs/msg/String", "-n", "3"}), {});
   auto publisher = create_publisher<String>(node, "/later", QoS(10));
   ASSERT_TRUE(eventually([&] { return publisher->get_subscription_count() == 1; }));
@@ -181,7 +175,7 @@ TEST_F(CtlTopic, EchoWaitsForATopicWhoseTypeIsSaidAndGoesOn) {
   EXPECT_EQ(echo.answer(), "(it has ended)");
 }
 
-TEST_F(CtlTopic, EchoOfAClassOfOnesOwnIsRawAlone) {
+TEST_F(CtlTopic, EchoShowsAUserDefinedClassOnlyAsRawBytes) {
   Impostor message;
   message.number = 0x1122334455667788;
   const auto publisher = latched("/own", message);
@@ -195,7 +189,7 @@ TEST_F(CtlTopic, EchoOfAClassOfOnesOwnIsRawAlone) {
                               HasSubstr("std_msgs/msg/String"), HasSubstr("\nhint: use the type")));
 }
 
-TEST_F(CtlTopic, EchoTakesWhatAllPublishersOffer) {
+TEST_F(CtlTopic, EchoRequestsTheQosThatAllPublishersOffer) {
   auto best_effort = create_publisher<String>(node, "/mixed", QoS(5).best_effort());
   SteeredProcess echo(command({"topic", "echo", "/mixed", "--once"}), {});
   ASSERT_TRUE(eventually([&] { return best_effort->get_subscription_count() == 1; }));
@@ -244,7 +238,7 @@ TEST_F(CtlTopic, PubReachesATypedNodeWithoutACopy) {
   EXPECT_TRUE(eventually([&] { return subscription->get_publisher_count() == 0; }));
 }
 
-TEST_F(CtlTopic, PubSendsAsOftenAsItIsTold) {
+TEST_F(CtlTopic, PubSendsTheRequestedNumberOfMessages) {
   auto subscription = create_subscription<String>(node, "/times", QoS(100));
   const auto count = [&] {
     int messages = 0;
@@ -286,7 +280,7 @@ TEST_F(CtlTopic, PubSendsAsOftenAsItIsTold) {
             "hint: agnocast-ctl topic info -v /nobody\n");
 }
 
-TEST_F(CtlTopic, WhatEchoPrintsPubPublishesAgain) {
+TEST_F(CtlTopic, PubPublishesTheOutputOfEchoUnchanged) {
   test::RandomMessages random(41, {.has_nan = true, .has_any_text = true});
   const test::TemporaryDirectory directory;
   int number = 0;
@@ -319,7 +313,7 @@ TEST_F(CtlTopic, WhatEchoPrintsPubPublishesAgain) {
   }
 }
 
-TEST_F(CtlTopic, DelayIsTheAgeOfTheStamp) {
+TEST_F(CtlTopic, DelayShowsTheAgeOfTheStamp) {
   auto publisher = create_publisher<PointCloud2>(node, "/stamped", QoS(10));
   SteeredProcess delay(command({"topic", "delay", "/stamped", "-w", "3"}), {});
   SteeredProcess for_programs(command({"topic", "delay", "/stamped", "-j"}), {});

@@ -1,12 +1,14 @@
 // SPDX-License-Identifier: Apache-2.0
 //
-// Goal: old messages are destroyed where docs/messages.md says, each once, and none is forgotten.
-// Method: a message whose destructor notes what its thread was doing. Nobody subscribes, so what a
-// pass finds may go at once. With the real daemon and the real heap hook.
+// Goal: old messages are destroyed where docs/messages.md says, each once, and none is missed.
+// Method: a message whose destructor records what its thread was doing. Nobody subscribes, so
+// every message that a reclamation scan finds may be freed at once. With the real daemon and the
+// real heap hook.
 
 #include <agnocast/agnocast.hpp>
 #include <tests/support/daemon_process.hpp>
 #include <tests/support/plain_node.hpp>
+#include <tests/support/suite_daemon.hpp>
 
 #include <gmock/gmock.h>
 
@@ -24,14 +26,14 @@
 namespace agnocast {
 namespace {
 
-// What the library's own threads do is the first.
+// The library's own threads do `nothing`.
 enum class Doing : std::size_t { nothing, borrow, publish, count };
 thread_local Doing doing = Doing::nothing;
 std::atomic<std::size_t> destroyed_by[static_cast<std::size_t>(Doing::count)];
-// Run by destructors, once for each message that it is to be run for.
+// Called by destructors, once for each message as long as returns_left counts.
 std::atomic<int> returns_left{0};
 void come_back();
-// What a destructor needs of the stack, as a long chain of objects does that destroy each other.
+// The stack that a destructor uses, as in a long chain of objects that destroy each other.
 std::atomic<std::size_t> stack_pages{0};
 [[gnu::noinline]] std::size_t go_down(std::size_t pages) {
   volatile char page[4000];
@@ -73,17 +75,11 @@ struct MessageTraits<Noted> {
 
 namespace {
 
-class Destruction : public testing::Test {
+class Destruction : public test::SuiteDaemon {
  protected:
-  // The library connects once per process.
-  static void SetUpTestSuite() {
-    daemon = new test::DaemonProcess;
-    ::setenv("AGNOCAST_SOCKET", daemon->socket_path().c_str(), 1);
-  }
   void SetUp() override {
     for (auto& count : destroyed_by) count.store(0);
-    publisher = create_publisher<Noted>(
-        test::PlainNode(), testing::UnitTest::GetInstance()->current_test_info()->name(), QoS(1));
+    publisher = create_publisher<Noted>(test::PlainNode(), test_name(), QoS(1));
   }
   void TearDown() override { publisher = nullptr; }
 
@@ -98,29 +94,27 @@ class Destruction : public testing::Test {
     doing = before;
   }
 
-  static test::DaemonProcess* daemon;
   static Publisher<Noted>::SharedPtr publisher;
 };
-test::DaemonProcess* Destruction::daemon = nullptr;
 Publisher<Noted>::SharedPtr Destruction::publisher;
 
 void come_back() { Destruction::borrow_and_publish(small); }
 
-TEST_F(Destruction, OfSmallMessagesIsLeftToTheNextBorrow) {
+TEST_F(Destruction, OfSmallMessagesWaitsForTheNextBorrow) {
   for (int i = 0; i < 200; ++i) borrow_and_publish(small);
   EXPECT_EQ(destroyed(Doing::publish), 0u);
   EXPECT_GT(destroyed(Doing::borrow), 0u);
   EXPECT_TRUE(test::eventually([] { return destroyed() == 200; })) << destroyed();
 }
 
-TEST_F(Destruction, OfLargeMessagesIsNotLeftToAnybody) {
+TEST_F(Destruction, OfLargeMessagesIsNotDeferred) {
   for (int i = 0; i < 200; ++i) borrow_and_publish(large);
   EXPECT_EQ(destroyed(Doing::borrow), 0u);
   EXPECT_GT(destroyed(Doing::publish), 0u);
   EXPECT_TRUE(test::eventually([] { return destroyed() == 200; })) << destroyed();
 }
 
-TEST_F(Destruction, WhereNobodyBorrowsIsThatOfTheNextPublish) {
+TEST_F(Destruction, WaitsForTheNextPublishWhereNobodyBorrows) {
   for (int i = 0; i < 200; ++i) {
     std::unique_ptr<Noted> message;
     {
@@ -138,7 +132,7 @@ TEST_F(Destruction, WhereNobodyBorrowsIsThatOfTheNextPublish) {
   EXPECT_TRUE(test::eventually([] { return destroyed() == 200; })) << destroyed();
 }
 
-// The last ones have no call that comes after them.
+// No later call of the publisher destroys the last ones.
 TEST_F(Destruction, OfTheLastMessagesIsDoneByTheLibrary) {
   for (int i = 0; i < 8; ++i) borrow_and_publish(small);
   EXPECT_TRUE(test::eventually([] { return destroyed() == 8; })) << destroyed();

@@ -1,7 +1,8 @@
 // SPDX-License-Identifier: Apache-2.0
 //
-// Goal: doctor finds nothing in a system that works, and of one broken program exactly what is wrong with it,
-// and its remedy, run to its end, brings the program back. Method: the installed examples with the real hook.
+// Goal: doctor finds nothing in a healthy system, and exactly the fault of one broken program, and
+// its remedy, run completely, repairs the program. Method: the installed examples with the real
+// hook.
 
 #include <tests/support/doctored.hpp>
 #include <tests/support/steered_process.hpp>
@@ -50,7 +51,7 @@ class DoctorLive : public testing::Test {
                     listener_ = AGNOCAST_EXAMPLES "/listener";
 };
 
-TEST_F(DoctorLive, FindsNothingWhereMessagesPass) {
+TEST_F(DoctorLive, FindsNothingWhereMessagesArrive) {
   const SteeredProcess listener({listener_}, with({})), other({listener_}, with({}));
   const SteeredProcess talker({talker_, "--rate", "50"}, with({"LD_PRELOAD=" AGNOCAST_HOOK}));
   ASSERT_TRUE(soon([&] { return is_published(); }));
@@ -63,7 +64,7 @@ TEST_F(DoctorLive, FindsNothingWhereMessagesPass) {
   EXPECT_EQ(findings.result.status, 0) << findings.result.err;
 }
 
-TEST_F(DoctorLive, SaysThatTheLoaderLeftTheHookOut) {
+TEST_F(DoctorLive, ReportsThatTheLoaderSkippedTheHook) {
   const SteeredProcess listener({listener_, "--count", "3"},
                                 with({"LD_PRELOAD=/nonexistent/libagnocast_heaphook.so"}));
   ASSERT_TRUE(has_members(1));
@@ -73,7 +74,7 @@ TEST_F(DoctorLive, SaysThatTheLoaderLeftTheHookOut) {
                                       listener_ + " --count 3 &");
 }
 
-TEST_F(DoctorLive, SaysThatAnUpdateAwaitsTheRestartOfAProcess) {
+TEST_F(DoctorLive, ReportsThatAnUpdateAwaitsTheRestartOfAProcess) {
   const std::string directory = make_directory(), hook = directory + "/libagnocast_heaphook.so";
   std::filesystem::copy_file(AGNOCAST_HOOK, hook);
   {
@@ -92,7 +93,7 @@ TEST_F(DoctorLive, SaysThatAnUpdateAwaitsTheRestartOfAProcess) {
   remove_directory(directory);
 }
 
-TEST_F(DoctorLive, SaysWhoIsSwitchedOff) {
+TEST_F(DoctorLive, NamesAProcessThatIsSwitchedOff) {
   const SteeredProcess listener({listener_}, with({"AGNOCAST=off"}));
   ASSERT_TRUE(soon([&] { return !doctor_.look().all.empty(); }));
   const Findings findings = doctor_.look();
@@ -104,7 +105,7 @@ TEST_F(DoctorLive, SaysWhoIsSwitchedOff) {
   EXPECT_TRUE(finds_nothing());
 }
 
-TEST_F(DoctorLive, BringsBackWhoWasPutOut) {
+TEST_F(DoctorLive, RestartsARevokedProcess) {
   const SteeredProcess listener({listener_}, with({}));
   ASSERT_TRUE(has_members(1));
   ASSERT_EQ(

@@ -1,14 +1,15 @@
 // SPDX-License-Identifier: Apache-2.0
 //
-// Goal: an endpoint learns who matched it, who left or died, and who could not match and why,
-// whichever side was there first.
-// Method: the public interface with the real daemon; the other side is a second process that ends or
-// is killed. Statuses are asked for, callbacks are run by the library's thread or by an executor.
+// Goal: an endpoint learns which peers matched it, left or died, and which could not match and
+// why, whichever side came first.
+// Method: the public interface with the real daemon; the other side is a second process that ends
+// or is killed. The test polls statuses; the library's thread or an executor runs callbacks.
 
 #include <agnocast/agnocast.hpp>
 #include <tests/integration/client/second_process.hpp>
 #include <tests/support/daemon_process.hpp>
 #include <tests/support/foreign_socket.hpp>
+#include <tests/support/suite_daemon.hpp>
 
 #include <gmock/gmock.h>
 
@@ -29,21 +30,7 @@ using test::Number;
 using test::qos_of;
 using test::SecondProcess;
 
-class Events : public testing::Test {
- protected:
-  // The library connects once per process, so all tests here share one daemon.
-  static void SetUpTestSuite() {
-    daemon = new test::DaemonProcess;
-    ::setenv("AGNOCAST_SOCKET", daemon->socket_path().c_str(), 1);
-  }
-  static void TearDownTestSuite() { delete daemon; }
-  static test::DaemonProcess* daemon;
-
-  static std::string own(const std::string& name) {
-    return name + "_" + testing::UnitTest::GetInstance()->current_test_info()->name();
-  }
-};
-test::DaemonProcess* Events::daemon = nullptr;
+class Events : public test::SuiteDaemon {};
 
 /// A list that callbacks fill.
 template <class Info>
@@ -56,7 +43,7 @@ struct Told {
     infos.push_back(info);
     threads.push_back(std::this_thread::get_id());
   }
-  /// Of all changes so far.
+  /// Returns the sum over all changes so far.
   template <class Member>
   auto sum(Member member) {
     const std::lock_guard lock(mutex);
@@ -92,7 +79,7 @@ TEST_F(Events, AnEndpointLearnsThatTheDaemonIsAwayAndBack) {
   EXPECT_EQ(island_reason(), Errc::ok);
 }
 
-TEST_F(Events, ASubscriptionLearnsOfPublishersThatComeLeaveAndDie) {
+TEST_F(Events, ASubscriptionIsNotifiedOfPublishersThatComeLeaveAndDie) {
   Node node(own("node"));
   Told<MatchedInfo> told;
   auto subscription = node.create_subscription<Number>(
@@ -111,12 +98,12 @@ TEST_F(Events, ASubscriptionLearnsOfPublishersThatComeLeaveAndDie) {
   EXPECT_EQ(told.sum(&MatchedInfo::current_count_change), 0);
   const MatchedInfo status = subscription->get_matched_status();
   EXPECT_EQ(status.total_count, 2u);
-  EXPECT_EQ(status.total_count_change, 2u) << "callbacks take nothing away from the status";
+  EXPECT_EQ(status.total_count_change, 2u) << "callbacks do not reset the status's changes";
   EXPECT_EQ(status.current_count, 0u);
   EXPECT_EQ(subscription->get_matched_status().total_count_change, 0u);
 }
 
-TEST_F(Events, APublisherLearnsOfSubscriptionsThatComeLeaveAndDie) {
+TEST_F(Events, APublisherIsNotifiedOfSubscriptionsThatComeLeaveAndDie) {
   Node node(own("node"));
   Told<MatchedInfo> told;
   SecondProcess first({"subscribe", own("topic"), "1rv"});
@@ -133,7 +120,7 @@ TEST_F(Events, APublisherLearnsOfSubscriptionsThatComeLeaveAndDie) {
   EXPECT_EQ(publisher->get_matched_status().total_count, 2u);
 }
 
-TEST_F(Events, APublisherCountsEachSubscriptionAlsoOneThatIsGoneAtOnce) {
+TEST_F(Events, APublisherCountsEachSubscriptionAlsoOneThatEndsAtOnce) {
   Node node(own("node"));
   Told<MatchedInfo> told;
   auto publisher = node.create_publisher<Number>(
@@ -160,7 +147,7 @@ constexpr Case cases[] = {
     {"1bv", "1rt", QosPolicyKind::reliability},
 };
 
-TEST_F(Events, BothSidesLearnWhichPolicyIsIncompatibleWhoeverComesFirst) {
+TEST_F(Events, BothSidesLearnTheIncompatiblePolicyWhicheverComesFirst) {
   Node node(own("node"));
   for (const Case& pair : cases) {
     const std::string topic = own("topic") + pair.offered + pair.requested;
@@ -179,7 +166,7 @@ TEST_F(Events, BothSidesLearnWhichPolicyIsIncompatibleWhoeverComesFirst) {
 
       auto late = node.create_publisher<Number>(topic, qos_of(pair.offered));
       EXPECT_TRUE(eventually([&] { return late->get_incompatible_qos_status().total_count == 1; }))
-          << "one that is created when the subscription is there already";
+          << "created when the subscription already exists";
     }
     {
       SCOPED_TRACE(topic + ": a subscription here, then a publisher there");
@@ -198,7 +185,7 @@ TEST_F(Events, BothSidesLearnWhichPolicyIsIncompatibleWhoeverComesFirst) {
   }
 }
 
-TEST_F(Events, CallbacksRunInTheExecutorAndTellWhatHappenedBeforeTheyWereSet) {
+TEST_F(Events, CallbacksRunInTheExecutorAndReportEarlierEvents) {
   Node node(own("node"));
   SingleThreadedExecutor executor;
   executor.add_node(node);
@@ -216,10 +203,10 @@ TEST_F(Events, CallbacksRunInTheExecutorAndTellWhatHappenedBeforeTheyWereSet) {
   EXPECT_EQ(told.infos[0].last_policy_kind, QosPolicyKind::reliability);
   EXPECT_EQ(told.threads[0], std::this_thread::get_id());
   executor.spin_some();
-  EXPECT_EQ(told.infos.size(), 1u) << "told once";
+  EXPECT_EQ(told.infos.size(), 1u) << "notified once";
 }
 
-TEST_F(Events, AnotherTypeIsToldToWhoWasThere) {
+TEST_F(Events, APresentEndpointIsNotifiedOfAnotherType) {
   Node node(own("node"));
   Told<IncompatibleTypeInfo> told;
   auto publisher =
@@ -236,7 +223,7 @@ TEST_F(Events, AnotherTypeIsToldToWhoWasThere) {
   EXPECT_EQ(publisher->get_incompatible_qos_status().total_count, 0);
 }
 
-TEST_F(Events, AnExceptionOfAnEventCallbackIsTreatedLikeAnyOther) {
+TEST_F(Events, AnExceptionOfAnEventCallbackIsHandledLikeAnyOther) {
   Node node(own("node"));
   auto publisher = node.create_publisher<Number>(
       own("topic"), 1, PublisherOptions().matched_callback([](MatchedInfo&) { throw 1; }));

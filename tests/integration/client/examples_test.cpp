@@ -1,7 +1,8 @@
 // SPDX-License-Identifier: Apache-2.0
 //
-// Goal: the examples do what their help says, as separate programs with the preloaded hook, and name what is wrong when something is.
-// Method: run them as a user would, against the real daemon; look at exit status and text.
+// Goal: the examples do what their help says, as separate programs with the preloaded hook, and
+// report errors clearly.
+// Method: run them as a user would, against the real daemon; check exit status and text.
 
 #include <tests/support/daemon_process.hpp>
 
@@ -65,7 +66,7 @@ TEST(Examples, EveryCloudArrivesIntactAtTwoSubscribers) {
   }
 }
 
-/// Publishes `published`, and a subscriber that expects `expected` looks at three clouds of it.
+/// Publishes `published`, and a subscriber that expects `expected` checks three clouds of it.
 Outcome replay(const std::string& published, const std::string& expected) {
   test::DaemonProcess daemon({.config = "", .uid = {}, .arguments = {"--log-level", "debug"}});
   auto subscriber = std::async(std::launch::async, [&] {
@@ -118,7 +119,7 @@ TEST(Examples, AScanOfKittiHasFourFields) {
   EXPECT_EQ(replay(four, four + " --fields 4").status, 0);
   EXPECT_EQ(replay(either + " --fields 4", either + " --fields 4").status, 0);
   const Outcome other = replay(either + " --fields 4", either + " --fields 5");
-  EXPECT_EQ(other.status, 1) << "the same bytes, and other points";
+  EXPECT_EQ(other.status, 1) << "the same bytes, but other points";
   EXPECT_THAT(other.text, HasSubstr("3 received, 3 wrong"));
   EXPECT_EQ(replay(neither + " --fields 3", neither + " --fields 3").status, 0);
 
@@ -155,7 +156,7 @@ TEST(Examples, TwoIntsAreAdded) {
   EXPECT_THAT(both.text, HasSubstr("Sum: 42\n"));
 }
 
-TEST(Examples, AddTwoIntsSaysHowItIsUsed) {
+TEST(Examples, AddTwoIntsPrintsItsUsage) {
   for (const char* name : {"add_two_ints_server", "add_two_ints_client"}) {
     const Outcome help = run(std::string(AGNOCAST_EXAMPLES "/") + name + " --help");
     EXPECT_EQ(help.status, 0) << help.text;
@@ -188,7 +189,7 @@ TEST(Examples, WrongOptionsAreWrongUsage) {
   EXPECT_THAT(too_many.text, HasSubstr("--points: a cloud has at most 214748364 points"));
 }
 
-TEST(Examples, ASubscriberThatIsInterruptedTellsWhatItReceived) {
+TEST(Examples, AnInterruptedSubscriberPrintsItsCounts) {
   for (const std::string signal : {"INT", "TERM"}) {
     test::DaemonProcess daemon({.config = "", .uid = {}, .arguments = {"--log-level", "debug"}});
     const std::string out = daemon.directory() + "/out";
@@ -205,7 +206,7 @@ TEST(Examples, ASubscriberThatIsInterruptedTellsWhatItReceived) {
   }
 }
 
-TEST(Examples, ATalkerIsHeard) {
+TEST(Examples, AListenerReceivesFromATalker) {
   test::DaemonProcess daemon({.config = "", .uid = {}, .arguments = {"--log-level", "debug"}});
   auto listener = std::async(std::launch::async, [&] {
     return run(example("listener", daemon, false) + " --count 5 --verbose");
@@ -238,7 +239,7 @@ TEST(Examples, AreRenamedAndRemappedByTheCommandLine) {
   EXPECT_THAT(bad_rule.text, HasSubstr("\"nonsense\": a remap rule is from:=to"));
 }
 
-TEST(Examples, SayWhichRosArgumentsHaveNoEffect) {
+TEST(Examples, NameTheRosArgumentsThatHaveNoEffect) {
   test::DaemonProcess daemon;
   const Outcome said = run(example("talker", daemon, true) +
                            " --count 1 --ros-args -p rate:=10 --params-file /f.yaml -r a:=b");
@@ -248,7 +249,7 @@ TEST(Examples, SayWhichRosArgumentsHaveNoEffect) {
   EXPECT_THAT(said.text, testing::Not(HasSubstr("a:=b")));
 }
 
-TEST(Examples, NameWhatIsWrong) {
+TEST(Examples, NameTheirErrors) {
   test::DaemonProcess daemon;
   const Outcome no_hook = run(example("talker", daemon, false) + " --count 1");
   EXPECT_EQ(no_hook.status, 1);

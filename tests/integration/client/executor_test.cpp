@@ -2,14 +2,16 @@
 //
 // Goal: executors run the callbacks of their nodes, all of them once, in a fair order and in the
 // thread that spins, while nodes move between executors and the library's thread.
-// Method: the public interface, the real daemon, publishers in this process and (where messages flow
-// while something else happens) in a second one. tests/threads/executor_threads_test.cpp does the
-// moving for ThreadSanitizer.
+// Method: the public interface, the real daemon, publishers in this process and (where messages
+// flow meanwhile) in a second one. tests/threads/executor_threads_test.cpp covers the moves under
+// ThreadSanitizer.
 
 #include <agnocast/agnocast.hpp>
 #include <tests/integration/client/second_process.hpp>
 #include <tests/support/child.hpp>
 #include <tests/support/daemon_process.hpp>
+#include <tests/support/error_of.hpp>
+#include <tests/support/suite_daemon.hpp>
 
 #include <poll.h>
 #include <signal.h>
@@ -32,6 +34,7 @@ namespace agnocast {
 namespace {
 
 using namespace std::chrono_literals;
+using test::error_of;
 using test::eventually;
 using test::Number;
 using test::SecondProcess;
@@ -39,29 +42,16 @@ using Message = ipc_shared_ptr<const Number>;
 
 static_assert(std::has_virtual_destructor_v<Executor>, "may be held by pointers to the base");
 
-class Executors : public testing::Test {
+class Executors : public test::SuiteDaemon {
  protected:
-  // The library connects once per process, so all tests here share one daemon.
-  static void SetUpTestSuite() {
-    daemon = new test::DaemonProcess;
-    ::setenv("AGNOCAST_SOCKET", daemon->socket_path().c_str(), 1);
-  }
-  static void TearDownTestSuite() { delete daemon; }
-  static test::DaemonProcess* daemon;
-
-  /// Names of this test alone.
-  static std::string own(const std::string& name) {
-    return name + "_" + testing::UnitTest::GetInstance()->current_test_info()->name();
-  }
   static void publish(Publisher<Number>& publisher, std::uint64_t value) {
     auto number = publisher.borrow_loaned_message();
     number->value = value;
     ASSERT_TRUE(publisher.publish(std::move(number)));
   }
 };
-test::DaemonProcess* Executors::daemon = nullptr;
 
-/// What callbacks saw, from any thread.
+/// The values that callbacks got, from any thread.
 struct Seen {
   std::mutex mutex;
   std::vector<std::uint64_t> values;
@@ -81,16 +71,6 @@ std::vector<std::uint64_t> up_to(std::uint64_t last) {
   std::vector<std::uint64_t> values;
   for (std::uint64_t value = 1; value <= last; ++value) values.push_back(value);
   return values;
-}
-
-template <class Function>
-std::string error_of(Function function) {
-  try {
-    function();
-  } catch (const Error& error) {
-    return error.what();
-  }
-  return "(no error)";
 }
 
 TEST_F(Executors, SpinRunsCallbacksInItsThreadUntilCancelled) {
@@ -122,8 +102,9 @@ TEST_F(Executors, ACancelBeforeSpinEndsIt) {
   spinning.spin();
 }
 
-// Who cancels wants an end: a function that ends at that moment anyway must not swallow it.
-TEST_F(Executors, ACancelDuringTheLastCallbackIsLeftToTheNextSpin) {
+// A caller of cancel() wants an end: a function that ends at that moment anyway must not swallow
+// it.
+TEST_F(Executors, ACancelDuringTheLastCallbackAppliesToTheNextSpin) {
   Node node(own("node"));
   Seen seen;
   SingleThreadedExecutor executor;
@@ -164,8 +145,8 @@ TEST_F(Executors, ASignalHandlerMayCancel) {
   ::sigaction(SIGUSR1, &before, nullptr);
 }
 
-// The node travels between two spinning executors, a third one that is made and destroyed, and the
-// library's thread, while a publisher in another process sends as fast as it can. keep-all: every
+// The node moves between two spinning executors, a third one that is made and destroyed, and the
+// library's thread, while a publisher in another process sends at full speed. keep-all: every
 // message must arrive.
 TEST_F(Executors, NothingIsLostOrDoubledOrOvertakenWhileANodeMoves) {
   constexpr std::uint64_t count = 30000;
@@ -215,9 +196,9 @@ TEST_F(Executors, NothingIsLostOrDoubledOrOvertakenWhileANodeMoves) {
   EXPECT_GT(moves, 10u);
 }
 
-// Asleep when it is taken, asleep when it is given back: the last message before and the first one
-// after a move must wake the right one.
-TEST_F(Executors, ANewHostIsWokenByWhatComesAfterTheMove) {
+// It sleeps when the node is taken and when it is given back: the last message before and the
+// first one after a move must wake the right executor.
+TEST_F(Executors, ANewExecutorIsWokenByMessagesAfterTheMove) {
   Node node(own("node"));
   Seen seen;
   auto subscription = node.create_subscription<Number>(
@@ -240,7 +221,7 @@ TEST_F(Executors, ANewHostIsWokenByWhatComesAfterTheMove) {
   for (std::size_t i = 0; i < 40; ++i) EXPECT_EQ(seen.threads[i] == id, i % 2 == 1) << i;
 }
 
-TEST_F(Executors, EachSubscriptionHasItsTurn) {
+TEST_F(Executors, EachSubscriptionRunsInEachCycle) {
   Node fast(own("fast")), slow(own("slow"));
   std::string order;
   SingleThreadedExecutor executor;
@@ -264,7 +245,7 @@ TEST_F(Executors, EachSubscriptionHasItsTurn) {
   executor.spin_once();
   EXPECT_EQ(order, "ab") << "one callback each";
   executor.spin_some();
-  EXPECT_EQ(order, "abc") << "the rest of the turn";
+  EXPECT_EQ(order, "abc") << "the rest of the cycle";
   executor.spin_some();
   EXPECT_EQ(order, "abcabc");
   executor.spin_all(0s);
@@ -289,7 +270,7 @@ TEST_F(Executors, AnExceptionLeavesSpinAndTheExecutorGoesOn) {
   for (const char* number : {"1", "3"}) {
     try {
       executor.spin();
-      ADD_FAILURE() << "spin has returned";
+      ADD_FAILURE() << "spin returned";
     } catch (const std::runtime_error& error) {
       EXPECT_STREQ(error.what(), number);
     }
@@ -297,7 +278,7 @@ TEST_F(Executors, AnExceptionLeavesSpinAndTheExecutorGoesOn) {
   }
   executor.spin_once();
   EXPECT_EQ(seen.values, up_to(4));
-  EXPECT_EQ(subscription->get_callback_exception_count(), 0u) << "they were given to the caller";
+  EXPECT_EQ(subscription->get_callback_exception_count(), 0u) << "the caller got them";
 
   executor.remove_node(node);
   for (std::uint64_t value = 5; value <= 8; ++value) publish(*publisher, value);
@@ -306,7 +287,7 @@ TEST_F(Executors, AnExceptionLeavesSpinAndTheExecutorGoesOn) {
   EXPECT_TRUE(eventually([&] { return subscription->get_callback_exception_count() == 2; }));
 }
 
-TEST_F(Executors, ALoopOfOnesOwnPollsAndDispatches) {
+TEST_F(Executors, AUsersOwnLoopPollsAndDispatches) {
   Node node(own("node"));
   Seen seen;
   auto subscription = node.create_subscription<Number>(
@@ -326,7 +307,7 @@ TEST_F(Executors, ALoopOfOnesOwnPollsAndDispatches) {
   })) << seen.count();
   EXPECT_EQ(seen.values, up_to(500));
 
-  // Nothing comes: it must not be readable for ever (that would be a loop without a sleep).
+  // No message arrives: the descriptor must not stay readable (that would be a busy loop).
   std::uint64_t silent = 0;
   for (int i = 0; i < 10; ++i) {
     ASSERT_EQ(executor.prepare(), Executor::Readiness::armed);
@@ -335,7 +316,7 @@ TEST_F(Executors, ALoopOfOnesOwnPollsAndDispatches) {
     EXPECT_EQ(executor.dispatch(), 0u);
   }
   EXPECT_GE(silent, 5u);
-  // Nor may a wait last for ever, for whom nobody rings: not the first, and not one after that.
+  // Nor may a wait last for ever when nobody rings: not the first, and not a later one.
   for (int i = 0; i < 3; ++i) {
     ASSERT_EQ(executor.prepare(), Executor::Readiness::armed);
     pollfd ticking{executor.fd(), POLLIN, 0};
@@ -349,7 +330,7 @@ TEST_F(Executors, ALoopOfOnesOwnPollsAndDispatches) {
   EXPECT_EQ(executor.dispatch(), 0u);
 }
 
-TEST_F(Executors, ASpinningExecutorGetsEverythingWithAnyBudget) {
+TEST_F(Executors, ASpinningExecutorGetsEveryMessageWithAnyBudget) {
   for (const std::chrono::nanoseconds budget :
        {std::chrono::nanoseconds(50us), SpinningExecutor::forever}) {
     Node node(own("node"));
@@ -391,7 +372,7 @@ TEST_F(Executors, SpinUntilFutureCompleteEndsWithTheFuture) {
   other.join();
 }
 
-/// Look-alikes of rclcpp's node and of its base interface: all that add_node asks for.
+/// Look-alikes of rclcpp's node and of its base interface: all that add_node needs.
 struct BaseInterface {
   std::string name;
   const char* get_fully_qualified_name() const { return name.c_str(); }
@@ -448,7 +429,7 @@ TEST_F(Executors, ACallbackMayMoveItsNodeAndEndItsSubscription) {
 }
 
 // The last subscription of the node goes, and the next one comes, while the callback still runs.
-TEST_F(Executors, ACallbackThatReplacesItsSubscriptionIsStillAlone) {
+TEST_F(Executors, ACallbackThatReplacesItsSubscriptionNeverRunsConcurrently) {
   Node node(own("node"));
   std::atomic<int> inside{0}, overlaps{0}, first{0}, second{0};
   const auto enter = [&] {
@@ -469,7 +450,7 @@ TEST_F(Executors, ACallbackThatReplacesItsSubscriptionIsStillAlone) {
                                                           ++second;
                                                           --inside;
                                                         });
-        // What would run meanwhile has its time.
+        // Time for a concurrent callback, if there were one.
         for (int i = 0; i < 300 && overlaps == 0; ++i) std::this_thread::sleep_for(1ms);
         --inside;
         ++first;
@@ -479,7 +460,7 @@ TEST_F(Executors, ACallbackThatReplacesItsSubscriptionIsStillAlone) {
   EXPECT_EQ(overlaps, 0);
 }
 
-TEST_F(Executors, MistakesAreNamed) {
+TEST_F(Executors, MisuseIsReported) {
   Node node(own("node"));
   SingleThreadedExecutor executor, other;
   executor.add_node(node);
@@ -506,7 +487,7 @@ TEST_F(Executors, AForkedChildCanDoNoHarm) {
   std::thread spinner([&] { executor->spin(); });
   ASSERT_TRUE(eventually([&] { return executor->is_spinning(); }));
   for (int i = 0; i < 20; ++i) {
-    // The spinning thread has the locks now and then, and nobody gives them back in the child.
+    // The spinning thread has the locks now and then, and no thread releases them in the child.
     test::Child child([&]() noexcept {
       const std::string forked = "was forked";
       executor->cancel();
@@ -532,7 +513,7 @@ TEST_F(Executors, AForkedChildCanDoNoHarm) {
   spinner.join();
 }
 
-TEST_F(Executors, AChildForkedInACallbackThatReturnsIsToldSo) {
+TEST_F(Executors, AChildForkedInACallbackThatReturnsGetsAnError) {
   Node node(own("node"));
   Seen seen;
   SingleThreadedExecutor executor;
@@ -566,10 +547,10 @@ TEST_F(Executors, AChildForkedInACallbackThatReturnsIsToldSo) {
   status = -1;
   publish(*publisher, 2);
   EXPECT_TRUE(eventually([&] { return seen.count() == 2; }));
-  EXPECT_EQ(status, 0) << "in the library's thread: it ends, and with it the child";
+  EXPECT_EQ(status, 0) << "in the library's thread: the thread ends, and with it the child";
 }
 
-TEST_F(Executors, ANodeTooManyIsRefusedAndALaterOneIsNot) {
+TEST_F(Executors, ANodeTooManyIsRefusedUntilAPlaceIsFree) {
   std::vector<std::unique_ptr<Node>> nodes;
   std::vector<Subscription<Number>::SharedPtr> subscriptions;
   std::string refused = "(no error)";
@@ -584,7 +565,7 @@ TEST_F(Executors, ANodeTooManyIsRefusedAndALaterOneIsNot) {
   EXPECT_GE(subscriptions.size(), 55u) << "one may be kept for subscriptions without callbacks";
   EXPECT_THAT(refused, testing::HasSubstr("more than 56 nodes with callbacks in one process"));
   subscriptions.pop_back();
-  // The sleeper comes back when the daemon has answered that the subscription has left.
+  // The wait set comes back when the daemon has confirmed that the subscription has left.
   EXPECT_TRUE(eventually([&] {
     return try_create_subscription<Number>(*nodes.back(), own("topic"), 1, [](const Message&) {})
         .has_value();

@@ -1,9 +1,9 @@
 // SPDX-License-Identifier: Apache-2.0
 //
-// Goal: a process may call exit() at any time: no thread of the library's runs code of the user's that
-// would touch destroyed objects, and exit() ends.
+// Goal: a process may call exit() at any time: no thread of the library runs user code that would
+// touch destroyed objects, and exit() ends.
 // Method: real processes that exit, with the real daemon. A static object gives the library every
-// occasion while it is destroyed; what runs too late writes into a pipe that this process reads.
+// occasion while it is destroyed; late user code writes into a pipe that this process reads.
 
 #include <agnocast/agnocast.hpp>
 #include <tests/support/child.hpp>
@@ -24,7 +24,8 @@
 #include <thread>
 #include <utility>
 
-// exit() without destroying endpoints leaves their node's thread unjoined: that is what is tested.
+// exit() without destroying endpoints leaves their node's thread unjoined, which is under test
+// here.
 extern "C" [[gnu::visibility("default")]] const char* __tsan_default_options();
 extern "C" const char* __tsan_default_options() { return "report_thread_leaks=0"; }
 
@@ -38,7 +39,7 @@ using test::take_soon;
 int too_late = -1;  // the pipe
 std::atomic<bool> is_destroyed{false};
 
-/// What the exiting thread does itself is its own business.
+/// The exiting thread itself may do anything.
 void note(char what) {
   if (is_destroyed && ::gettid() != ::getpid()) (void)!::write(too_late, &what, 1);
 }
@@ -51,7 +52,7 @@ struct Ping : SharedMessage {
   ~Ping() { note('d'); }
 };
 
-/// Among the static objects; its destructor does what it is told.
+/// One of the static objects; its destructor calls `act`.
 struct AtExit {
   std::function<void()> act;
   ~AtExit() {
@@ -60,8 +61,7 @@ struct AtExit {
   }
 };
 
-/// A thread that is woken needs less than the first; the timer of the control thread less than the
-/// second.
+/// A woken thread needs less than the first; the control thread's timer less than the second.
 constexpr std::chrono::milliseconds woken{500}, by_timer{2500};
 void give_others_time(std::chrono::milliseconds time) { std::this_thread::sleep_for(time); }
 
@@ -72,7 +72,7 @@ class Exiting : public testing::Test {
     ASSERT_EQ(::pipe(pipe_), 0);
     too_late = pipe_[1];
   }
-  /// `body` uses the library and exits. Its status and what came too late.
+  /// `body` uses the library and exits. Returns its status and the late writes.
   template <class Body>
   std::pair<int, std::string> run(Body body) {
     Child child([&]() noexcept -> int {
@@ -103,7 +103,7 @@ struct MessageTraits<Ping> {
 
 namespace {
 
-TEST_F(Exiting, NoCallbackBeginsAnyMore) {
+TEST_F(Exiting, NoCallbackBeginsAfterExit) {
   EXPECT_EQ(run([](AtExit& at_exit) {
               std::atomic<int> called{0};
               auto subscription = create_subscription<Ping>(PlainNode(), "ping", QoS(10),
@@ -125,7 +125,7 @@ TEST_F(Exiting, NoCallbackBeginsAnyMore) {
             silent(0));
 }
 
-TEST_F(Exiting, NoEventCallbackBeginsAnyMore) {
+TEST_F(Exiting, NoEventCallbackBeginsAfterExit) {
   EXPECT_EQ(run([](AtExit& at_exit) {
               std::atomic<bool> matched{false};
               auto publisher = create_publisher<Ping>(
@@ -144,7 +144,7 @@ TEST_F(Exiting, NoEventCallbackBeginsAnyMore) {
             silent(0));
 }
 
-TEST_F(Exiting, NoMessageIsDestroyedByTheControlThreadAnyMore) {
+TEST_F(Exiting, NoMessageIsDestroyedByTheControlThreadAfterExit) {
   EXPECT_EQ(run([](AtExit& at_exit) {
               auto subscription = create_subscription<Ping>(PlainNode(), "ping", QoS(10));
               auto publisher = create_publisher<Ping>(PlainNode(), "ping", 1);
@@ -154,7 +154,7 @@ TEST_F(Exiting, NoMessageIsDestroyedByTheControlThreadAnyMore) {
               auto held = take_soon(subscription);
               if (!publisher->publish(publisher->borrow_loaned_message())) ::_exit(3);
               at_exit.act = [&] {
-                held.reset();  // nobody needs the first one any more
+                held.reset();  // the first one is no longer needed
                 give_others_time(by_timer);
               };
               std::exit(0);
@@ -162,7 +162,7 @@ TEST_F(Exiting, NoMessageIsDestroyedByTheControlThreadAnyMore) {
             silent(0));
 }
 
-TEST_F(Exiting, ACallbackThatRunsIsWaitedFor) {
+TEST_F(Exiting, ARunningCallbackIsWaitedFor) {
   EXPECT_EQ(run([](AtExit& at_exit) {
               std::atomic<bool> is_inside{false}, has_ended{false};
               auto subscription = create_subscription<Ping>(
@@ -185,7 +185,7 @@ TEST_F(Exiting, ACallbackThatRunsIsWaitedFor) {
             silent(0));
 }
 
-TEST_F(Exiting, ACallbackThatNeverEndsHangsNobody) {
+TEST_F(Exiting, ACallbackThatNeverEndsDoesNotBlockExit) {
   EXPECT_EQ(run([](AtExit& at_exit) {
               std::atomic<bool> is_inside{false};
               auto subscription = create_subscription<Ping>(PlainNode(), "ping", QoS(10),
@@ -219,7 +219,7 @@ TEST_F(Exiting, ACallbackMayExit) {
             silent(7));
 }
 
-TEST_F(Exiting, NothingIsCreatedAnyMore) {
+TEST_F(Exiting, NothingIsCreatedAfterExit) {
   EXPECT_EQ(run([](AtExit& at_exit) {
               auto publisher = create_publisher<Ping>(PlainNode(), "ping", 1);
               at_exit.act = [] {

@@ -1,7 +1,8 @@
 // SPDX-License-Identifier: Apache-2.0
 //
-// Goal: a program may fork, exec and spawn while loans are open, messages are held and callbacks run:
-// the child is told what it cannot do and can do no harm, the parent goes on as if nothing happened.
+// Goal: a program may fork, exec and spawn while loans are open, messages are held and callbacks
+// run: the child gets errors for forbidden calls and can do no harm, the parent goes on
+// undisturbed.
 // Method: real processes with the real daemon and hook; one process per case, which forks. A child
 // that hangs or crashes fails its case.
 
@@ -43,7 +44,7 @@ Cloud cloud_of(std::uint32_t number) {
   return cloud;
 }
 
-/// A process in the middle of everything.
+/// A process with a loan, a held message and a callback.
 struct Busy {
   Subscription<Cloud>::SharedPtr subscription =
       create_subscription<Cloud>(PlainNode(), "points", QoS(10));
@@ -68,7 +69,7 @@ struct Busy {
   Busy(const Busy&) = delete;
   Busy& operator=(const Busy&) = delete;
 
-  /// What the parent does after its children.
+  /// The parent's checks after its children.
   void expect_unharmed() {
     EXPECT_EQ(*held, cloud_of(1));
     EXPECT_EQ(*loan, cloud_of(2));
@@ -82,7 +83,7 @@ struct Busy {
   }
 };
 
-/// A child whose expectations count.
+/// Forks a child whose failed expectations fail the test.
 template <class Body>
 Child child_of(Body body) {
   return Child([&]() noexcept {
@@ -99,7 +100,7 @@ class Fork : public testing::Test {
   test::DaemonProcess daemon_;
 };
 
-TEST_F(Fork, AChildLooksAtMessagesAndWhatItWritesIsItsOwn) {
+TEST_F(Fork, AChildReadsMessagesAndItsWritesStayItsOwn) {
   EXPECT_TRUE(in_own_process([] {
     Busy busy;
     Child child = child_of([&] {
@@ -129,7 +130,7 @@ void expect_detached(Busy& busy) {
   try {
     create_subscription<Cloud>(PlainNode(), "points", QoS(1),
                                [](const ipc_shared_ptr<const Cloud>&) {});
-    ADD_FAILURE() << "a subscription with a callback";
+    ADD_FAILURE() << "a subscription with a callback was created";
   } catch (const Error& error) {
     EXPECT_EQ(error.code(), Errc::shut_down);
     EXPECT_THAT(error.what(), testing::HasSubstr("forked"));
@@ -146,7 +147,7 @@ void expect_detached(Busy& busy) {
   EXPECT_EQ(set_heap_scope(HeapScope::all).error().code, Errc::shut_down);
 }
 
-TEST_F(Fork, InAChildCreationAndPublishSayShutDownAndTakeFindsNothing) {
+TEST_F(Fork, InAChildCreationAndPublishReturnShutDownAndTakeFindsNothing) {
   EXPECT_TRUE(in_own_process([] {
     Busy busy;
     EXPECT_TRUE(busy.publisher->publish(std::make_unique<Cloud>(cloud_of(7)))) << "one to take";
@@ -164,12 +165,12 @@ TEST_F(Fork, InAChildCreationAndPublishSayShutDownAndTakeFindsNothing) {
   }));
 }
 
-TEST_F(Fork, AChildThatRanNoForkHandlersIsKnownToo) {
+TEST_F(Fork, AChildThatRanNoForkHandlersIsDetectedToo) {
   EXPECT_TRUE(in_own_process([] {
     Busy busy;
     const auto pid = static_cast<pid_t>(::syscall(SYS_clone, SIGCHLD, 0, 0, 0, 0));
     if (pid == 0) {
-      // Its windows are not there: nothing of the message may be touched.
+      // Its windows are not mapped: the library may not touch the message.
       const bool publish_says =
           busy.publisher->publish(std::move(busy.loan)).code == Errc::shut_down;
       const bool take_says = !busy.subscription->take();
@@ -189,7 +190,7 @@ TEST_F(Fork, AChildThatDestroysEverythingAndExitsHarmsNobody) {
     std::fflush(nullptr);
     Child destroys = child_of([&] { busy.reset(); });
     EXPECT_EQ(destroys.wait(), 0);
-    Child exits([]() noexcept -> int { std::exit(0); });  // destroys it among its statics
+    Child exits([]() noexcept -> int { std::exit(0); });  // destroys it with its static objects
     EXPECT_EQ(exits.wait(), 0);
     busy->expect_unharmed();
     busy.reset();
@@ -197,7 +198,7 @@ TEST_F(Fork, AChildThatDestroysEverythingAndExitsHarmsNobody) {
   EXPECT_THAT(daemon_.log(), testing::Not(testing::HasSubstr("warning")));
 }
 
-TEST_F(Fork, ProgramsStartedMeanwhileInheritNothing) {
+TEST_F(Fork, ProgramsStartedMeanwhileInheritNoDescriptors) {
   EXPECT_TRUE(in_own_process([] {
     Busy busy;
     char shell[] = "/bin/sh", option[] = "-c";

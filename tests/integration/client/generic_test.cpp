@@ -1,17 +1,18 @@
 // SPDX-License-Identifier: Apache-2.0
 //
-// Goal: generic endpoints meet typed ones of the same type, in both directions and without a copy, and
-// are refused as those are; what they publish is given back as theirs is.
-// Method: both in this process, the real daemon, the real hook; every message type of interfaces/ with
-// random values, compared by the table, and where there are typed endpoints by the types' own
-// operator==. Under sanitizers, which bring another malloc, only what needs no publisher of rosidl
-// messages.
+// Goal: generic endpoints match typed ones of the same type, in both directions and without a
+// copy, and are refused in the same cases; their messages are freed in the same way.
+// Method: both in this process, the real daemon, the real hook; every message type of interfaces/
+// with random values, compared by the table, and where typed endpoints exist by the types' own
+// operator==. Under sanitizers, which bring another malloc, only the parts that need no publisher
+// of rosidl messages.
 
 #include <agnocast/abi/heaphook.h>
 #include <agnocast/generic.hpp>
 #include <agnocast/heap.hpp>
 #include <tests/support/daemon_process.hpp>
 #include <tests/support/plain_node.hpp>
+#include <tests/support/suite_daemon.hpp>
 
 #include <gmock/gmock.h>
 
@@ -37,7 +38,7 @@ namespace {
 using test::PlainNode;
 using test::take_soon;
 
-/// Says that it is a std_msgs/msg/String, and is not.
+/// Claims to be a std_msgs/msg/String, and is not.
 struct Impostor {
   std::uint64_t number = 0;
 };
@@ -62,19 +63,15 @@ struct MessageTraits<Track> {
 
 namespace {
 
-class Generic : public testing::Test {
+class Generic : public test::SuiteDaemon {
  protected:
-  // The library connects once per process.
   static void SetUpTestSuite() {
-    daemon = new test::DaemonProcess(
-        {.config = "[heap]\n" AGNOCAST_TEST_ARENA_BASE
-                   "window_bytes = \"64MiB\"\narena_bytes = \"1GiB\"\nwindows_per_process = 1\n"});
-    ::setenv("AGNOCAST_SOCKET", daemon->socket_path().c_str(), 1);
+    start({.config =
+               "[heap]\n" AGNOCAST_TEST_ARENA_BASE
+               "window_bytes = \"64MiB\"\narena_bytes = \"1GiB\"\nwindows_per_process = 1\n"});
   }
-  static test::DaemonProcess* daemon;
   PlainNode node;
 };
-test::DaemonProcess* Generic::daemon = nullptr;
 
 TEST_F(Generic, ASubscriptionThatKnowsOnlyTheIdentityGetsTheMessages) {
   const auto type = message_type_of<Track>();
@@ -97,7 +94,7 @@ TEST_F(Generic, ASubscriptionThatKnowsOnlyTheIdentityGetsTheMessages) {
   EXPECT_EQ(other.error().code, Errc::type_mismatch);
 }
 
-TEST_F(Generic, AnotherLayoutOfTheSameNameIsRefusedAsAlways) {
+TEST_F(Generic, AnotherLayoutOfTheSameNameIsRefused) {
   const auto typed = try_create_subscription<Impostor>(node, "impostor", QoS(1));
   ASSERT_TRUE(typed);
   const auto generic = try_create_generic_subscription(node, "impostor", "std_msgs/msg/String", 1);
@@ -106,7 +103,7 @@ TEST_F(Generic, AnotherLayoutOfTheSameNameIsRefusedAsAlways) {
   EXPECT_THAT(text_of(generic.error()), testing::HasSubstr("std_msgs/msg/String"));
 }
 
-TEST_F(Generic, ANameThatIsNoneAndATypeThatIsNowhereAreRefused) {
+TEST_F(Generic, InvalidNamesAndUnknownTypesAreRefused) {
   EXPECT_EQ(try_create_generic_subscription(node, "x", "std_msgs/msg/Nothing", 1).error().code,
             Errc::type_not_found);
   EXPECT_EQ(try_create_generic_publisher(node, "x", "nowhere_msgs/msg/Nothing", 1).error().code,
@@ -165,7 +162,7 @@ TEST_F(Generic, EveryKindOfTypeGoesFromTypedToGenericAndBack) {
   EXPECT_GE(count, 60);
 }
 
-TEST_F(Generic, WhatWasMadeElsewhereIsAdoptedWithTheSameCountAsTyped) {
+TEST_F(Generic, ForeignMemoryIsAdoptedWithTheSameCountAsTyped) {
   test::RandomMessages random(12, {.has_nan = false, .has_any_text = false});
   int count = 0;
   test::for_every_kind_of_message([&](auto* null, const std::string& name) {
@@ -196,7 +193,7 @@ TEST_F(Generic, WhatWasMadeElsewhereIsAdoptedWithTheSameCountAsTyped) {
   });
 }
 
-TEST_F(Generic, EveryTypeGoesByItsNameLentAndAdopted) {
+TEST_F(Generic, EveryTypeWorksByItsNameLoanedAndAdopted) {
   test::RandomMessages random(13, {.has_nan = true, .has_any_text = true});
   int count = 0;
   for (const char* const name : test::every_message_name) {
@@ -231,7 +228,7 @@ TEST_F(Generic, EveryTypeGoesByItsNameLentAndAdopted) {
   }
 }
 
-TEST_F(Generic, PublishedAndDroppedMessagesGiveTheirMemoryBack) {
+TEST_F(Generic, PublishedAndDroppedMessagesReturnTheirMemory) {
   // The heap has 64 MiB; each message takes one.
   const MessageMembers& members = find_message_type("std_msgs/msg/String").members();
   auto publisher = create_generic_publisher(node, "returns", "std_msgs/String", QoS(1));
@@ -275,8 +272,8 @@ TEST_F(Generic, AMessageOutlivesItsEndpoints) {
             std::string(100, 'f'));
 }
 
-// A message of one type that passes for one of another is read as that by everybody.
-TEST_F(Generic, ALoanThatOutlivesItsPublisherIsOfNoOtherType) {
+// All readers use the publisher's type, so a loan of another type must not pass.
+TEST_F(Generic, ALoanThatOutlivesItsPublisherIsRefusedByOtherTypes) {
   auto subscription = create_generic_subscription(node, "headers", "std_msgs/Header", QoS(1));
   std::vector<GenericLoan> strings;
   for (int round = 0; round < 50; ++round) {
@@ -294,7 +291,7 @@ TEST_F(Generic, ALoanThatOutlivesItsPublisherIsOfNoOtherType) {
   EXPECT_FALSE(subscription->take());
 }
 
-TEST_F(Generic, ABatchIsOfMessagesWithTheirTable) {
+TEST_F(Generic, MessagesOfABatchHaveTheirTable) {
   auto subscription = create_generic_subscription(node, "batch", "std_msgs/Header", QoS(5));
   auto publisher = create_publisher<std_msgs::msg::Header>(node, "batch", 5);
   ASSERT_TRUE(test::eventually([&] { return publisher->get_subscription_count() == 1; }));

@@ -1,8 +1,8 @@
 // SPDX-License-Identifier: Apache-2.0
 //
-// Goal: agnocast::Graph says of every endpoint what it was created with, says it anew when something has changed and
-// only then, in any daemon's life, and disturbs nobody. Method: the real daemon; endpoints of raw clients (CtlNode), so
-// that every fact is the test's own.
+// Goal: agnocast::Graph reports how every endpoint was created, reports again when something has
+// changed and only then, in any incarnation of the daemon, and disturbs nobody. Method: the real
+// daemon; endpoints of raw clients (CtlNode), so that the test determines every fact.
 
 #include <agnocast/graph.hpp>
 #include <tests/integration/ctl_node.hpp>
@@ -30,7 +30,7 @@ using testing::ElementsAre;
 using testing::IsEmpty;
 using testing::SizeIs;
 
-// Only a test that fails waits as long.
+// Only a failing test waits this long.
 constexpr auto patience = 20s;
 
 class GraphTest : public testing::Test {
@@ -42,10 +42,10 @@ class GraphTest : public testing::Test {
     auto snapshot = graph_.wait(patience);
     EXPECT_TRUE(snapshot) << snapshot.error().what;
     if (!snapshot) return {};
-    EXPECT_TRUE(*snapshot) << "nothing was said to have changed";
+    EXPECT_TRUE(*snapshot) << "the graph reported no change";
     return snapshot->value_or(GraphSnapshot{});
   }
-  /// What it says until that is true. A change may be told in two parts.
+  /// Returns the snapshot that fits. A change may come in two parts.
   template <class Condition>
   GraphSnapshot changed_until(Condition condition) {
     const auto deadline = std::chrono::steady_clock::now() + patience;
@@ -53,7 +53,7 @@ class GraphTest : public testing::Test {
       GraphSnapshot snapshot = changed();
       if (condition(snapshot) || HasFailure()) return snapshot;
       if (std::chrono::steady_clock::now() > deadline) {
-        ADD_FAILURE() << "it was never said";
+        ADD_FAILURE() << "the graph never reported it";
         return snapshot;
       }
     }
@@ -71,7 +71,7 @@ class GraphTest : public testing::Test {
   Graph graph_;
 };
 
-TEST_F(GraphTest, SaysOfEveryEndpointWhatItWasCreatedWith) {
+TEST_F(GraphTest, ReportsHowEveryEndpointWasCreated) {
   CtlNode talker(daemon_.socket_path(), 0, "talker_process"),
       listener(daemon_.socket_path(), 7, "listener_process");
   abi::Qos kept{9};
@@ -112,7 +112,7 @@ TEST_F(GraphTest, SaysOfEveryEndpointWhatItWasCreatedWith) {
   EXPECT_EQ(now.incarnation, test::wire_dump(daemon_.socket_path()).incarnation);
 }
 
-TEST_F(GraphTest, SaysItAnewWhenSomebodyComesLeavesOrDies) {
+TEST_F(GraphTest, ReportsAgainWhenAnEndpointComesLeavesOrDies) {
   EXPECT_THAT(changed().endpoints, IsEmpty());
   nothing_changes();
   CtlNode node(daemon_.socket_path());
@@ -135,7 +135,7 @@ TEST_F(GraphTest, SaysItAnewWhenSomebodyComesLeavesOrDies) {
   EXPECT_EQ(until_there_are(1).endpoints[0].kind, EndpointKind::subscription);
 }
 
-TEST_F(GraphTest, IsWokenWhileItSleeps) {
+TEST_F(GraphTest, WakesForAChangeWhileItWaits) {
   EXPECT_THAT(changed().endpoints, IsEmpty());
   std::optional<CtlNode> node;
   std::thread comes([&] {
@@ -153,19 +153,19 @@ TEST_F(GraphTest, EndsItsWaitWhenInterruptedAndLosesNothing) {
   interrupts.join();
   ASSERT_TRUE(ended) << ended.error().what;
   EXPECT_FALSE(*ended);
-  graph_.interrupt();  // before the next one
+  graph_.interrupt();  // before the next wait
   EXPECT_FALSE(graph_.wait(patience).value());
   CtlNode node(daemon_.socket_path());
   node.publisher("/points");
   until_there_are(1);
 }
 
-TEST_F(GraphTest, GoesOnWithAnotherLifeOfTheDaemon) {
+TEST_F(GraphTest, GoesOnAfterARestartOfTheDaemon) {
   CtlNode node(daemon_.socket_path());
   const auto publisher = node.publisher("/points");
   const std::uint64_t incarnation = changed().incarnation;
   daemon_.kill_worker();
-  // Its supervisor starts the next life, which has the same tables.
+  // Its supervisor starts the next daemon, which has the same tables.
   const GraphSnapshot again =
       changed_until([](const GraphSnapshot& now) { return now.endpoints.size() == 1; });
   EXPECT_EQ(again.incarnation, incarnation);
@@ -181,10 +181,10 @@ TEST_F(GraphTest, IsNoEndpointAndChangesNothing) {
   const auto after = test::wire_dump(daemon_.socket_path());
   EXPECT_EQ(after.processes.size(), before.processes.size());
   EXPECT_EQ(after.endpoints.size(), before.endpoints.size());
-  EXPECT_EQ(node.wire.poll(), std::nullopt) << "the publisher was told something";
+  EXPECT_EQ(node.wire.poll(), std::nullopt) << "the publisher got a packet";
 }
 
-TEST(Graph, SaysThatThereIsNoDaemonAndIsThereOnceThereIsOne) {
+TEST(Graph, ReportsAMissingDaemonAndConnectsOnceOneRuns) {
   const std::string directory = test::make_directory();
   const std::string socket = directory + "/agnocastd.sock";
   ::setenv("AGNOCAST_SOCKET", socket.c_str(), 1);

@@ -1,12 +1,13 @@
 // SPDX-License-Identifier: Apache-2.0
 //
-// Goal: what nobody wants any more of a shared heap goes back to the system after
-// AGNOCAST_HEAP_IDLE_SECONDS, beside traffic as well; what traffic wants stays, and with `never` all does.
-// Method: the real daemon and hook; the blocks of the heap's memfd, and the hook's count of what it gave
-// back. Each in a process of its own, because a process has one heap.
+// Goal: idle memory of a shared heap goes back to the system after AGNOCAST_HEAP_IDLE_SECONDS,
+// beside traffic as well; memory that the traffic uses stays, and with `never` all of it stays.
+// Method: the real daemon and hook; the blocks of the heap's memfd, and the hook's count of
+// returned memory. Each in a process of its own, because a process has one heap.
 
 #include <agnocast/abi/heaphook.h>
 #include <agnocast/agnocast.hpp>
+#include <tests/support/bulk.hpp>
 #include <tests/support/daemon_process.hpp>
 #include <tests/support/own_process.hpp>
 #include <tests/support/plain_node.hpp>
@@ -30,30 +31,15 @@
 namespace agnocast {
 namespace {
 
-struct Bulk : SharedMessage {
-  SharedVector<std::uint8_t> data;
-};
-
-}  // namespace
-
-template <>
-struct MessageTraits<Bulk> {
-  static constexpr const char* name = "tests/Bulk";
-  static void for_each_pointer(const Bulk& bulk, PointerVisitor& visit) noexcept {
-    visit("data", bulk.data);
-  }
-};
-
-namespace {
-
 using Clock = std::chrono::steady_clock;
+using test::Bulk;
 using test::eventually;
 using test::in_own_process;
 using test::PlainNode;
 using test::take_soon;
 
 constexpr std::uint64_t MiB = 1 << 20;
-// Under a sanitizer each byte is written by many instructions.
+// Under a sanitizer many instructions write each byte.
 #if defined(__SANITIZE_ADDRESS__) || defined(__SANITIZE_THREAD__)
 constexpr std::uint64_t spike_bytes = 60 * MiB;
 #else
@@ -96,7 +82,7 @@ class HeapReturns : public testing::Test {
     ::setenv("AGNOCAST_HEAP_IDLE_SECONDS", idle_seconds, 1);
     return create_publisher<Bulk>(PlainNode(), "bulk", QoS(1));
   }
-  /// Much is lent at once, and given back.
+  /// Lends much at once, and returns it.
   static void spike(Publisher<Bulk>& publisher, std::uint64_t bytes = spike_bytes) {
     constexpr std::uint64_t loan_bytes = 5 * MiB;
     std::vector<ipc_shared_ptr<Bulk>> loans;
@@ -128,12 +114,12 @@ TEST_F(HeapReturns, ASpike) {
     spike(*publisher);
     EXPECT_GE(resident_bytes(), before + spike_bytes);
     EXPECT_TRUE(eventually([&] { return resident_bytes() <= before + spike_bytes / 20; }))
-        << "and the next one";
+        << "the next one as well";
     EXPECT_EQ(usage().internal_error_count, 0u);
   }));
 }
 
-TEST_F(HeapReturns, ASpikeBesideTrafficThatKeepsWhatItWants) {
+TEST_F(HeapReturns, ASpikeBesideTrafficThatKeepsItsMemory) {
   EXPECT_TRUE(in_own_process([] {
     const auto publisher = publisher_with("1");
     const auto subscription = create_subscription<Bulk>(PlainNode(), "bulk", QoS(1));
@@ -154,13 +140,13 @@ TEST_F(HeapReturns, ASpikeBesideTrafficThatKeepsWhatItWants) {
       const std::uint64_t before_that = std::exchange(returned, usage().punch_count);
       for (int i = 0; i < 10; ++i) go_on();
       return returned > 0 && returned == before_that;
-    })) << "it has an end";
+    })) << "the purge has an end";
     for (const auto end = Clock::now() + std::chrono::seconds(5); Clock::now() < end;) go_on();
-    EXPECT_EQ(usage().punch_count, returned) << "nothing of what the traffic frees and takes again";
+    EXPECT_EQ(usage().punch_count, returned) << "nothing that the traffic frees and takes again";
   }));
 }
 
-TEST_F(HeapReturns, NothingOfWhatIsWantedAgainAndAgain) {
+TEST_F(HeapReturns, NoMemoryThatIsUsedRepeatedly) {
   EXPECT_TRUE(in_own_process([] {
     const auto publisher = publisher_with("4");
     for (const auto end = Clock::now() + std::chrono::seconds(9); Clock::now() < end;) {
@@ -176,14 +162,14 @@ TEST_F(HeapReturns, NothingWithNever) {
     const auto publisher = publisher_with("never");
     spike(*publisher);
     const std::uint64_t full = resident_bytes();
-    std::this_thread::sleep_for(std::chrono::seconds(4));  // as ASpike needs
+    std::this_thread::sleep_for(std::chrono::seconds(4));  // as long as ASpike needs
     EXPECT_EQ(resident_bytes(), full);
     EXPECT_EQ(usage().punch_count, 0u);
-    EXPECT_FALSE(has_thread("agnocast-purge")) << "nobody watches";
+    EXPECT_FALSE(has_thread("agnocast-purge")) << "no thread watches";
   }));
 }
 
-TEST_F(HeapReturns, AnotherValueIsRefusedByNameAndTheNextTryMayBeRight) {
+TEST_F(HeapReturns, AnInvalidValueIsNamedAndTheNextTryMayUseAValidOne) {
   EXPECT_TRUE(in_own_process([] {
     for (const char* value : {"0", "-1", "1.5", "10s", " 10", "always", "1000001"}) {
       ::setenv("AGNOCAST_HEAP_IDLE_SECONDS", value, 1);
@@ -195,7 +181,7 @@ TEST_F(HeapReturns, AnotherValueIsRefusedByNameAndTheNextTryMayBeRight) {
                     "\", which is neither a number of seconds from 1 to 1000000 nor never");
     }
     EXPECT_TRUE(try_create_subscription<Bulk>(PlainNode(), "bulk", QoS(1)))
-        << "who only subscribes has no heap";
+        << "a process that only subscribes has no heap";
     ::setenv("AGNOCAST_HEAP_IDLE_SECONDS", "", 1);
     EXPECT_TRUE(try_create_publisher<Bulk>(PlainNode(), "bulk", QoS(1)));
   }));

@@ -1,7 +1,7 @@
 // SPDX-License-Identifier: Apache-2.0
 //
-// Goal: a program chooses which of its allocations are shared: those of its loans, or all; and what
-// lies elsewhere is adopted and counted.
+// Goal: a program chooses which of its allocations are shared: those of its loans, or all; and
+// messages in other memory are adopted and counted.
 // Method: one process per case (the scope is chosen once), publisher and subscription in it, the
 // real daemon and hook, a message type of rosidl.
 
@@ -40,7 +40,7 @@ class HeapScopes : public testing::Test {
   PlainNode node_;
 };
 
-/// In another thread, so that no loan of the caller is open there.
+/// Runs it in another thread, so that no loan of the caller is open there.
 template <class Make>
 auto made_elsewhere(Make make) {
   decltype(make()) made;
@@ -57,7 +57,7 @@ std::unique_ptr<Cloud> large_cloud() {
   return cloud;
 }
 
-/// A vector with spare capacity, as drivers hand them over.
+/// Returns a vector with spare capacity, as drivers do.
 std::vector<std::uint8_t> from_a_driver() {
   std::vector<std::uint8_t> bytes;
   bytes.reserve(50000);
@@ -112,14 +112,14 @@ TEST_F(HeapScopes, LoanIsTheDefaultAndAVectorMovedInIsAdoptedByItsSize) {
   EXPECT_TRUE(in_own_process([&] { expect_loans_shared(node_); }));
 }
 
-TEST_F(HeapScopes, InAllAMessageMadeAnywhereIsPublishedWithoutACopy) {
+TEST_F(HeapScopes, WithAllAMessageMadeAnywhereIsPublishedWithoutACopy) {
   EXPECT_TRUE(in_own_process([&] {
     ASSERT_TRUE(set_heap_scope(HeapScope::all));
     expect_all_shared(node_);
   }));
 }
 
-TEST_F(HeapScopes, TheEnvironmentWins) {
+TEST_F(HeapScopes, TheEnvironmentOverridesTheProgram) {
   EXPECT_TRUE(in_own_process([&] {
     ::setenv("AGNOCAST_SCOPE", "all", 1);
     ASSERT_TRUE(set_heap_scope(HeapScope::loan));
@@ -132,7 +132,7 @@ TEST_F(HeapScopes, TheEnvironmentWins) {
   }));
 }
 
-TEST_F(HeapScopes, WhatWasAllocatedBeforeTheFirstPublisherStaysPrivateInAll) {
+TEST_F(HeapScopes, MemoryAllocatedBeforeTheFirstPublisherStaysPrivateWithAll) {
   EXPECT_TRUE(in_own_process([&] {
     ASSERT_TRUE(set_heap_scope(HeapScope::all));
     auto early = large_cloud();
@@ -143,7 +143,7 @@ TEST_F(HeapScopes, WhatWasAllocatedBeforeTheFirstPublisherStaysPrivateInAll) {
   }));
 }
 
-TEST_F(HeapScopes, AnotherValueIsRefusedByNameAndTheNextTryMayBeRight) {
+TEST_F(HeapScopes, AnInvalidValueIsNamedAndTheNextTryMayUseAValidOne) {
   EXPECT_TRUE(in_own_process([&] {
     ::setenv("AGNOCAST_SCOPE", "everything", 1);
     const auto refused = try_create_publisher<Cloud>(node_, "points", QoS(1));
@@ -152,19 +152,19 @@ TEST_F(HeapScopes, AnotherValueIsRefusedByNameAndTheNextTryMayBeRight) {
     EXPECT_STREQ(detail_of(refused.error()),
                  "AGNOCAST_SCOPE is \"everything\", which is neither loan nor all");
     EXPECT_TRUE(try_create_subscription<Cloud>(node_, "points", QoS(1)))
-        << "who only subscribes has no heap and no scope";
+        << "a process that only subscribes has no heap and no scope";
     ::setenv("AGNOCAST_SCOPE", "", 1);
     EXPECT_TRUE(try_create_publisher<Cloud>(node_, "points", QoS(1)));
   }));
 }
 
-TEST_F(HeapScopes, AfterTheFirstPublisherTheScopeStays) {
+TEST_F(HeapScopes, TheScopeIsFixedAfterTheFirstPublisher) {
   EXPECT_TRUE(in_own_process([&] {
     auto publisher = create_publisher<Cloud>(node_, "points", 1);
     const Result<void> refused = set_heap_scope(HeapScope::all);
     ASSERT_FALSE(refused);
     EXPECT_EQ(refused.error().code, Errc::invalid_argument);
-    EXPECT_TRUE(set_heap_scope(HeapScope::loan)) << "that is what it is";
+    EXPECT_TRUE(set_heap_scope(HeapScope::loan)) << "it is the current scope";
   }));
 }
 

@@ -1,7 +1,7 @@
 // SPDX-License-Identifier: Apache-2.0
 //
-// Goal: without the heap hook nothing can be published, whatever the message brings; subscriptions and
-// the shared allocator work.
+// Goal: without the heap hook nothing can be published, whatever the message type; subscriptions
+// and the shared allocator work.
 // Method: this program has no hook.
 
 #include <agnocast/agnocast.hpp>
@@ -36,7 +36,7 @@ struct MessageTraits<OwnMemory> {
 
 namespace {
 
-TEST(HookMissing, IsToldToPublishersAndSubscriptionsNeedNone) {
+TEST(HookMissing, IsReportedToPublishersAndSubscriptionsNeedNone) {
   test::DaemonProcess daemon;
   ::setenv("AGNOCAST_SOCKET", daemon.socket_path().c_str(), 1);
   for (int i = 0; i < 2; ++i) {
@@ -44,12 +44,12 @@ TEST(HookMissing, IsToldToPublishersAndSubscriptionsNeedNone) {
     ASSERT_FALSE(publisher);
     EXPECT_EQ(publisher.error().code, Errc::hook_missing);
     const auto own = try_create_publisher<OwnMemory>(test::PlainNode(), "o", QoS(1));
-    ASSERT_FALSE(own) << "its memory is the hook's too";
+    ASSERT_FALSE(own) << "its memory needs the hook, too";
     EXPECT_EQ(own.error().code, Errc::hook_missing);
     EXPECT_TRUE(try_create_subscription<Number>(test::PlainNode(), "n", QoS(1)));
   }
   SharedVector<int> ordinary(1000, 7);
-  EXPECT_EQ(ordinary[999], 7) << "the allocator works as usual where there is no shared heap";
+  EXPECT_EQ(ordinary[999], 7) << "the allocator uses the ordinary heap where no shared heap exists";
   EXPECT_NE(std::make_unique<OwnMemory>(), nullptr);
 }
 

@@ -1,13 +1,14 @@
 // SPDX-License-Identifier: Apache-2.0
 //
-// Goal: a loan's memory is shared in every thread that fills it, and nothing else is.
-// Method: publisher and subscription in this process, the real daemon and hook; the hook is asked
-// where an address lies, and publish what it had to adopt.
+// Goal: a loan's memory is shared in every thread that fills it, and no other memory is. Method:
+// publisher and subscription in this process, the real daemon and hook; the hook says where an
+// address lies, and publish how much it had to adopt.
 
 #include <agnocast/abi/heaphook.h>
 #include <agnocast/agnocast.hpp>
 #include <tests/support/daemon_process.hpp>
 #include <tests/support/plain_node.hpp>
+#include <tests/support/suite_daemon.hpp>
 
 #include <sensor_msgs/msg/point_cloud2.hpp>
 
@@ -27,19 +28,14 @@ namespace {
 using Cloud = sensor_msgs::msg::PointCloud2;
 using test::take_soon;
 
-/// Where a fresh allocation of this thread lies.
+/// Returns whether a fresh allocation of this thread is shared.
 bool allocates_shared() {
   const auto block = std::make_unique<std::vector<int>>(1000);
   return agnocast_heaphook()->owns(block->data()) != 0;
 }
 
-class LoanScopes : public testing::Test {
+class LoanScopes : public test::SuiteDaemon {
  protected:
-  // The library connects once per process.
-  static void SetUpTestSuite() {
-    daemon = new test::DaemonProcess;
-    ::setenv("AGNOCAST_SOCKET", daemon->socket_path().c_str(), 1);
-  }
   void SetUp() override {
     subscription = create_subscription<Cloud>(test::PlainNode(), "points", QoS(5));
     publisher = create_publisher<Cloud>(test::PlainNode(), "points", 5);
@@ -51,11 +47,9 @@ class LoanScopes : public testing::Test {
     agnocast_heaphook()->usage(&usage);
     EXPECT_EQ(usage.internal_error_count, 0u);
   }
-  static test::DaemonProcess* daemon;
   Publisher<Cloud>::SharedPtr publisher;
   Subscription<Cloud>::SharedPtr subscription;
 };
-test::DaemonProcess* LoanScopes::daemon = nullptr;
 
 void fill_field(Cloud& cloud, std::size_t i) {
   cloud.fields[i].name.assign(1000, static_cast<char>('a' + i));
@@ -67,7 +61,7 @@ TEST_F(LoanScopes, WorkersFillALoanAndNothingIsAdopted) {
   std::vector<std::thread> workers;
   for (std::size_t i = 0; i < loan->fields.size(); ++i) {
     workers.emplace_back([&loan, i] {
-      EXPECT_FALSE(allocates_shared()) << "a loan is its own thread's";
+      EXPECT_FALSE(allocates_shared()) << "a loan opens the scope of its own thread only";
       {
         const LoanScope scope(loan);
         EXPECT_TRUE(scope.is_open());
@@ -86,7 +80,7 @@ TEST_F(LoanScopes, WorkersFillALoanAndNothingIsAdopted) {
     EXPECT_EQ(received->fields[i].name, std::string(1000, static_cast<char>('a' + i)));
 }
 
-TEST_F(LoanScopes, WithoutAScopeAWorkersMemoryIsAdopted) {
+TEST_F(LoanScopes, MemoryOfAWorkerWithoutAScopeIsAdopted) {
   auto loan = publisher->borrow_loaned_message();
   loan->fields.resize(1);
   std::thread([&] { fill_field(*loan, 0); }).join();
@@ -104,7 +98,7 @@ TEST_F(LoanScopes, APauseMakesWorkingMemoryPrivateUntilItEnds) {
       EXPECT_FALSE(allocates_shared());
     }
     const LoanScope scope(loan);
-    EXPECT_FALSE(allocates_shared()) << "a pause wins over scopes";
+    EXPECT_FALSE(allocates_shared()) << "a pause overrides scopes";
   }
   EXPECT_TRUE(allocates_shared());
   loan->data.assign(1000, 3);
@@ -129,14 +123,14 @@ TEST_F(LoanScopes, ALoanSetAsideLeavesItsThreadAndIsFilledLaterInAScope) {
   auto copy = loan;
   EXPECT_TRUE(publisher->pause(loan));
   EXPECT_FALSE(allocates_shared());
-  EXPECT_TRUE(publisher->pause(loan)) << "twice is once";
+  EXPECT_TRUE(publisher->pause(loan)) << "a second pause has no effect";
   {
     const LoanScope scope(copy);
     loan->data.assign(1000, 3);
   }
   EXPECT_FALSE(allocates_shared());
   EXPECT_EQ(publisher->publish(std::move(loan)).adopted_bytes, 0u);
-  EXPECT_FALSE(publisher->pause(copy)) << "published";
+  EXPECT_FALSE(publisher->pause(copy)) << "it is already published";
 }
 
 TEST_F(LoanScopes, ALoanPausedInAnotherThreadIsLeftAtTheNextBorrow) {
@@ -147,13 +141,13 @@ TEST_F(LoanScopes, ALoanPausedInAnotherThreadIsLeftAtTheNextBorrow) {
   EXPECT_TRUE(publisher->publish(std::move(loan)));
 }
 
-TEST_F(LoanScopes, WhatIsNoLoanOpensNothing) {
+TEST_F(LoanScopes, OnlyALoanOpensAScope) {
   auto other = create_publisher<Cloud>(test::PlainNode(), "other", 5);
   auto loan = publisher->borrow_loaned_message();
   EXPECT_FALSE(other->pause(loan)) << "the loan of another publisher";
   auto copy = loan;
   ASSERT_TRUE(publisher->publish(std::move(loan)));
-  EXPECT_FALSE(LoanScope(copy).is_open()) << "published";
+  EXPECT_FALSE(LoanScope(copy).is_open()) << "it is already published";
   EXPECT_FALSE(LoanScope(ipc_shared_ptr<Cloud>()).is_open());
   const auto received = take_soon(subscription);
   ASSERT_TRUE(received);
@@ -161,10 +155,10 @@ TEST_F(LoanScopes, WhatIsNoLoanOpensNothing) {
   EXPECT_FALSE(publisher->pause({}));
 }
 
-TEST_F(LoanScopes, OneOfManyThreadsPublishesALoanTheOthersAreTold) {
+TEST_F(LoanScopes, OneOfManyThreadsPublishesALoanAndTheOthersGetAnError) {
   for (int round = 0; round < 200; ++round) {
     auto loan = publisher->borrow_loaned_message();
-    EXPECT_TRUE(publisher->pause(loan)) << "it is handed over";
+    EXPECT_TRUE(publisher->pause(loan)) << "the loan is handed over";
     std::atomic<int> published{0}, refused{0};
     std::vector<std::thread> threads;
     for (int i = 0; i < 3; ++i) {

@@ -1,10 +1,10 @@
 // SPDX-License-Identifier: Apache-2.0
 //
-// Goal: a process that has no memory for a moment goes on: while endpoints come and go, while the
-// daemon is restarted, while the process moves to another daemon. Nothing is lost, nothing comes
+// Goal: a process that briefly has no memory goes on: while endpoints come and go, while the
+// daemon is restarted, while the process moves to another daemon. Nothing is lost, nothing arrives
 // twice, nothing is left behind.
-// Method: operator new of this program fails once, at the n-th allocation of a thread (the library's,
-// or the user's) after such an event has begun, for each n.
+// Method: operator new of this program fails once, at the n-th allocation of a thread (the
+// library's, or the user's) after such an event has begun, for each n.
 
 #include <agnocast/agnocast.hpp>
 #include <client/session/reconnection.hpp>
@@ -49,7 +49,7 @@ bool fails() noexcept {
 
 }  // namespace
 
-// Not inlined: a compiler that sees the body of only one of a pair takes new and free for a mistake.
+// Not inlined: a compiler that sees the body of only one of a pair warns about new and free.
 [[gnu::noinline]] void* operator new(std::size_t bytes) {
   void* const block = fails() ? nullptr : std::malloc(bytes);
   if (block == nullptr) throw std::bad_alloc();
@@ -88,13 +88,13 @@ class MemoryShortageOnce : public testing::Test {
     begin();
     ASSERT_TRUE(eventually([] { return connection_state() == ConnectionState::connected; }));
   }
-  /// The daemon dies and is there again.
+  /// The daemon dies and is restarted.
   static void restart() {
-    std::this_thread::sleep_for(Reconnection::lasting);  // so that its next try comes at once
+    std::this_thread::sleep_for(Reconnection::lasting);  // so that its next attempt comes at once
     ASSERT_TRUE(daemon->wait_for_next(daemon->kill_worker()));
     come_and_go();
   }
-  /// Somebody new is met and goes; also if that fails at first.
+  /// A new endpoint matches and goes; also if its creation fails at first.
   static void come_and_go() {
     ASSERT_TRUE(eventually([] {
       try {
@@ -137,7 +137,7 @@ class MemoryShortageOnce : public testing::Test {
   static std::unique_ptr<test::DaemonProcess> daemon;
   static std::unique_ptr<Node> node;
 };
-/// The library is in one process, so all tests here have one place for their daemons.
+/// The process has one library, so all tests here have one place for their daemons.
 class Stage : public testing::Environment {
   void SetUp() override { MemoryShortageOnce::set_up(); }
   void TearDown() override { MemoryShortageOnce::tear_down(); }
@@ -162,7 +162,7 @@ TEST_F(MemoryShortageOnce, DestroyingNeedsNoMemory) {
   EXPECT_TRUE(eventually([&] { return test::wire_dump(socket()).endpoints.empty(); }));
 }
 
-TEST_F(MemoryShortageOnce, ABatchTakesWhatItHasMemoryForAndLeavesTheRestUnread) {
+TEST_F(MemoryShortageOnce, ABatchTakesAsManyAsItHasMemoryForAndLeavesTheRestUnread) {
   auto subscription = node->create_subscription<Number>("/f", 40);
   auto publisher = node->create_publisher<Number>("/f", 40);
   ASSERT_TRUE(eventually([&] { return publisher->get_subscription_count() == 1; }));
@@ -191,19 +191,19 @@ TEST_F(MemoryShortageOnce, ABatchTakesWhatItHasMemoryForAndLeavesTheRestUnread) 
   failing_thread = "user";
   const std::size_t once = take(16), more = take(40);
   failing_thread = nullptr;
-  EXPECT_EQ(once, 16u) << "as many were held before";
+  EXPECT_EQ(once, 16u) << "16 were held before";
   EXPECT_EQ(more, 16u);
   EXPECT_EQ(take(40), 8u);
   EXPECT_EQ(expected, published + 1);
   EXPECT_EQ(subscription->get_lost_count(), 0u);
 }
 
-TEST_F(MemoryShortageOnce, TheControlThreadDoesNotTurnInCircles) {
+TEST_F(MemoryShortageOnce, TheControlThreadDoesNotBusyLoop) {
   const auto publisher = node->create_publisher<Number>("/e", 10);
   allocations = 0;
   fails_at = always;
   failing_thread = "agnocast-ctl";
-  // A turn without memory is an allocation that fails; the thread looks about 100 times a second.
+  // A cycle without memory is an allocation that fails; the thread looks about 100 times a second.
   const auto until = std::chrono::steady_clock::now() + std::chrono::seconds(2);
   while (std::chrono::steady_clock::now() < until)
     std::this_thread::sleep_for(std::chrono::milliseconds(50));
@@ -230,7 +230,7 @@ TEST_F(MemoryShortageOnce, EachResponseReachesItsCallback) {
     return client->async_send_request(client->borrow_loaned_request(),
                                       [&](const Client<Repeat>::SharedFuture&) { ++calls; });
   };
-  const auto waits = ask();  // so that each response is followed by a look for who answers it
+  const auto waits = ask();  // makes the library check for a server after each response
   int at = 0;
   do {
     auto sent = ask();
@@ -251,7 +251,7 @@ TEST_F(MemoryShortageOnce, EachResponseReachesItsCallback) {
               FutureReturnCode::SUCCESS);
     ASSERT_EQ(calls, at) << "failed at " << at;
   } while (allocations >= at);
-  EXPECT_GT(at, 1) << "or nothing failed";
+  EXPECT_GT(at, 1) << "no allocation failed";
 }
 
 TEST_P(MemoryShortage, LosesNothing) {
@@ -293,17 +293,18 @@ TEST_P(MemoryShortage, LosesNothing) {
     return stream.publisher->get_subscription_count() == 1;
   };
 
-  // How many there are, when none fails.
+  // Counts the allocations when none fails.
   allocations = 0;
   fails_at = 0;
   failing_thread = GetParam().thread;
   ASSERT_NO_FATAL_FAILURE(GetParam().event());
-  if (GetParam().event == come_and_go) failing_thread = nullptr;  // the rest is not of the event
+  // the rest does not belong to the event
+  if (GetParam().event == come_and_go) failing_thread = nullptr;
   ASSERT_NO_FATAL_FAILURE(pass_on(3));
   ASSERT_TRUE(eventually([&] { return std::all_of(streams.begin(), streams.end(), is_matched); }));
   failing_thread = nullptr;
   const int all = allocations;
-  ASSERT_GT(all, 20) << "or the wrong thread was looked at";
+  ASSERT_GT(all, 20) << "the test watched the wrong thread";
 
   int failed = 0;
   for (int at = 1; at <= all; ++at) {
@@ -312,7 +313,8 @@ TEST_P(MemoryShortage, LosesNothing) {
     fails_at = at;
     failing_thread = GetParam().thread;
     ASSERT_NO_FATAL_FAILURE(GetParam().event());
-    if (GetParam().event == come_and_go) failing_thread = nullptr;  // the rest is not of the event
+    // the rest does not belong to the event
+    if (GetParam().event == come_and_go) failing_thread = nullptr;
     ASSERT_NO_FATAL_FAILURE(pass_on(3)) << "failed at " << at;
     ASSERT_TRUE(eventually([&] { return std::all_of(streams.begin(), streams.end(), is_matched); }))
         << "failed at " << at;

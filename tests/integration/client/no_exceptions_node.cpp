@@ -1,7 +1,7 @@
 // SPDX-License-Identifier: Apache-2.0
 //
-// A program without exceptions (-fno-exceptions), for no_exceptions_test.cpp: "use" makes one of everything and
-// sends messages through it, "throw" calls what throws where nothing serves.
+// A program without exceptions (-fno-exceptions), for no_exceptions_test.cpp: "use" makes one of
+// everything and sends messages through it, "throw" calls a throwing function without a daemon.
 
 #include <agnocast/agnocast.hpp>
 #include <agnocast/generic.hpp>
@@ -47,7 +47,7 @@ int use() {
   auto subscription = try_create_subscription<Numbers>(PlainNode(), "/numbers", QoS(10));
   auto publisher = try_create_publisher<Numbers>(PlainNode(), "/numbers", QoS(10));
   if (!subscription || !publisher) return failed("endpoints");
-  // Somewhere else than in the shared heap, so that it is copied.
+  // Outside the shared heap, so that publish copies it.
   const auto made = [](std::size_t count) {
     const LoanPause elsewhere;
     auto numbers = std::make_unique<Numbers>();

@@ -1,7 +1,8 @@
 // SPDX-License-Identifier: Apache-2.0
 //
-// Goal: a program without exceptions can use the library, and is told of a failure, or ends with what it was.
-// Method: no_exceptions_node, which is compiled so.
+// Goal: a program without exceptions can use the library, gets failures as results, or ends with
+// the reason.
+// Method: no_exceptions_node, compiled without them.
 
 #include <tests/support/daemon_process.hpp>
 #include <tests/support/steered_process.hpp>
@@ -22,7 +23,7 @@ TEST(NoExceptions, EverythingWorksAndAFailureIsAResult) {
   EXPECT_EQ(node.finish(), 0);
 }
 
-TEST(NoExceptions, WhatWouldBeThrownEndsTheProgramAndIsSaid) {
+TEST(NoExceptions, AnExceptionEndsTheProgramWithItsReason) {
   SteeredProcess node({"/bin/sh", "-c", "exec \"$0\" throw 2>&1", AGNOCAST_NO_EXCEPTIONS_NODE},
                       {"AGNOCAST_SOCKET=/nowhere/agnocastd.sock"});
   EXPECT_EQ(node.answer(60), "terminate called after throwing an instance of 'agnocast::Error'");

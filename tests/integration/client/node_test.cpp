@@ -1,13 +1,15 @@
 // SPDX-License-Identifier: Apache-2.0
 //
-// Goal: agnocast::Node names itself and its topics as ROS 2 does, its endpoints are those of the free
-// functions, and callbacks of every promised shape compile and are called.
-// Method: the public interface with the real daemon; what is a question of types is asserted while
-// compiling. The rules themselves: tests/unit/client/arguments_test.cpp.
+// Goal: agnocast::Node names itself and its topics as ROS 2 does, its endpoints are those of the
+// free functions, and callbacks of every promised signature compile and are called.
+// Method: the public interface with the real daemon; the test asserts questions of types at
+// compile time. The rules themselves: tests/unit/client/arguments_test.cpp.
 
 #include <agnocast/agnocast.hpp>
 #include <tests/integration/client/second_process.hpp>
 #include <tests/support/daemon_process.hpp>
+#include <tests/support/error_of.hpp>
+#include <tests/support/suite_daemon.hpp>
 
 #include <gmock/gmock.h>
 
@@ -20,10 +22,11 @@
 namespace agnocast {
 namespace {
 
+using test::error_of;
 using test::eventually;
 using test::Number;
 
-// --- which callbacks are taken
+// --- accepted callbacks
 
 using Const = ipc_shared_ptr<const Number>;
 using Mutable = ipc_shared_ptr<Number>;
@@ -41,31 +44,13 @@ static_assert(!is_taken<void()> && !is_taken<void(const Number&)> && !is_taken<v
               !is_taken<void(Const, MessageInfo&)> &&
               !is_taken<void(ipc_shared_ptr<const MessageInfo>)>);
 
-class Nodes : public testing::Test {
+class Nodes : public test::SuiteDaemon {
  protected:
-  // The library connects once per process, so all tests here share one daemon.
-  static void SetUpTestSuite() {
-    daemon = new test::DaemonProcess;
-    ::setenv("AGNOCAST_SOCKET", daemon->socket_path().c_str(), 1);
-  }
-  static void TearDownTestSuite() { delete daemon; }
   void TearDown() override {
     const char* const none[] = {"program"};
     init(1, none);
   }
-  static test::DaemonProcess* daemon;
 };
-test::DaemonProcess* Nodes::daemon = nullptr;
-
-template <class Function>
-std::string error_of(Function function) {
-  try {
-    function();
-  } catch (const Error& error) {
-    return error.what();
-  }
-  return "(no error)";
-}
 
 TEST_F(Nodes, HaveNamesAndResolveThoseOfTopics) {
   Node plain("talker"), inside("talker", "/robot/arm"), relative("talker", "robot");
@@ -79,7 +64,7 @@ TEST_F(Nodes, HaveNamesAndResolveThoseOfTopics) {
   EXPECT_EQ(inside.resolve_topic_name("/points"), "/points");
 }
 
-TEST_F(Nodes, TellWhereANameIsWrong) {
+TEST_F(Nodes, ReportWhereANameIsWrong) {
   EXPECT_THAT(error_of([] { Node node("a b"); }),
               testing::HasSubstr("node name \"a b\": a space is not allowed, at character 2"));
   EXPECT_THAT(error_of([] { Node node("a/b"); }), testing::HasSubstr("at character 2"));
@@ -129,7 +114,7 @@ TEST_F(Nodes, ListTheArgumentsThatHaveNoEffect) {
   EXPECT_THAT(Node("node").ignored_arguments(), testing::IsEmpty());
 }
 
-TEST_F(Nodes, SayOnceWhichArgumentsHaveNoEffect) {
+TEST_F(Nodes, WarnOnceAboutArgumentsThatHaveNoEffect) {
   const char* const line[] = {"/opt/bin/program", "--ros-args", "-p", "said_once:=1",
                               "--params-file",    "/said.yaml", "-r", "points:=/all"};
   const auto written_by = [&](int argc, const InitOptions& options) {
@@ -152,10 +137,10 @@ TEST_F(Nodes, RefuseWrongArguments) {
   };
   EXPECT_THAT(with({"--ros-args", "-r", "nonsense"}), testing::HasSubstr("\"nonsense\""));
   EXPECT_THAT(with({"--ros-args", "--bogus"}), testing::HasSubstr("\"--bogus\""));
-  EXPECT_EQ(with({"--bogus"}), "(no error)") << "not for ROS";
+  EXPECT_EQ(with({"--bogus"}), "(no error)") << "not a ROS argument";
 }
 
-/// As nodes are written.
+/// A node as users write them.
 class Relay : public Node {
  public:
   Relay() : Node("relay") {
@@ -195,7 +180,7 @@ TEST_F(Nodes, MayBeDerivedFromAndUseTheirMembersInCallbacks) {
   EXPECT_THAT(values, testing::ElementsAre(701, 802));
 }
 
-TEST_F(Nodes, CallbacksOfEveryShapeAreCalled) {
+TEST_F(Nodes, CallbacksOfEverySignatureAreCalled) {
   Node node("shapes");
   std::vector<std::uint64_t> values;
   std::uint64_t infos = 0;
@@ -226,7 +211,7 @@ TEST_F(Nodes, CallbacksOfEveryShapeAreCalled) {
   EXPECT_EQ(infos, 2u);
 }
 
-TEST_F(Nodes, APollingSubscriberHasTheNewestAndKeepsIt) {
+TEST_F(Nodes, APollingSubscriberReturnsTheNewestAndKeepsIt) {
   Node node("polling");
   PollingSubscriber<Number>::SharedPtr subscriber = node.create_subscription<Number>("polled", 5);
   auto publisher = node.create_publisher<Number>("polled", 5);
@@ -239,7 +224,7 @@ TEST_F(Nodes, APollingSubscriberHasTheNewestAndKeepsIt) {
   ASSERT_TRUE(eventually([&] { return static_cast<bool>(subscriber->take_data()); }));
   EXPECT_EQ(subscriber->take_data()->value, 3u);
   EXPECT_TRUE(subscriber->take_data() != nullptr && nullptr != subscriber->take_data());
-  EXPECT_EQ(subscriber->takeData()->value, 3u) << "the same again";
+  EXPECT_EQ(subscriber->takeData()->value, 3u) << "the same message again";
   EXPECT_EQ(subscriber->get_lost_count(), 0u);
 }
 

@@ -1,7 +1,7 @@
 // SPDX-License-Identifier: Apache-2.0
 //
-// A component as containers load them: brings its message type, and so the code that destroys
-// messages, with it.
+// A component as containers load them: contains its message type, and so the code that destroys
+// its messages.
 
 #include "plugin.hpp"
 
@@ -64,7 +64,7 @@ __attribute__((visibility("default"))) int plugin_hold(int say_fd, int wait_fd) 
   if (::read(wait_fd, &byte, 1) != 1) return 4;
   if (message->numbers != std::vector<int>(1000, 42)) return 5;
   message.reset();
-  if (::read(wait_fd, &byte, 1) != 0) return 6;  // until the host has ended
+  if (::read(wait_fd, &byte, 1) != 0) return 6;  // until the host program has ended
   return 0;
 }
 }

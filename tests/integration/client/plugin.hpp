@@ -1,6 +1,6 @@
 // SPDX-License-Identifier: Apache-2.0
 //
-// What plugin_test.cpp finds in the plugin by name.
+// Functions that plugin_test.cpp looks up in the plugin by name.
 #pragma once
 
 #include <atomic>
@@ -9,7 +9,7 @@ extern "C" {
 using PluginStart =
     void* (*)(std::atomic<int>* destroyed);  // publishes one message to one subscriber
 using PluginStop = void (*)(void* publisher);
-// Subscribes, says so by a byte, takes one message, says so, keeps it until it gets a byte. 0: all
-// went well.
+// Subscribes, writes a byte, takes one message, writes a byte, keeps it until it reads a byte.
+// Returns 0 on success.
 using PluginHold = int (*)(int say_fd, int wait_fd);
 }

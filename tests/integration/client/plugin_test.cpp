@@ -1,9 +1,10 @@
 // SPDX-License-Identifier: Apache-2.0
 //
-// Goal: a plugin that has published may be closed: its messages are destroyed later by its code.
-// Method: a host that knows of the library only through the plugin; a subscriber in another process
-// keeps the message until the plugin is closed. Without what is tested the library's own thread jumps
-// into unmapped code. The plugin is built so that nothing else pins it (-fno-gnu-unique, plugin.map).
+// Goal: a plugin that has published may be closed: its code destroys its messages later.
+// Method: a host program that uses the library only through the plugin; a subscriber in another
+// process keeps the message until the plugin is closed. Without the feature under test the
+// library's own thread jumps into unmapped code. The plugin is built so that nothing else pins it
+// (-fno-gnu-unique, plugin.map).
 
 #include "plugin.hpp"
 
@@ -44,7 +45,7 @@ TEST(Plugin, MayBeClosedWhileItsMessagesAreHeldElsewhere) {
     ASSERT_NE(plugin, nullptr) << ::dlerror();
     static std::atomic<int> destroyed{0};
     char byte = 0;
-    ASSERT_EQ(::read(said[0], &byte, 1), 1) << "a publisher that comes later misses nobody";
+    ASSERT_EQ(::read(said[0], &byte, 1), 1) << "the subscription exists before the publisher";
     void* const publisher = symbol<PluginStart>(plugin, "plugin_start")(&destroyed);
     ASSERT_NE(publisher, nullptr);
     ASSERT_EQ(::read(said[0], &byte, 1), 1) << "the subscriber holds it";

@@ -1,30 +1,30 @@
 // SPDX-License-Identifier: Apache-2.0
 //
-// A node that does to its own process what its argument says, and tells on standard output, line by
-// line. Ends by SIGALRM after a minute, unless its signals are blocked.
+// A node that does to its own process what its argument says, and reports on standard output, line
+// by line. Ends by SIGALRM after a minute, unless its signals are blocked.
 //
 //   signals PLACE      PLACE is user code that the library runs: callback event request response
-//                      destructor closure. Tells what is blocked there, in a thread and in a child
-//                      that are started there. The endpoints' maker has SIGUSR1 blocked and nothing else
+//                      destructor closure. Prints the signals blocked there, in a thread and in a
+//                      child started there. The endpoints' creator has only SIGUSR1 blocked
 //   raise              a callback raises SIGTERM
-//   asleep             tells which threads of the library do not block SIGTERM while they sleep
-//   main_ends WHAT     main calls pthread_exit() while endpoints live. WHAT else is there: nothing worker
-//                      callback busy
-//   callback_ends PLACE  user code calls pthread_exit(): callback event request response; tells whether
-//                      the next one runs
+//   asleep             prints which threads of the library do not block SIGTERM while they sleep
+//   main_ends WHAT     main calls pthread_exit() while endpoints live. WHAT else runs: nothing
+//                      worker callback busy
+//   callback_ends PLACE  user code calls pthread_exit(): callback event request response; prints
+//                      whether the next one runs
 //   callback_cancelled   the same by pthread_cancel() while the thread sleeps
-//   endless WHERE      main returns while a callback runs that has no end; its subscription is a static
+//   endless WHERE      main returns while a callback runs for ever; its subscription is a static
 //                      object made before or after the first endpoint: before after
 //   mutual             two callbacks destroy each other's subscription
-//   closes WHERE       closes every descriptor and opens files: at the numbers that are free then (low), or
-//                      at each number that was open before (same). Tells what becomes of the endpoints and
-//                      whether anybody has touched the files
-//   closes forked      the same (at each number), and forks: what the library closes in a child is then the
-//                      program's. The child destroys its endpoints and looks at the files
-//   relative DIRECTORY  connects by a relative path from there, goes elsewhere, and is connected again after
-//                      the daemon was restarted
-//   begins FROM TO     nobody listens at TO when it connects first; right after the first refusal, FROM is
-//                      renamed to TO. Without FROM nobody ever listens
+//   closes WHERE       closes every descriptor and opens files: at the numbers that are then free
+//                      (low), or at each number that was open before (same). Prints the state of
+//                      the endpoints and whether the library has touched the files
+//   closes forked      the same (at each number), and forks: in the child these numbers are the
+//                      program's. The child destroys its endpoints and checks the files
+//   relative DIRECTORY  connects by a relative path from there, changes its directory, and
+//                      reconnects after the daemon was restarted
+//   begins FROM TO     nobody listens at TO when it first connects; right after the first refusal,
+//                      FROM is renamed to TO. Without FROM nobody ever listens
 
 #include <tests/integration/services/services.hpp>
 
@@ -55,12 +55,12 @@
 
 namespace {
 
-std::function<void()> when_refused;  // a connection, for the first time
+std::function<void()> when_refused;  // called at the first refused connection
 std::atomic<int> refusals{0};
 
 }  // namespace
 
-/// The library's as well.
+/// The library's calls come here as well.
 extern "C" [[gnu::visibility("default")]] int connect(int fd, const sockaddr* address, socklen_t bytes) {
   const long status = ::syscall(SYS_connect, fd, address, bytes);
   if (status == 0) return 0;
@@ -72,7 +72,7 @@ extern "C" [[gnu::visibility("default")]] int connect(int fd, const sockaddr* ad
 
 namespace {
 
-/// What its destructor does; for destructors of closures.
+/// Runs `act` in its destructor; for destructors of closures.
 struct AtEnd {
   std::function<void()> act;
   explicit AtEnd(std::function<void()> what) : act(std::move(what)) {}
@@ -125,7 +125,7 @@ std::string of_status(const std::filesystem::path& status, const std::string& ke
 }
 std::string blocked_here() { return of_status("/proc/thread-self/status", "SigBlk"); }
 
-/// In a process that is started from here.
+/// Those of a process started from here.
 std::string blocked_in_child() {
   int pipe_[2];
   if (::pipe(pipe_) != 0) return "(no pipe)";
@@ -164,9 +164,9 @@ void wait_until(Condition condition) {
   while (!condition()) std::this_thread::sleep_for(1ms);
 }
 
-/// One of each kind, so that all threads of the library are there. In which node, in whose thread.
+/// One endpoint of each kind, so that all threads of the library exist.
 struct Endpoints {
-  /// Where user code runs, by name.
+  /// The user code, by name of its place.
   std::map<std::string, std::function<void()>> places;
   std::atomic<int> calls{0};
   Node first{"first"}, second{"second"};
@@ -201,14 +201,14 @@ struct Endpoints {
                                        run("response");
                                      });
   }
-  /// Occasions for all places.
+  /// Triggers all places.
   void use() {
     wait_until([this] { return publisher->get_subscription_count() == 1; });
     (void)client->wait_for_service(20s);
     publish();
     ask();
   }
-  /// Once more for this one; another subscription is an event.
+  /// Triggers this one again; another subscription is an event.
   void use(const std::string& place) {
     if (place == "callback") publish();
     if (place == "event") {
@@ -233,7 +233,7 @@ int signals(const std::string& place) {
   };
   all.make();
   if (place == "destructor") {
-    // Held while it leaves the history, let go while nobody publishes.
+    // Held while it leaves the history, released while nobody publishes.
     auto holder = all.first.create_subscription<Ping>("ping", QoS(10));
     wait_until([&] { return all.publisher->get_subscription_count() == 2; });
     is_own_thread = true;
@@ -244,7 +244,7 @@ int signals(const std::string& place) {
     all.publish();
     held.reset();
   } else if (place == "closure") {
-    // The thread of the node is what ends the callback: it runs it while it is destroyed.
+    // The node's thread ends the callback: it runs it during the destruction.
     std::atomic<bool> is_inside{false};
     all.places["callback"] = [&] {
       is_inside = true;
@@ -274,7 +274,7 @@ int asleep() {
   all.make();
   all.use();
   std::map<std::string, bool> blocks;
-  // They are asleep between two ticks: what is not so at one look is at another one.
+  // They sleep between two ticks: a thread that is awake at one look sleeps at another.
   for (int look = 0; look < 200; ++look) {
     for (const auto& task : std::filesystem::directory_iterator("/proc/self/task")) {
       std::string name;
@@ -342,7 +342,7 @@ int callback_ends(const std::string& place) {
   wait_until([&] { return ends.load(); });
   std::atomic<bool> runs{false};
   all.places[place] = [&] { runs = true; };
-  // A call may have ended with the thread.
+  // The ending thread may have swallowed a call.
   while (!runs) {
     all.use(place);
     std::this_thread::sleep_for(10ms);
@@ -440,10 +440,10 @@ std::vector<int> open_numbers() {
     const int number = std::stoi(entry.path().filename());
     if (number > STDERR_FILENO) all.push_back(number);
   }
-  return all;  // with that of the directory, which is closed by now
+  return all;  // with the directory's descriptor, which is closed by now
 }
 
-/// A file of this process's own, which nobody else has an interest in.
+/// A file of this process, which no one else uses.
 struct OwnFile {
   explicit OwnFile(int at) {
     char path[] = "/tmp/agnocast-process-XXXXXX";

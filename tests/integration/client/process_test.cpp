@@ -1,9 +1,9 @@
 // SPDX-License-Identifier: Apache-2.0
 //
-// Goal: what a program does to its own process it may do with endpoints in it: user code that the library
-// runs sees the signals of whoever made the endpoint, threads end as they please, and the process ends as
-// it would without the library.
-// Method: a program (process_node.cpp) that does it, with the real daemon; what it says and how it ends.
+// Goal: a program with endpoints may do anything to its own process: user code that the library
+// runs has the signal mask of the endpoint's creator, threads may end in any way, and the process
+// ends as without the library.
+// Method: a program (process_node.cpp) that does it, with the real daemon; its output and its end.
 
 #include <base/unique_fd.hpp>
 #include <base/unix_address.hpp>
@@ -27,7 +27,7 @@ namespace {
 using testing::ElementsAre;
 using testing::IsEmpty;
 
-/// What a node said, and how it ended: its status, or minus a signal.
+/// A node's output, and its end: its status, or minus a signal.
 struct End {
   std::vector<std::string> said;
   int status = 0;
@@ -62,7 +62,7 @@ class Process : public testing::Test {
 
 class SignalsIn : public Process, public testing::WithParamInterface<const char*> {};
 
-TEST_P(SignalsIn, AreThoseOfWhoMadeTheEndpoint) {
+TEST_P(SignalsIn, AreThoseOfTheEndpointsCreator) {
   const std::string usr1 = "0000000000000200";
   const End end = run("signals", GetParam());
   EXPECT_THAT(end.said, ElementsAre("here " + usr1 + " thread " + usr1 + " child " + usr1));
@@ -73,13 +73,13 @@ INSTANTIATE_TEST_SUITE_P(Process, SignalsIn,
                                          "closure"),
                          [](const auto& place) { return std::string(place.param); });
 
-TEST_F(Process, IsEndedByWhatACallbackRaises) {
+TEST_F(Process, IsEndedByASignalThatACallbackRaises) {
   const End end = run("raise");
   EXPECT_THAT(end.said, IsEmpty());
   EXPECT_EQ(end.status, -SIGTERM);
 }
 
-TEST_F(Process, IsNotInterruptedInThreadsOfTheLibraryThatSleep) {
+TEST_F(Process, IsNotInterruptedInSleepingThreadsOfTheLibrary) {
   EXPECT_THAT(run("asleep").said, ElementsAre("agnocast-call yes agnocast-ctl yes agnocast-srv yes "));
 }
 
@@ -91,7 +91,7 @@ TEST_F(Process, EndsWithItsMainThreadIfThatIsTheLast) {
   EXPECT_EQ(end.status, 0);
 }
 
-TEST_F(Process, LivesAsLongAsAThreadOfTheUsersLives) {
+TEST_F(Process, LivesAsLongAsAThreadOfTheUser) {
   const End end = run("main_ends", "worker");
   EXPECT_THAT(end.said, ElementsAre("main ends", "the callbacks go on",
                                     "exit handlers, 0000000000000200"));
@@ -105,7 +105,7 @@ TEST_F(Process, LivesAsLongAsACallbackRuns) {
   EXPECT_EQ(end.status, 0);
 }
 
-TEST_F(Process, EndsThoughItsCallbacksFollowEachOther) {
+TEST_F(Process, EndsAlthoughItsCallbacksFollowEachOther) {
   const End end = run("main_ends", "busy");
   EXPECT_THAT(end.said, ElementsAre("main ends", "exit handlers, 0000000000000200"));
   EXPECT_EQ(end.status, 0);
@@ -122,7 +122,7 @@ INSTANTIATE_TEST_SUITE_P(Process, ThreadEndsIn,
                          testing::Values("callback", "event", "request", "response"),
                          [](const auto& place) { return std::string(place.param); });
 
-TEST_F(Process, GoesOnWhereACallbacksThreadIsCancelled) {
+TEST_F(Process, GoesOnWhenACallbacksThreadIsCancelled) {
   const End end = run("callback_cancelled");
   EXPECT_THAT(end.said, ElementsAre("the next one runs"));
   EXPECT_EQ(end.status, 0);
@@ -130,7 +130,7 @@ TEST_F(Process, GoesOnWhereACallbacksThreadIsCancelled) {
 
 // --- waits
 
-TEST_F(Process, EndsThoughACallbackOfAStaticSubscriptionHasNoEnd) {
+TEST_F(Process, EndsAlthoughACallbackOfAStaticSubscriptionNeverEnds) {
   for (const char* const where : {"before", "after"}) {
     const End end = run("endless", where);
     EXPECT_THAT(end.said, ElementsAre("main returns")) << where;
@@ -138,7 +138,7 @@ TEST_F(Process, EndsThoughACallbackOfAStaticSubscriptionHasNoEnd) {
   }
 }
 
-TEST_F(Process, GoesOnWhereTwoCallbacksDestroyEachOther) {
+TEST_F(Process, GoesOnWhenTwoCallbacksDestroyEachOther) {
   const End end = run("mutual");
   EXPECT_THAT(end.said, ElementsAre("both are destroyed"));
   EXPECT_EQ(end.status, 0);
@@ -148,7 +148,7 @@ TEST_F(Process, GoesOnWhereTwoCallbacksDestroyEachOther) {
 
 class Closes : public Process, public testing::WithParamInterface<const char*> {};
 
-TEST_P(Closes, WhatTheLibraryHasOpenedAndKeepsItsOwn) {
+TEST_P(Closes, TheLibrarysDescriptorsAndKeepsItsOwn) {
   const End end = run("closes", GetParam());
   EXPECT_THAT(end.said, ElementsAre("os_failure", "callbacks go on", "os_failure",
                                     "files are untouched"));
@@ -165,7 +165,7 @@ TEST_F(Process, KeepsItsFilesInAForkedChild) {
 
 // --- the daemon's socket
 
-TEST_F(Process, ComesBackFromAnotherDirectoryByARelativePath) {
+TEST_F(Process, ReconnectsByARelativePathFromAnotherDirectory) {
   const std::string& path = daemon_.socket_path();
   const std::size_t slash = path.rfind('/');
   test::SteeredProcess node({AGNOCAST_PROCESS_NODE, "relative", path.substr(0, slash)},
@@ -178,7 +178,7 @@ TEST_F(Process, ComesBackFromAnotherDirectoryByARelativePath) {
 class Begins : public Process {
  protected:
   std::string elsewhere(const std::string& name) const { return daemon_.directory() + "/" + name; }
-  /// A socket whose owner is dead.
+  /// Leaves a socket whose owner is dead.
   void leave_socket(const std::string& path) const {
     const UniqueFd fd(::socket(AF_UNIX, SOCK_SEQPACKET | SOCK_CLOEXEC, 0));
     const auto address = unix_address(path);
@@ -187,7 +187,7 @@ class Begins : public Process {
   }
 };
 
-TEST_F(Begins, WhileTheDaemonIsBetweenTwoLives) {
+TEST_F(Begins, WhileTheDaemonRestarts) {
   leave_socket(elsewhere("one"));
   EXPECT_THAT(run_at(elsewhere("one"), {"begins", daemon_.socket_path(), elsewhere("one")}).said,
               ElementsAre("connected", "1 refusals"));
@@ -197,11 +197,11 @@ TEST_F(Begins, WhileTheDaemonIsBetweenTwoLives) {
               ElementsAre("connected", "1 refusals"));
 }
 
-TEST_F(Begins, OrNeverIfNobodyComes) {
+TEST_F(Begins, OrFailsIfNobodyListens) {
   leave_socket(elsewhere("one"));
   EXPECT_THAT(run_at(elsewhere("one"), {"begins"}).said,
               ElementsAre("daemon_not_running", "more refusals"));
-  // Nothing says that there ever was one: told at once.
+  // No sign that a daemon was ever there: the error comes at once.
   EXPECT_THAT(run_at(elsewhere("two"), {"begins"}).said,
               ElementsAre("daemon_not_running", "1 refusals"));
 }

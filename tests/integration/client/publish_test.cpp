@@ -1,14 +1,15 @@
 // SPDX-License-Identifier: Apache-2.0
 //
-// Goal: whatever goes wrong at borrow and publish is told by a clear code, the caller keeps the
-// message, and the publisher works again afterwards.
-// Method: publisher and subscription in this process, the real daemon with one small heap window, the
-// real hook. Message types of the test throw when they are told to.
+// Goal: every failure of borrow and publish has a clear code, the caller keeps the message, and
+// the publisher works again afterwards.
+// Method: publisher and subscription in this process, the real daemon with one small heap window,
+// the real hook. Message types of the test throw on request.
 
 #include <agnocast/abi/heaphook.h>
 #include <agnocast/agnocast.hpp>
 #include <tests/support/daemon_process.hpp>
 #include <tests/support/plain_node.hpp>
+#include <tests/support/suite_daemon.hpp>
 
 #include <gmock/gmock.h>
 
@@ -85,7 +86,7 @@ struct MessageTraits<Parts> {
 
 namespace {
 
-/// Before and after the daemon has refused another window.
+/// Full, before or after the daemon has refused another window.
 bool is_full(Errc code) { return code == Errc::heap_exhausted || code == Errc::window_exhausted; }
 
 bool allocates_shared() {
@@ -93,29 +94,24 @@ bool allocates_shared() {
   return agnocast_heaphook()->owns(block->data()) != 0;
 }
 
-class Publishing : public testing::Test {
+class Publishing : public test::SuiteDaemon {
  protected:
-  // The library connects once per process.
   static void SetUpTestSuite() {
-    daemon =
-        new test::DaemonProcess({.config = "[heap]\nwindow_bytes = \"64MiB\"\n"
-                                           "arena_bytes = \"1GiB\"\nwindows_per_process = 1\n"});
-    ::setenv("AGNOCAST_SOCKET", daemon->socket_path().c_str(), 1);
+    start({.config = "[heap]\nwindow_bytes = \"64MiB\"\n"
+                     "arena_bytes = \"1GiB\"\nwindows_per_process = 1\n"});
   }
   void TearDown() override {
     constructing = copying = Mood::good;
     EXPECT_FALSE(allocates_shared()) << "a scope was left open";
   }
-  static test::DaemonProcess* daemon;
   PlainNode node;
 };
-test::DaemonProcess* Publishing::daemon = nullptr;
 
 bool all_are(const std::vector<std::uint8_t>& data, std::uint8_t value) {
   return std::all_of(data.begin(), data.end(), [&](std::uint8_t byte) { return byte == value; });
 }
 
-/// In another thread: outside every loan.
+/// Made in another thread: outside every loan.
 std::unique_ptr<Moody> foreign(std::uint8_t value) {
   std::unique_ptr<Moody> made;
   std::thread([&] {
@@ -125,7 +121,7 @@ std::unique_ptr<Moody> foreign(std::uint8_t value) {
   return made;
 }
 
-TEST_F(Publishing, AConstructorThatThrowsInBorrowIsTheCallers) {
+TEST_F(Publishing, ACallerOfBorrowGetsTheExceptionOfAConstructor) {
   auto publisher = create_publisher<Moody>(node, "moody", 1);
   constructing = Mood::other;
   EXPECT_THROW(publisher->borrow_loaned_message(), std::runtime_error);
@@ -169,16 +165,18 @@ TEST_F(Publishing, OnlyALoanOfThisPublisherIsPublishedAndOnlyOnce) {
   auto other = create_publisher<Moody>(node, "other", 1);
   auto loan = publisher->borrow_loaned_message();
   auto moved = std::move(loan);
-  EXPECT_EQ(publisher->publish(std::move(loan)).code, Errc::loan_invalid) << "moved from";
-  EXPECT_EQ(other->publish(std::move(moved)).code, Errc::loan_invalid) << "another publisher's";
+  EXPECT_EQ(publisher->publish(std::move(loan)).code, Errc::loan_invalid) << "it was moved from";
+  EXPECT_EQ(other->publish(std::move(moved)).code, Errc::loan_invalid)
+      << "it belongs to another publisher";
   ASSERT_TRUE(moved);
   auto copy = moved;
   EXPECT_TRUE(publisher->publish(std::move(moved)));
-  EXPECT_EQ(publisher->publish(std::move(copy)).code, Errc::loan_invalid) << "published";
+  EXPECT_EQ(publisher->publish(std::move(copy)).code, Errc::loan_invalid)
+      << "it is already published";
   EXPECT_EQ(publisher->publish(ipc_shared_ptr<Moody>()).code, Errc::loan_invalid);
   EXPECT_EQ(publisher->publish(std::unique_ptr<Moody>()).code, Errc::loan_invalid);
   EXPECT_EQ(publisher->publish_for(std::unique_ptr<Moody>(), seconds(60)).code, Errc::loan_invalid)
-      << "no use in waiting";
+      << "waiting would not help";
 }
 
 TEST_F(Publishing, ALoanOutlivesItsPublisher) {
@@ -190,8 +188,8 @@ TEST_F(Publishing, ALoanOutlivesItsPublisher) {
   loan.reset();
 }
 
-// Another publisher is made where one was: as a rule at the same address.
-TEST_F(Publishing, ALoanThatOutlivesItsPublisherIsNobodyElses) {
+// Another publisher is made in place of the previous one, usually at the same address.
+TEST_F(Publishing, ALoanThatOutlivesItsPublisherBelongsToNoOther) {
   std::vector<ipc_shared_ptr<Moody>> loans;
   for (int round = 0; round < 50; ++round) {
     auto publisher = create_publisher<Moody>(node, "moody", 1);
@@ -205,8 +203,8 @@ TEST_F(Publishing, ALoanThatOutlivesItsPublisherIsNobodyElses) {
   }
 }
 
-// As rclcpp's nodes do it: the caller's message stays the caller's, and a copy of it is published.
-TEST_F(Publishing, AMessageOfTheCallersIsCopiedOnceAndStaysItsOwn) {
+// As rclcpp's nodes do it: the caller keeps its message, and publish copies it.
+TEST_F(Publishing, AMessageOfTheCallerIsCopiedOnceAndStaysTheCallers) {
   auto subscription = create_subscription<Parts>(node, "copy", QoS(5));
   auto publisher = create_publisher<Parts>(node, "copy", 5);
   ASSERT_TRUE(test::eventually([&] { return publisher->get_subscription_count() == 1; }));
@@ -216,7 +214,7 @@ TEST_F(Publishing, AMessageOfTheCallersIsCopiedOnceAndStaysItsOwn) {
   const PublishResult first = publisher->publish(parts);
   EXPECT_TRUE(first) << sentence_of(first.code);
   EXPECT_EQ(parts_copied, 3);
-  EXPECT_EQ(first.adopted_bytes, sizeof(Parts) + 3 * (sizeof(Part) + 1000)) << "all of it";
+  EXPECT_EQ(first.adopted_bytes, sizeof(Parts) + 3 * (sizeof(Part) + 1000)) << "the whole message";
   ASSERT_EQ(parts.parts.size(), 3u);
   parts.parts[0].bytes[0] = 1;
   const Parts& constant = parts;
@@ -230,7 +228,7 @@ TEST_F(Publishing, AMessageOfTheCallersIsCopiedOnceAndStaysItsOwn) {
     EXPECT_EQ(taken->parts[0].bytes[0], i == 0 ? 0 : 1) << i;
     EXPECT_NE(agnocast_heaphook()->owns(taken->parts[2].bytes.data()), 0);
   }
-  // A copy is made in a borrow of the same thread, and in a pause, as anywhere.
+  // publish copies the same way while a loan of the thread is open, and during a pause.
   auto loan = publisher->borrow_loaned_message();
   const LoanPause pause;
   EXPECT_EQ(publisher->publish(parts).adopted_bytes, first.adopted_bytes);
@@ -246,7 +244,7 @@ TEST_F(Publishing, AMessageOfTheCallersIsCopiedOnceAndStaysItsOwn) {
   EXPECT_EQ(create_publisher<Moody>(node, "moody", 1)->publish(moody).code, Errc::user_code_threw);
 }
 
-TEST_F(Publishing, ACopyWaitsForAKeepAllReaderAsAMessageDoes) {
+TEST_F(Publishing, ACopyWaitsForAKeepAllReaderLikeAMessage) {
   auto subscription = create_subscription<Parts>(node, "copies", QoS(1).keep_all(1));
   auto publisher = create_publisher<Parts>(node, "copies", QoS(1).keep_all(1));
   ASSERT_TRUE(test::eventually([&] { return publisher->get_subscription_count() == 1; }));
@@ -255,7 +253,7 @@ TEST_F(Publishing, ACopyWaitsForAKeepAllReaderAsAMessageDoes) {
   while (publisher->publish(parts)) ASSERT_LT(parts_copied, 1000);
   parts_copied = 0;
   EXPECT_EQ(publisher->publish_for(parts, milliseconds(50)).code, Errc::would_block);
-  EXPECT_EQ(parts_copied, 1) << "however often it was tried";
+  EXPECT_EQ(parts_copied, 1) << "one copy for all attempts";
   ASSERT_TRUE(take_soon(subscription));
   EXPECT_TRUE(publisher->publish_for(parts, seconds(60)));
 }
@@ -302,7 +300,7 @@ TEST_F(Publishing, KeepAllBlocksAndPublishForWaitsForTheReader) {
   EXPECT_EQ(result.adopted_bytes, sizeof(Moody) + 5000) << "the attempt that adopted counts";
 }
 
-TEST_F(Publishing, AFullHeapIsToldAndForgottenWhenReadersRelease) {
+TEST_F(Publishing, AFullHeapIsReportedUntilReadersRelease) {
   auto subscription = create_subscription<Moody>(node, "full", QoS(100));
   auto publisher = create_publisher<Moody>(node, "full", 100);
   ASSERT_TRUE(test::eventually([&] { return publisher->get_subscription_count() == 1; }));
@@ -338,12 +336,13 @@ TEST_F(Publishing, AFullHeapIsToldAndForgottenWhenReadersRelease) {
     EXPECT_TRUE(all_are(held[i]->data, static_cast<std::uint8_t>(i)));
   held.clear();
   result = publisher->publish(std::move(loan));
-  EXPECT_TRUE(result) << sentence_of(result.code) << ": what readers let go of is there at once";
+  EXPECT_TRUE(result) << sentence_of(result.code)
+                      << ": memory that readers release is available at once";
   EXPECT_EQ(result.adopted_bytes, 4u << 20);
   EXPECT_TRUE(all_are(take_soon(subscription)->data, number));
 }
 
-/// Until the heap is full. What was published is held.
+/// Fills the heap. Returns the published messages, which it holds.
 std::deque<ipc_shared_ptr<const Moody>> fill_heap(const Publisher<Moody>::SharedPtr& publisher,
                                                   const Subscription<Moody>::SharedPtr& reader) {
   EXPECT_TRUE(test::eventually([&] { return publisher->get_subscription_count() == 1; }));
@@ -359,7 +358,7 @@ std::deque<ipc_shared_ptr<const Moody>> fill_heap(const Publisher<Moody>::Shared
   }
 }
 
-TEST_F(Publishing, ABorrowAfterAFullHeapFindsWhatReadersHaveLetGoOf) {
+TEST_F(Publishing, ABorrowAfterAFullHeapFindsReleasedMessages) {
   auto subscription = create_subscription<Moody>(node, "borrow", QoS(100));
   auto publisher = create_publisher<Moody>(node, "borrow", 100);
   for (int round = 0; round < 10; ++round) {
@@ -375,8 +374,8 @@ TEST_F(Publishing, ABorrowAfterAFullHeapFindsWhatReadersHaveLetGoOf) {
   }
 }
 
-// The heap is that of the process: what one publisher needs may lie with another one that is idle.
-TEST_F(Publishing, AFullHeapIsFreedOfOldMessagesOfOtherPublishers) {
+// The heap belongs to the process: an idle publisher may have the memory that another one needs.
+TEST_F(Publishing, AFullHeapReclaimsOldMessagesOfOtherPublishers) {
   auto subscription = create_subscription<Moody>(node, "idle", QoS(100));
   auto publisher = create_publisher<Moody>(node, "idle", 100);
   auto other = create_publisher<Moody>(node, "busy", 1);
@@ -413,13 +412,13 @@ TEST_F(Publishing, AMessageThatDoesNotFitIsNotCopiedToPrivateMemory) {
     return parts_copied;
   };
   for (int round = 0; round < 3; ++round) {
-    // What has no room is begun, and is the end of it.
+    // The first part that does not fit ends the copy.
     EXPECT_LE(publish(first), 65) << round;
     EXPECT_EQ(publish(second), 1) << round;
   }
   auto fits = std::make_unique<Parts>();
   fits->parts.assign(40, Part(1 << 20));
-  EXPECT_TRUE(publisher->publish(std::move(fits))) << "nothing of the copies was lost";
+  EXPECT_TRUE(publisher->publish(std::move(fits))) << "the copies leaked nothing";
 }
 
 }  // namespace

@@ -1,9 +1,9 @@
 // SPDX-License-Identifier: Apache-2.0
 //
-// Goal: whatever happens to a connection, no message is lost or comes twice, every request is done
-// once, and what happened meanwhile is heard afterwards.
-// Method: real daemon, real processes. Connections are ended from outside, under the hands of both
-// sides; who is stopped (SIGSTOP) is away for as long as the test wants.
+// Goal: whatever happens to a connection, no message is lost or arrives twice, every request is
+// carried out once, and the process receives the missed events afterwards.
+// Method: real daemon, real processes. The test ends connections from outside, during use by both
+// sides; a stopped process (SIGSTOP) is away for as long as the test wants.
 
 #include <agnocast/error.hpp>
 #include <tests/support/client_tool.hpp>
@@ -55,13 +55,13 @@ class Stopped {
   pid_t pid_;
 };
 
-TEST(Rejoin, NoMessageIsLostOrComesTwice) {
+TEST(Rejoin, NoMessageIsLostOrDuplicated) {
   DaemonProcess daemon;
   ClientTool publisher(daemon.socket_path()), subscriber(daemon.socket_path());
   ASSERT_TRUE(meet(subscriber, "sub /t 100", publisher, "pub /t 1"));
   int ended = 0;
   for (int number = 1; number <= 1000; ++number) {
-    // Also while it is coming back: what is ended is whatever there is.
+    // Also during a rejoin: the test ends whatever connection exists.
     if (number % 3 == 0) ended += end_connection(publisher.pid()) ? 1 : 0;
     if (number % 4 == 0) ended += end_connection(subscriber.pid()) ? 1 : 0;
     subscriber.tell("wait 10000");
@@ -77,7 +77,7 @@ TEST(Rejoin, NoMessageIsLostOrComesTwice) {
   EXPECT_TRUE(publisher.eventually("allocated", "0"));
 }
 
-TEST(Rejoin, WhoComesAndGoesMeanwhileIsHeardToTheLastMessage) {
+TEST(Rejoin, PublishersThatComeAndGoMeanwhileAreReadToTheLastMessage) {
   DaemonProcess daemon;
   ClientTool subscriber(daemon.socket_path());
   auto known = std::make_unique<ClientTool>(daemon.socket_path());
@@ -109,7 +109,8 @@ TEST(Rejoin, WhoComesAndGoesMeanwhileIsHeardToTheLastMessage) {
     return heard.size() >= 12;
   }));
   EXPECT_EQ(heard.size(), 12u);
-  // Every publisher's own messages in their order; who was linked first is drained first.
+  // Every publisher's own messages in their order; the publisher that was linked first is drained
+  // first.
   EXPECT_EQ(heard.substr(0, 4), "2 3 ") << heard;
   EXPECT_NE(heard.find("1 2 3 "), std::string::npos) << heard;
   EXPECT_TRUE(subscriber.eventually("links", "1")) << "the dead are unlinked";
@@ -120,7 +121,7 @@ TEST(Rejoin, WhoComesAndGoesMeanwhileIsHeardToTheLastMessage) {
   EXPECT_EQ(subscriber.ask("lost"), "0");
 }
 
-TEST(Rejoin, APublisherHearsOfSubscriptionsThatCameAndWentMeanwhile) {
+TEST(Rejoin, APublisherIsNotifiedOfSubscriptionsThatCameAndWentMeanwhile) {
   DaemonProcess daemon;
   ClientTool publisher(daemon.socket_path()), comes(daemon.socket_path()),
       leaves(daemon.socket_path());
@@ -140,10 +141,11 @@ TEST(Rejoin, APublisherHearsOfSubscriptionsThatCameAndWentMeanwhile) {
     ASSERT_EQ(leaves.ask("unsub"), "ok");
     ASSERT_EQ(comes.ask("sub /t 5"), "ok");
   }
-  // Who is gone may count as matched until the publisher has heard of it, so ask the newcomer.
+  // A dead subscription may count as matched until the publisher has heard of its end, so ask the
+  // new one.
   EXPECT_TRUE(comes.eventually("links", "1"));
   EXPECT_TRUE(publisher.eventually("matched", "1"));
-  EXPECT_TRUE(publisher.eventually("allocated", "0")) << "what the dead one held is free";
+  EXPECT_TRUE(publisher.eventually("allocated", "0")) << "messages held by the dead one are free";
   ASSERT_EQ(publisher.ask("publish 1 10"), "ok");
   ASSERT_EQ(comes.ask("wait 10000"), "news");
   EXPECT_EQ(take_all(comes), "2 ");
@@ -212,7 +214,7 @@ class NoDescriptorLeft {
   rlimit before_{};
 };
 
-TEST(Rejoin, WhatAProcessHadNoDescriptorForIsSaidAgain) {
+TEST(Rejoin, APacketThatAProcessHadNoDescriptorForIsRepeated) {
   DaemonProcess daemon;
   ClientTool publisher(daemon.socket_path()), subscriber(daemon.socket_path());
   ASSERT_EQ(subscriber.ask("sub /t 100"), "ok");
@@ -239,7 +241,7 @@ TEST(Rejoin, WhatAProcessHadNoDescriptorForIsSaidAgain) {
   EXPECT_EQ(subscriber.ask("lost"), "0");
 }
 
-TEST(Rejoin, WhoHasNoDescriptorForAnAnswerIsToldSo) {
+TEST(Rejoin, AProcessWithoutADescriptorForAnAnswerGetsAnError) {
   DaemonProcess daemon;
   ClientTool process(daemon.socket_path());
   ASSERT_EQ(process.ask("sub /t 1"), "ok");
@@ -253,12 +255,12 @@ TEST(Rejoin, WhoHasNoDescriptorForAnAnswerIsToldSo) {
   EXPECT_EQ(process.ask("pub /t 1"), "ok");
 }
 
-TEST(Rejoin, ARequestWhoseAnswerIsLostIsDoneOnce) {
+TEST(Rejoin, ARequestWhoseAnswerIsLostIsCarriedOutOnce) {
   DaemonProcess daemon({.config = "[heap]\nwindow_bytes = \"64MiB\"\n[limits]\n"
                                   "publishers_per_topic = 1\nsubscriptions_per_topic = 1\n"});
   ClientTool publisher(daemon.socket_path()), subscriber(daemon.socket_path());
-  // Sent while the daemon is stopped; the connection ends before it can answer. It reads and does
-  // what was sent, and nobody hears of it.
+  // Sent while the daemon is stopped; the connection ends before it can answer. The daemon carries
+  // out the request, and nobody gets the answer.
   const auto ask_unanswered = [&](ClientTool& client, const std::string& line) {
     {
       const Stopped away(daemon.pid());
@@ -296,7 +298,7 @@ TEST(Rejoin, ARequestWhoseAnswerIsLostIsDoneOnce) {
   }
 }
 
-TEST(Rejoin, AHelloWhoseWelcomeIsLostIsSaidAgain) {
+TEST(Rejoin, AHelloWhoseWelcomeIsLostIsRepeated) {
   DaemonProcess daemon;
   ClientTool client(daemon.socket_path());
   {
@@ -315,12 +317,12 @@ TEST(Rejoin, AHelloWhoseWelcomeIsLostIsSaidAgain) {
   EXPECT_TRUE(eventually([&] { return wire_dump(daemon.socket_path()).processes.size() == 1; }));
 }
 
-TEST(Rejoin, ACreationThatWasGivenUpLeavesNothingBehind) {
+TEST(Rejoin, AnAbandonedCreationLeavesNothingBehind) {
   DaemonProcess daemon({.config = "[heap]\nwindow_bytes = \"64MiB\"\n[limits]\n"
                                   "publishers_per_topic = 1\nsubscriptions_per_topic = 1\n"});
   for (const bool connection_ends : {false, true}) {
     ClientTool first(daemon.socket_path()), second(daemon.socket_path());
-    // Heap and executor are there already: what is given up is the endpoint.
+    // Heap and executor already exist: only the endpoint is abandoned.
     ASSERT_EQ(first.ask("pub /other 1"), "ok");
     ASSERT_EQ(first.ask("unpub"), "ok");
     ASSERT_EQ(second.ask("sub /other 1"), "ok");
@@ -345,7 +347,7 @@ TEST(Rejoin, ACreationThatWasGivenUpLeavesNothingBehind) {
   }
 }
 
-TEST(Rejoin, WhatIsDestroyedMeanwhileHasLeftAfterwards) {
+TEST(Rejoin, EndpointsDestroyedMeanwhileHaveLeftAfterwards) {
   DaemonProcess daemon;
   ClientTool publisher(daemon.socket_path()), subscriber(daemon.socket_path()),
       reader(daemon.socket_path());
@@ -370,17 +372,17 @@ TEST(Rejoin, WhatIsDestroyedMeanwhileHasLeftAfterwards) {
     EXPECT_EQ(reader.ask("links"), "1");
   }
   ASSERT_EQ(reader.ask("wait 10000"), "news");
-  EXPECT_NE(take_all(reader), "") << "what it published before is delivered";
+  EXPECT_NE(take_all(reader), "") << "its earlier messages are delivered";
   EXPECT_TRUE(reader.eventually("links", "0"));
 }
 
-TEST(Rejoin, ADaemonThatDiesAgainAndAgainIsNotMissed) {
+TEST(Rejoin, ADaemonThatDiesRepeatedlyDisturbsNobody) {
   DaemonProcess daemon;
   ClientTool publisher(daemon.socket_path()), subscriber(daemon.socket_path());
   ASSERT_TRUE(meet(subscriber, "sub /t 100", publisher, "pub /t 1"));
   for (int round = 1; round <= 12; ++round) {
     const pid_t before = daemon.kill_worker();
-    // Nobody waits for its successor before all this.
+    // The next daemon is not awaited before all this.
     ASSERT_EQ(publisher.ask("publish 1 100"), "ok") << round;
     auto guest = std::make_unique<ClientTool>(daemon.socket_path());
     ASSERT_EQ(guest->ask("pub /t 5"), "ok") << round;
@@ -408,8 +410,8 @@ TEST(Rejoin, ADaemonThatDiesAgainAndAgainIsNotMissed) {
   EXPECT_TRUE(publisher.eventually("allocated", "0"));
 }
 
-// The daemon dies at the n-th step of serving a request, for n = 1, 2, 3 … until it survives: of a
-// process that comes, and of one that asks for a publisher of what it has subscribed to.
+// The daemon dies at the n-th step of a request, for n = 1, 2, 3 … until it survives: of a process
+// that joins, and of one that asks for a publisher on a topic it subscribes to.
 void die_while_asked(bool comes) {
   const std::string directory = test::make_directory();
   test::CrashControl control(directory + "/control");
@@ -432,9 +434,9 @@ void die_while_asked(bool comes) {
   test::remove_directory(directory);
 }
 
-TEST(Rejoin, WhoeverComesWhileTheDaemonDiesIsAnsweredByTheNext) { die_while_asked(true); }
+TEST(Rejoin, AJoinWhileTheDaemonDiesIsAnsweredByTheNextDaemon) { die_while_asked(true); }
 
-TEST(Rejoin, WhoeverAsksWhileTheDaemonDiesIsAnsweredByTheNext) { die_while_asked(false); }
+TEST(Rejoin, ARequestWhileTheDaemonDiesIsAnsweredByTheNextDaemon) { die_while_asked(false); }
 
 }  // namespace
 }  // namespace agnocast

@@ -1,7 +1,7 @@
 // SPDX-License-Identifier: Apache-2.0
 //
-// What the tests of processes that come to another daemon have in common: one daemon after the other at
-// the same socket, killed with its supervisor or stopped, each with nothing of the former's.
+// Fixture of the tests of processes that move to another daemon: one daemon after the other at the
+// same socket, killed with its supervisor or stopped, each without the previous one's store.
 #pragma once
 
 #include <tests/support/client_tool.hpp>
@@ -18,7 +18,7 @@ using test::are_connected;
 using test::ClientTool;
 using test::eventually;
 
-/// One daemon after the other at the same place, each with nothing of the former's.
+/// One daemon after the other at the same socket, each without the previous one's store.
 class Reregistration : public testing::Test {
  protected:
   Reregistration() : directory_(test::make_directory()) { begin(); }

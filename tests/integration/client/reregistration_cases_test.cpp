@@ -1,10 +1,10 @@
 // SPDX-License-Identifier: Apache-2.0
 //
-// Goal: what is unusual about a process does not keep it from coming to a daemon that knows nobody:
-// several endpoints of it on one topic, children of fork, readers that hold all they may, an endpoint
-// that the new daemon refuses, a store that is lost again before everything has moved.
-// Method: the public interface in this process and client_tool in others; real daemons that are killed
-// with their supervisors and begun anew at the same socket.
+// Goal: no unusual state of a process keeps it from moving to a daemon without a store: several of
+// its endpoints on one topic, children of fork, readers that hold all they may, an endpoint that
+// the new daemon refuses, a store that is lost again before everything has moved.
+// Method: the public interface in this process and client_tool in others; real daemons that are
+// killed with their supervisors and restarted without a store at the same socket.
 
 #include <tests/integration/client/reregistration_in_process.hpp>
 #include <tests/support/child.hpp>
@@ -25,7 +25,7 @@
 #include <thread>
 #include <vector>
 
-/// A Block that nobody can ask where its words lie.
+/// A Block that does not reveal where its words lie.
 struct OpaqueBlock : agnocast::test::Block {};
 template <>
 struct agnocast::MessageTraits<OpaqueBlock> {
@@ -62,7 +62,7 @@ void drain(const SubscriptionPointer& subscription, Values& values) {
 TEST_F(ReregistrationCases, PublishersAndSubscriptionsOfAProcessOnOneTopicKeepTheirOrder) {
   two_publishers_and_two_subscriptions('v');
 }
-TEST_F(ReregistrationCases, PublishersOfAProcessOnOneTopicKeepTheirHistoriesApart) {
+TEST_F(ReregistrationCases, PublishersOfAProcessOnOneTopicKeepSeparateHistories) {
   two_publishers_and_two_subscriptions('t');
 }
 
@@ -100,7 +100,7 @@ void ReregistrationCases::two_publishers_and_two_subscriptions(char durability) 
     each_publishes();
     await_connection();
     each_publishes();
-    // Both have moved when somebody hears them who was never in the former membership.
+    // Both have moved when a subscription without a previous session receives them.
     ASSERT_TRUE(matched(2));
     const auto late = node.create_subscription<Number>(name, reader_qos);
     ASSERT_TRUE(matched(3));
@@ -113,7 +113,7 @@ void ReregistrationCases::two_publishers_and_two_subscriptions(char durability) 
              heard[2].back() == last;
     }));
     EXPECT_EQ(heard[1], heard[2]);
-    EXPECT_EQ(heard[1], range(heard[1].front(), last)) << "history once, then what is new";
+    EXPECT_EQ(heard[1], range(heard[1].front(), last)) << "history once, then the new messages";
   }
   for (std::size_t r = 0; r < 2; ++r) {
     EXPECT_EQ(got[r][1], range(1, last)) << r;
@@ -123,7 +123,7 @@ void ReregistrationCases::two_publishers_and_two_subscriptions(char durability) 
   }
 }
 
-TEST_F(ReregistrationCases, ChildrenOfForkDisturbNothingAndAreToldThatTheyCannot) {
+TEST_F(ReregistrationCases, ChildrenOfForkDisturbNothingAndGetErrors) {
   Node node("parent");
   const auto reader = node.create_subscription<Number>("/forks", 1000);
   const auto publisher = node.create_publisher<Number>("/forks", 1000);
@@ -143,7 +143,7 @@ TEST_F(ReregistrationCases, ChildrenOfForkDisturbNothingAndAreToldThatTheyCannot
   char shell[] = "/bin/sh", option[] = "-c";
   char command[] = "! ls -l /proc/self/fd /proc/$$/fd | grep -E 'memfd|anon_inode'";
   char* const arguments[] = {shell, option, command, nullptr};
-  // One that lives over everything, made before; it has the parent's locks as well.
+  // One that was forked before and lives over all steps; it has the parent's locks as well.
   int go[2];
   ASSERT_EQ(::pipe(go), 0);
   const auto long_lived = [&]() noexcept {
@@ -159,7 +159,7 @@ TEST_F(ReregistrationCases, ChildrenOfForkDisturbNothingAndAreToldThatTheyCannot
   for (int round = 0; round < 3; ++round) {
     end();
     begin();
-    // While it moves, at whatever step it is.
+    // During the move, at any of its steps.
     do {
       Child asks([&]() noexcept { return is_told() ? 0 : 1; });
       Child executes([&]() noexcept {
@@ -168,7 +168,7 @@ TEST_F(ReregistrationCases, ChildrenOfForkDisturbNothingAndAreToldThatTheyCannot
       });
       if (during.size() < 10) during.push_back(std::make_unique<Child>(long_lived));
       publish(*publisher, ++published);
-      EXPECT_EQ(asks.wait(), 0) << "it is told in the child";
+      EXPECT_EQ(asks.wait(), 0) << "the child gets an error";
       EXPECT_EQ(executes.wait(), 0) << "a program inherits nothing";
       made += 2;
     } while (connection_state() != ConnectionState::connected ||
@@ -190,13 +190,13 @@ TEST_F(ReregistrationCases, ChildrenOfForkDisturbNothingAndAreToldThatTheyCannot
   EXPECT_EQ(held->value, 1u);
 }
 
-TEST_F(ReregistrationCases, OneEndpointThatIsRefusedKeepsNoOtherFromMoving) {
+TEST_F(ReregistrationCases, ARefusedEndpointKeepsNoOtherFromMoving) {
   Node node("refused");
   const auto first = node.create_publisher<Number>("/first", 10);
-  const auto deep = node.create_publisher<Number>("/deep", 50);  // refused in between
+  const auto deep = node.create_publisher<Number>("/deep", 50);  // refused by the second daemon
   const auto last = node.create_publisher<Number>("/last", 10);
   const auto deep_reader =
-      node.create_subscription<Number>("/last", 50);  // likewise: hears nothing
+      node.create_subscription<Number>("/last", 50);  // likewise: receives nothing
   const auto reader_of_deep = node.create_subscription<Number>("/deep", 10);
   const auto reader_of_first = node.create_subscription<Number>("/first", 10);
   const auto both = [&] {
@@ -215,7 +215,7 @@ TEST_F(ReregistrationCases, OneEndpointThatIsRefusedKeepsNoOtherFromMoving) {
   each(1);
   lose("[limits]\ndepth_max = 20\n");
   each(2);
-  // Newcomers hear whoever has moved; what was refused goes on among those who were there.
+  // New subscriptions hear moved publishers; refused ones go on among their old peers.
   const auto newcomer = node.create_subscription<Number>("/first", 10);
   const auto of_refused = node.create_subscription<Number>("/deep", 10);
   const auto other = node.create_subscription<Number>("/last", 10);
@@ -235,11 +235,11 @@ TEST_F(ReregistrationCases, OneEndpointThatIsRefusedKeepsNoOtherFromMoving) {
   EXPECT_TRUE(heard && heard->value == 4);
   Values all;
   drain(deep_reader, all);
-  EXPECT_EQ(all[0].back(), 4u) << "it hears again";
+  EXPECT_EQ(all[0].back(), 4u) << "it receives again";
 }
 
-// Its readers have no windows of it but those of the former membership, and hear of no other.
-TEST_F(ReregistrationCases, WhatARefusedPublisherPutsIntoAFurtherWindowIsGivenToNobody) {
+// Its readers have no windows of it but those of the previous session, and are not told of others.
+TEST_F(ReregistrationCases, MessagesOfARefusedPublisherInANewWindowReachNobody) {
   using test::Block;
   Node node("refused");
   const auto refused = node.create_publisher<Block>("/refused", test::qos_of("50rt"));
@@ -257,8 +257,10 @@ TEST_F(ReregistrationCases, WhatARefusedPublisherPutsIntoAFurtherWindowIsGivenTo
   };
   ASSERT_EQ(publish_block(refused, 1), Errc::ok);
   lose("[limits]\ndepth_max = 20\n");
-  ASSERT_EQ(publish_block(refused, 2), Errc::ok) << "there is room where its readers look";
-  // A window of 64 MiB has room for five of them: those of the other publisher lie in further ones.
+  ASSERT_EQ(publish_block(refused, 2), Errc::ok)
+      << "there is room in the windows that its readers map";
+  // A window of 64 MiB has room for five of them: those of the other publisher lie in further
+  // ones.
   std::uint64_t published = 0;
   EXPECT_TRUE(eventually([&] {
     published += publish_block(welcome, published + 1) == Errc::ok;
@@ -270,9 +272,9 @@ TEST_F(ReregistrationCases, WhatARefusedPublisherPutsIntoAFurtherWindowIsGivenTo
   EXPECT_EQ(code, Errc::heap_exhausted);
   for (std::uint64_t value = 1; value < 10; ++value)
     EXPECT_EQ(publish_block(opaque, value), Errc::heap_exhausted) << "it may lie anywhere";
-  EXPECT_EQ(reader.end(), 0) << "a reader was given what it cannot read";
-  EXPECT_EQ(of_opaque.end(), 0) << "a reader was given what it cannot read";
-  // A daemon that allows it is told of all windows.
+  EXPECT_EQ(reader.end(), 0) << "a reader got a message that it cannot read";
+  EXPECT_EQ(of_opaque.end(), 0) << "a reader got a message that it cannot read";
+  // A daemon that allows it learns of all windows.
   lose();
   const auto newcomer = node.create_subscription<Block>("/refused", 50);
   ASSERT_TRUE(eventually([&] { return refused->get_subscription_count() == 1; }));
@@ -283,7 +285,7 @@ TEST_F(ReregistrationCases, WhatARefusedPublisherPutsIntoAFurtherWindowIsGivenTo
   }));
 }
 
-TEST_F(ReregistrationCases, WhoHoldsAllItMayOfAFormerPublisherSleeps) {
+TEST_F(ReregistrationCases, ASubscriptionThatHoldsAllItMayOfAPreviousPublisherSleeps) {
   ClientTool publisher(socket()), subscriber(socket());
   ASSERT_TRUE(meet(subscriber, "sub /t 100", publisher, "pub /t 100"));
   ASSERT_EQ(publisher.ask("publish 20 10"), "ok");
@@ -293,14 +295,14 @@ TEST_F(ReregistrationCases, WhoHoldsAllItMayOfAFormerPublisherSleeps) {
   end();
   begin();
   ASSERT_TRUE(are_connected({&publisher, &subscriber}));
-  // It has moved when somebody new hears it.
+  // It has moved when a new subscription receives from it.
   ClientTool newcomer(socket());
   ASSERT_EQ(newcomer.ask("sub /t 100"), "ok");
   ASSERT_TRUE(publisher.eventually("matched", "2"));
   ASSERT_EQ(publisher.ask("publish 5 10"), "ok");
   EXPECT_EQ(take_all(newcomer), numbers(21, 25));
-  // What cannot be taken is no news: whoever sleeps goes on sleeping. Rings that were under way are
-  // heard first.
+  // A message that cannot be taken is no news: a sleeping thread goes on sleeping. Rings that were
+  // under way arrive first.
   EXPECT_TRUE(eventually([&] { return subscriber.ask("wait 100") == "timeout"; }));
   for (int i = 0; i < 5; ++i) {
     EXPECT_EQ(subscriber.ask("take"), "none");
@@ -349,7 +351,7 @@ TEST_F(ReregistrationCases, ACallbackThreadThatHoldsAllItMayUsesNoProcessor) {
     ::clock_gettime(kept.clock, &used);
     return used.tv_sec * 1000 + used.tv_nsec / 1'000'000;
   };
-  // Time of the thread, not of the clock on the wall: one that turns in circles uses all it can get.
+  // CPU time of the thread, not the clock: a busy loop would use all it can get.
   const auto before = used_ms();
   std::this_thread::sleep_for(std::chrono::seconds(2));
   EXPECT_LT(used_ms() - before, 100);
@@ -366,7 +368,7 @@ TEST_F(ReregistrationCases, ACallbackThreadThatHoldsAllItMayUsesNoProcessor) {
   kept.held.clear();
 }
 
-TEST_F(ReregistrationCases, AStoreThatIsLostWhileAPublisherWaitsToMove) {
+TEST_F(ReregistrationCases, AStoreLostWhileAPublisherWaitsToMoveCostsNothing) {
   ClientTool publisher(socket()), subscriber(socket()), stopped(socket());
   for (ClientTool* const tool : {&subscriber, &stopped}) ASSERT_EQ(tool->ask("sub /t 100"), "ok");
   ASSERT_EQ(publisher.ask("pub /t 100 tl"), "ok");
@@ -374,7 +376,7 @@ TEST_F(ReregistrationCases, AStoreThatIsLostWhileAPublisherWaitsToMove) {
   ASSERT_EQ(publisher.ask("publish 2 10"), "ok");
   ::kill(stopped.pid(), SIGSTOP);
   int last = 2;
-  // Its heir is there and gets nothing, because one of two readers is missing.
+  // Its migration successor exists and gets nothing, because one of two readers is missing.
   for (int round = 0; round < 3; ++round) {
     end();
     begin();
@@ -412,7 +414,7 @@ TEST_F(ReregistrationCases, APublisherThatEndsWhileItWaitsToMoveLeavesNothing) {
   const auto known = [](std::size_t count) {
     return eventually([&] { return test::wire_dump(socket()).endpoints.size() == count; });
   };
-  EXPECT_TRUE(known(0)) << "its heir has left";
+  EXPECT_TRUE(known(0)) << "its migration successor has left";
   ::kill(stopped.pid(), SIGCONT);
   ASSERT_TRUE(stopped.eventually("state", "connected"));
   EXPECT_EQ(take_all(stopped), numbers(1, 2));
@@ -420,7 +422,7 @@ TEST_F(ReregistrationCases, APublisherThatEndsWhileItWaitsToMoveLeavesNothing) {
   EXPECT_TRUE(stopped.eventually("links", "0"));
 }
 
-TEST_F(ReregistrationCases, LossesThatFollowEachOtherAtOnce) {
+TEST_F(ReregistrationCases, LossesInQuickSuccessionCostNothing) {
   ClientTool publisher(socket()), subscriber(socket());
   ASSERT_TRUE(meet(subscriber, "sub /t 100", publisher, "pub /t 100"));
   int last = 0;

@@ -1,7 +1,7 @@
 // SPDX-License-Identifier: Apache-2.0
 //
-// As reregistration.hpp, for tests that have the library in their own process: all tests of a suite have
-// one place for their daemons, and each daemon is killed with its supervisor.
+// As reregistration.hpp, for tests that have the library in their own process: all tests of a
+// suite use one socket for their daemons, and each daemon is killed with its supervisor.
 #pragma once
 
 #include <agnocast/agnocast.hpp>
@@ -44,7 +44,7 @@ class ReregistrationInProcess : public testing::Test {
   static void end() {
     daemon->kill();
     daemon.reset();
-    // Before there is another: coming back may be faster than a look.
+    // Before the next daemon: reconnecting may be faster than a look.
     ASSERT_TRUE(eventually([] { return connection_state() != ConnectionState::connected; }));
   }
   static void await_connection() {
@@ -66,7 +66,7 @@ class ReregistrationInProcess : public testing::Test {
   inline static std::unique_ptr<test::DaemonProcess> daemon;
 };
 
-/// The numbers from first to last.
+/// Returns the numbers from first to last.
 inline std::vector<std::uint64_t> range(std::uint64_t first, std::uint64_t last) {
   std::vector<std::uint64_t> values;
   for (std::uint64_t value = first; value <= last; ++value) values.push_back(value);

@@ -1,10 +1,10 @@
 // SPDX-License-Identifier: Apache-2.0
 //
-// Goal: a program that knows nothing of daemons goes on when the daemon's store is lost: callbacks in
-// the library's thread and in executors are woken, loans and held messages stay what they are, a
-// stream from another process arrives whole and in order.
-// Method: the public interface, real daemons that are killed with their supervisors and begun anew at
-// the same socket, a second process that publishes.
+// Goal: an ordinary program goes on when the daemon's store is lost: callbacks in the library's
+// thread and in executors are woken, loans and held messages stay valid, a stream from another
+// process arrives whole and in order.
+// Method: the public interface, real daemons that are killed with their supervisors and restarted
+// without a store at the same socket, a second process that publishes.
 
 #include <tests/integration/client/reregistration_in_process.hpp>
 
@@ -23,7 +23,7 @@ using test::SecondProcess;
 
 class ReregistrationOfNodes : public ReregistrationInProcess {};
 
-/// What a callback saw, in the thread that it ran in.
+/// The values that a callback got, in the thread that it ran in.
 struct Seen {
   std::mutex mutex;
   std::vector<std::uint64_t> values;
@@ -71,9 +71,9 @@ TEST_F(ReregistrationOfNodes, CallbacksAreWokenWhereverTheySleep) {
   EXPECT_TRUE(eventually([&] { return one->get_publisher_count() == 1; }));
 }
 
-// Callbacks are rung for each message of history that their publisher brings along, and look at the
-// queue while it brings the next ones.
-TEST_F(ReregistrationOfNodes, HistoryComesOnceToThoseWhoLookWhileItIsBrought) {
+// Each message of history that their publisher moves rings the callbacks, and they read the queue
+// while it moves the next ones.
+TEST_F(ReregistrationOfNodes, HistoryArrivesOnceWhileItIsMoved) {
   constexpr std::uint64_t kept = 300;
   Node talker("talker");
   const auto publisher =
@@ -108,13 +108,13 @@ TEST_F(ReregistrationOfNodes, HistoryComesOnceToThoseWhoLookWhileItIsBrought) {
     const auto& values = listener->seen.values;
     const auto wrong = std::adjacent_find(values.begin(), values.end(), std::greater_equal<>());
     EXPECT_EQ(wrong - values.begin(), values.end() - values.begin())
-        << listener->node.get_name() << ": " << wrong[1] << " behind " << wrong[0];
+        << listener->node.get_name() << ": " << wrong[1] << " after " << wrong[0];
     EXPECT_EQ(values.size(), value) << listener->node.get_name();
     EXPECT_EQ(listener->subscription->get_lost_count(), 0u) << listener->node.get_name();
   }
 }
 
-TEST_F(ReregistrationOfNodes, LoansAndHeldMessagesStayWhatTheyAre) {
+TEST_F(ReregistrationOfNodes, LoansAndHeldMessagesStayValid) {
   Node node("holder");
   const auto subscription = node.create_subscription<Number>("/held", 10);
   const auto publisher = node.create_publisher<Number>("/held", 10);
@@ -161,7 +161,7 @@ TEST_F(ReregistrationOfNodes, AStreamOfAnotherProcessArrivesWhole) {
   EXPECT_EQ(subscription->get_lost_count(), 0u);
 }
 
-TEST_F(ReregistrationOfNodes, WhoWantsToKnowIsTold) {
+TEST_F(ReregistrationOfNodes, ConnectionCallbacksReportTheLoss) {
   Node node("asks");
   std::mutex mutex;
   std::vector<ConnectionState> told;
@@ -172,7 +172,7 @@ TEST_F(ReregistrationOfNodes, WhoWantsToKnowIsTold) {
   });
   const auto subscription = node.create_subscription<Number>("/told", 1, options);
   lose();
-  // What changes again before it was told is told once.
+  // Two changes before the notification are reported as one.
   EXPECT_TRUE(eventually([&] {
     const std::lock_guard lock(mutex);
     return !told.empty() && told.back() == ConnectionState::connected;

@@ -1,8 +1,8 @@
 // SPDX-License-Identifier: Apache-2.0
 //
-// Goal: when processes come to another daemon, nothing comes twice, in another order, or damaged: what is
-// unread before what is new, histories once and to those who ask for them; and no publisher holds back
-// the messages of another.
+// Goal: when processes move to another daemon, no message arrives twice, out of order, or damaged:
+// unread messages come before new ones, histories once and to subscriptions that request them; and
+// no publisher holds back the messages of another.
 // Method: as reregistration_test.cpp.
 
 #include <tests/integration/client/reregistration.hpp>
@@ -13,7 +13,7 @@
 namespace agnocast {
 namespace {
 
-TEST_F(Reregistration, WhatIsUnreadComesBeforeWhatIsNew) {
+TEST_F(Reregistration, UnreadMessagesComeBeforeNewOnes) {
   ClientTool publisher(socket()), subscriber(socket());
   ASSERT_TRUE(meet(subscriber, "sub /t 100", publisher, "pub /t 100"));
   ASSERT_EQ(publisher.ask("publish 5 10"), "ok");
@@ -21,7 +21,7 @@ TEST_F(Reregistration, WhatIsUnreadComesBeforeWhatIsNew) {
   lose();
   ASSERT_EQ(publisher.ask("publish 5 10"), "ok");
   ASSERT_TRUE(are_connected({&publisher, &subscriber}));
-  // It has moved as soon as a process that was never in the former membership gets its messages.
+  // It has moved as soon as a process without a previous session gets its messages.
   ClientTool newcomer(socket());
   ASSERT_EQ(newcomer.ask("sub /t 100"), "ok");
   ASSERT_TRUE(publisher.eventually("matched", "2"));
@@ -30,7 +30,8 @@ TEST_F(Reregistration, WhatIsUnreadComesBeforeWhatIsNew) {
   ASSERT_TRUE(are_connected({&publisher, &subscriber, &newcomer}));
   ASSERT_TRUE(publisher.eventually("matched", "2"));
   ASSERT_EQ(publisher.ask("publish 5 10"), "ok");
-  // The first one stays held: it is the oldest, and what is taken after it is released in its turn.
+  // The first one stays held: it is the oldest, and later ones are released when the next is
+  // taken.
   std::string heard;
   for (int i = 2; i <= 20; ++i) {
     heard += subscriber.ask("take") + " ";
@@ -48,7 +49,7 @@ TEST_F(Reregistration, WhatIsUnreadComesBeforeWhatIsNew) {
   EXPECT_TRUE(subscriber.eventually("links", "1"));
 }
 
-TEST_F(Reregistration, HistoryGoesAlongAndComesOnce) {
+TEST_F(Reregistration, HistoryMovesAndArrivesOnce) {
   ClientTool publisher(socket()), subscriber(socket());
   ASSERT_EQ(publisher.ask("pub /t 3 tl"), "ok");
   ASSERT_EQ(subscriber.ask("sub /t 10 tl"), "ok");
@@ -86,7 +87,7 @@ struct OneStays {
     }
     ::kill(stays.pid(), SIGSTOP);
   }
-  /// With a daemon that has room for one publisher.
+  /// Starts a daemon that has room for one publisher.
   void come_to_next() {
     ASSERT_TRUE(are_connected({&moves, &subscriber}));
     ASSERT_TRUE(moves.eventually("matched", "1"));
@@ -98,7 +99,7 @@ struct OneStays {
   ClientTool subscriber, moves, stays;
 };
 
-TEST_F(Reregistration, APublisherThatStaysHoldsNobodyBackHoweverFastItIs) {
+TEST_F(Reregistration, APublisherThatStaysDelaysNoOtherHoweverFastItIs) {
   OneStays stage(socket());
   ASSERT_EQ(stage.moves.ask("publish 50 10"), "ok");
   EXPECT_EQ(take_all(stage.subscriber).substr(0, 8), "1 2 3 4 ");
@@ -116,15 +117,15 @@ TEST_F(Reregistration, APublisherThatStaysHoldsNobodyBackHoweverFastItIs) {
   EXPECT_NE(heard.find(" 20 51 21 "), std::string::npos) << heard;
 }
 
-TEST_F(Reregistration, AQuotaThatIsHeldOfOneHoldsNobodyElseBack) {
+TEST_F(Reregistration, AQuotaUsedUpByOnePublisherDelaysNoOther) {
   OneStays stage(socket());
   end();
   begin({.more_config = OneStays::config});
   ASSERT_NO_FATAL_FAILURE(stage.come_to_next());
   ASSERT_EQ(stage.stays.ask("publish 20 10"), "ok");
   for (int i = 1; i <= 16; ++i) ASSERT_EQ(stage.subscriber.ask("take"), std::to_string(i));
-  ASSERT_EQ(stage.subscriber.ask("take"), "none") << "it holds all that it may of this one";
-  EXPECT_EQ(stage.subscriber.ask("wait 100"), "timeout") << "and does not turn in circles";
+  ASSERT_EQ(stage.subscriber.ask("take"), "none") << "it holds as many as it may of this one";
+  EXPECT_EQ(stage.subscriber.ask("wait 100"), "timeout") << "it sleeps instead of retrying";
   ASSERT_EQ(stage.moves.ask("publish 2 10"), "ok");
   EXPECT_EQ(stage.subscriber.ask("wait 10000"), "news");
   EXPECT_EQ(stage.subscriber.ask("take"), "1");
@@ -135,7 +136,7 @@ TEST_F(Reregistration, AQuotaThatIsHeldOfOneHoldsNobodyElseBack) {
   EXPECT_EQ(stage.subscriber.ask("take"), "17");
 }
 
-TEST_F(Reregistration, WhatIsHeldOfTheFormerQueueComesBeforeTheSamePublishersNext) {
+TEST_F(Reregistration, ThePreviousQueueIsReadBeforeTheSamePublishersNext) {
   ClientTool publisher(socket()), subscriber(socket());
   ASSERT_TRUE(meet(subscriber, "sub /t 1000", publisher, "pub /t 100"));
   ASSERT_EQ(publisher.ask("publish 20 10"), "ok");
@@ -146,7 +147,7 @@ TEST_F(Reregistration, WhatIsHeldOfTheFormerQueueComesBeforeTheSamePublishersNex
   ASSERT_TRUE(subscriber.eventually("links", "2"));
   ASSERT_EQ(publisher.ask("publish 4 10"), "ok");
   EXPECT_EQ(subscriber.ask("take"), "none");
-  EXPECT_EQ(subscriber.ask("wait 100"), "timeout") << "what is held back is no news";
+  EXPECT_EQ(subscriber.ask("wait 100"), "timeout") << "messages held back are no news";
   for (int i = 17; i <= 24; ++i) {
     EXPECT_EQ(subscriber.ask("release"), "ok");
     EXPECT_EQ(subscriber.ask("wait 10000"), "news") << i;
@@ -154,11 +155,11 @@ TEST_F(Reregistration, WhatIsHeldOfTheFormerQueueComesBeforeTheSamePublishersNex
   }
 }
 
-TEST_F(Reregistration, HistoryGoesToThoseWhoAskForIt) {
+TEST_F(Reregistration, HistoryGoesToSubscriptionsThatRequestIt) {
   ClientTool publisher(socket()), slow(socket());
   ASSERT_TRUE(meet(slow, "sub /t 100", publisher, "pub /t 3 tl"));
   ASSERT_EQ(publisher.ask("publish 5 10"), "ok");
-  ::kill(slow.pid(), SIGSTOP);  // so that the newcomers are there before the history
+  ::kill(slow.pid(), SIGSTOP);  // so that the new subscriptions exist before the history
   lose();
   ClientTool asks(socket()), asks_not(socket());
   ASSERT_EQ(asks.ask("sub /t 100 tl"), "ok");
@@ -174,11 +175,11 @@ TEST_F(Reregistration, HistoryGoesToThoseWhoAskForIt) {
   EXPECT_EQ(take_all(slow), "1 2 3 4 5 6 ");
 }
 
-TEST_F(Reregistration, HistoryComesThoughTheFirstQueueOfItsPublisherStayedEmpty) {
+TEST_F(Reregistration, HistoryArrivesAlthoughTheFirstQueueOfItsPublisherStayedEmpty) {
   ClientTool publisher(socket()), slow(socket());
   ASSERT_TRUE(meet(slow, "sub /t 100", publisher, "pub /t 3 tl"));
   ASSERT_EQ(publisher.ask("publish 5 10"), "ok");
-  ::kill(slow.pid(), SIGSTOP);  // for whom the publisher waits
+  ::kill(slow.pid(), SIGSTOP);  // the publisher waits for it
   lose();
   ClientTool newcomer(socket());
   ASSERT_EQ(newcomer.ask("sub /t 100 tl"), "ok");
@@ -197,7 +198,7 @@ TEST_F(Reregistration, HistoryComesThoughTheFirstQueueOfItsPublisherStayedEmpty)
   EXPECT_EQ(take_all(slow), "1 2 3 4 5 6 ");
 }
 
-TEST_F(Reregistration, HistoryThatWasHadIsNotCountedAsLost) {
+TEST_F(Reregistration, HistoryAlreadyReadIsNotCountedAsLost) {
   ClientTool publisher(socket()), subscriber(socket());
   ASSERT_EQ(publisher.ask("pub /t 5 tl"), "ok");
   ASSERT_EQ(subscriber.ask("sub /t 5 tl"), "ok");
@@ -207,13 +208,13 @@ TEST_F(Reregistration, HistoryThatWasHadIsNotCountedAsLost) {
   lose();
   ASSERT_TRUE(are_connected({&publisher, &subscriber}));
   ASSERT_TRUE(publisher.eventually("matched", "1"));
-  ASSERT_TRUE(subscriber.eventually("links", "1"));  // the former queue has been left
+  ASSERT_TRUE(subscriber.eventually("links", "1"));  // the previous queue has ended
   ASSERT_EQ(publisher.ask("publish 4 10"), "ok");
   EXPECT_EQ(take_all(subscriber), "6 7 8 9 ");
   EXPECT_EQ(subscriber.ask("lost"), "0");
 }
 
-TEST_F(Reregistration, HistoriesOfManyComeOnceHoweverLong) {
+TEST_F(Reregistration, HistoriesOfManyPublishersArriveOnceHoweverLong) {
   ClientTool subscriber(socket());
   ASSERT_EQ(subscriber.ask("sub /t 1000 tl"), "ok");
   std::vector<std::unique_ptr<ClientTool>> publishers;
@@ -236,7 +237,7 @@ TEST_F(Reregistration, HistoriesOfManyComeOnceHoweverLong) {
   EXPECT_EQ(subscriber.ask("lost"), "0");
 }
 
-TEST_F(Reregistration, TheHistoryOfAKeepAllPublisherGoesAlongWhole) {
+TEST_F(Reregistration, TheHistoryOfAKeepAllPublisherMovesWhole) {
   ClientTool publisher(socket()), subscriber(socket());
   ASSERT_EQ(publisher.ask("pub /t 10 tl all"), "ok");
   ASSERT_EQ(subscriber.ask("sub /t 3 all"), "ok");
@@ -255,12 +256,12 @@ TEST_F(Reregistration, TheHistoryOfAKeepAllPublisherGoesAlongWhole) {
     heard += take_all(late);
     return heard == "1 2 3 4 5 6 7 8 9 10 ";
   })) << heard;
-  EXPECT_EQ(take_all(subscriber), "") << "which it has had";
+  EXPECT_EQ(take_all(subscriber), "") << "it already had the history";
   ASSERT_TRUE(publisher.eventually("publish 1 10", "ok"));
   EXPECT_EQ(take_all(subscriber), "11 ");
 }
 
-TEST_F(Reregistration, WhoSaysThatItIsAnotherHoldsNobodyBack) {
+TEST_F(Reregistration, AFalsePersistentIdDelaysNobody) {
   OneStays stage(socket());
   end();
   begin({.more_config = OneStays::config});

@@ -1,10 +1,10 @@
 // SPDX-License-Identifier: Apache-2.0
 //
-// Goal: when the daemon's store is lost and another daemon begins, processes that were there before
-// come to it by themselves, with everything they have, and nobody who publishes or takes has to do
-// anything; and nothing is left behind.
-// Method: real daemons at the same socket (reregistration.hpp); real processes, some of them stopped
-// (SIGSTOP) meanwhile. In which order their messages come: reregistration_order_test.cpp.
+// Goal: when the daemon's store is lost and another daemon begins, processes move to it by
+// themselves, with all their endpoints, messages and heaps, without any action of their publishers
+// or subscriptions; and nothing is left behind.
+// Method: real daemons at the same socket (reregistration.hpp); real processes, some of them
+// stopped (SIGSTOP) meanwhile. reregistration_order_test.cpp covers the order of their messages.
 
 #include <agnocast/abi/wire.hpp>
 #include <agnocast/error.hpp>
@@ -45,7 +45,7 @@ struct Use {
                << " mappings";
   }
 };
-/// Of the library; the allocator's mappings come and go.
+/// Returns the library's resources; the allocator's mappings come and go.
 Use use_of(pid_t pid) {
   const std::string process = "/proc/" + std::to_string(pid);
   std::ifstream maps(process + "/maps");
@@ -81,19 +81,19 @@ TEST_F(Reregistration, AStreamGoesOn) {
     pass_on(20);
   }
   EXPECT_EQ(subscriber.ask("lost"), "0");
-  EXPECT_TRUE(subscriber.eventually("links", "1")) << "what is former has ended";
+  EXPECT_TRUE(subscriber.eventually("links", "1")) << "the previous session has ended";
   EXPECT_EQ(publisher.ask("matched"), "1");
   EXPECT_TRUE(publisher.eventually("allocated", "0"));
 }
 
-TEST_F(Reregistration, NewcomersMeetThoseWhoWereThereBefore) {
+TEST_F(Reregistration, NewEndpointsMatchMovedOnes) {
   ClientTool publisher(socket()), subscriber(socket());
   ASSERT_EQ(publisher.ask("pub /a 10"), "ok");
   ASSERT_EQ(subscriber.ask("sub /b 10"), "ok");
   ASSERT_EQ(publisher.ask("publish 1 10"), "ok");
   end();
   begin();
-  ClientTool newcomer(socket());  // perhaps before the others are back
+  ClientTool newcomer(socket());  // perhaps before the others have moved
   ASSERT_EQ(newcomer.ask("sub /a 10"), "ok");
   ASSERT_EQ(newcomer.ask("pub /b 10"), "ok");
   ASSERT_TRUE(publisher.eventually("matched", "1"));
@@ -104,7 +104,7 @@ TEST_F(Reregistration, NewcomersMeetThoseWhoWereThereBefore) {
   EXPECT_EQ(take_all(subscriber), "1 2 3 ");
 }
 
-TEST_F(Reregistration, WhoWasStoppedComesLater) {
+TEST_F(Reregistration, AStoppedProcessMovesLater) {
   ClientTool publisher(socket()), subscriber(socket()), stopped(socket());
   for (ClientTool* const tool : {&subscriber, &stopped}) ASSERT_EQ(tool->ask("sub /t 100"), "ok");
   ASSERT_EQ(publisher.ask("pub /t 100"), "ok");
@@ -128,7 +128,7 @@ TEST_F(Reregistration, WhoWasStoppedComesLater) {
   EXPECT_EQ(take_all(subscriber), "10 11 12 ");
 }
 
-TEST_F(Reregistration, WhoDiesMeanwhileKeepsNothing) {
+TEST_F(Reregistration, AProcessThatDiesMeanwhileKeepsNothing) {
   ClientTool publisher(socket()), subscriber(socket());
   auto dies = std::make_unique<ClientTool>(socket());
   for (ClientTool* const tool : {&subscriber, dies.get()})
@@ -145,14 +145,14 @@ TEST_F(Reregistration, WhoDiesMeanwhileKeepsNothing) {
   begin();
   ASSERT_TRUE(publisher.eventually("state", "connected"));
   ASSERT_TRUE(publisher.eventually("matched", "1"));
-  EXPECT_EQ(take_all(subscriber), "3 ") << "of two there was room for one";
+  EXPECT_EQ(take_all(subscriber), "3 ") << "room for one of two";
   EXPECT_TRUE(publisher.eventually("allocated", "0"));
   EXPECT_TRUE(subscriber.eventually("links", "1"));
   ASSERT_EQ(publisher.ask("publish 2 10"), "ok");
   EXPECT_EQ(take_all(subscriber), "4 5 ");
 }
 
-TEST_F(Reregistration, AChildOfTheDeadDoesNotKeepThemAlive) {
+TEST_F(Reregistration, AChildOfADeadProcessDoesNotKeepItAlive) {
   ClientTool publisher(socket()), subscriber(socket());
   auto reads = std::make_unique<ClientTool>(socket()),
        writes = std::make_unique<ClientTool>(socket());
@@ -174,16 +174,16 @@ TEST_F(Reregistration, AChildOfTheDeadDoesNotKeepThemAlive) {
     EXPECT_TRUE(eventually([&] {
       take_all(subscriber);
       return use_of(tool->pid()).threads == 2;
-    })) << "the former membership has not ended";
+    })) << "the previous session has not ended";
   }
   EXPECT_TRUE(publisher.eventually("allocated", "0"));
   for (const pid_t child : children) {
-    EXPECT_EQ(::kill(child, 0), 0) << "or this test shows nothing";
+    EXPECT_EQ(::kill(child, 0), 0) << "the child has ended, so the test proves nothing";
     ::kill(child, SIGKILL);
   }
 }
 
-TEST_F(Reregistration, WhatIsCreatedAndDestroyedMeanwhileIsSo) {
+TEST_F(Reregistration, EndpointsCreatedAndDestroyedMeanwhileMoveCorrectly) {
   ClientTool publisher(socket()), subscriber(socket()), other(socket());
   ASSERT_EQ(subscriber.ask("sub /t 10"), "ok");
   ASSERT_EQ(publisher.ask("pub /t 10"), "ok");
@@ -206,7 +206,7 @@ TEST_F(Reregistration, WhatIsCreatedAndDestroyedMeanwhileIsSo) {
     EXPECT_EQ(take_all(subscriber), "1 2 ");
   }
   EXPECT_TRUE(eventually([&] { return test::wire_dump(socket()).endpoints.size() == 3; }))
-      << "the daemon knows of nothing else";
+      << "the daemon knows no other endpoint";
 }
 
 TEST_F(Reregistration, TenLossesLeaveNothingBehind) {
@@ -224,7 +224,7 @@ TEST_F(Reregistration, TenLossesLeaveNothingBehind) {
     ASSERT_EQ(heard, expected);
     ASSERT_TRUE(publisher.eventually("matched", "1"));
     ASSERT_TRUE(subscriber.eventually("links", "1"));
-    // The former membership's last look, and its thread's end.
+    // The last look of the previous session, and the end of its thread.
     EXPECT_TRUE(eventually([&] {
       return use_of(publisher.pid()).threads == 2 && use_of(subscriber.pid()).threads == 2;
     })) << round;
@@ -251,7 +251,7 @@ TEST_F(Reregistration, AddressesThatAreInUseAreNotMappedOver) {
   const std::string address = subscriber.ask("address");
   ::kill(publisher->pid(), SIGSTOP);
   end();
-  // As if eight daemons had been here: this one gives out the same places once more.
+  // As if eight daemons had been here: this one assigns the same places once more.
   std::filesystem::remove(socket() + ".lock");
   begin();
   ASSERT_TRUE(subscriber.eventually("state", "connected"));
@@ -262,9 +262,9 @@ TEST_F(Reregistration, AddressesThatAreInUseAreNotMappedOver) {
   ASSERT_EQ(newcomer->ask("publish 1 1000"), "ok");
   EXPECT_EQ(other.ask("wait 10000"), "news");
   EXPECT_EQ(other.ask("take"), "1");
-  EXPECT_EQ(other.ask("address"), address) << "or this test shows nothing";
+  EXPECT_EQ(other.ask("address"), address) << "the address differs, so the test proves nothing";
   EXPECT_EQ(other.ask("release"), "ok");
-  EXPECT_EQ(subscriber.ask("take"), "2") << "what is unread there is as it was";
+  EXPECT_EQ(subscriber.ask("take"), "2") << "its unread message is unchanged";
   EXPECT_EQ(subscriber.ask("take"), "none");
   EXPECT_EQ(subscriber.ask("unreachable"), "1");
   EXPECT_EQ(subscriber.ask("release"), "ok");
@@ -273,7 +273,7 @@ TEST_F(Reregistration, AddressesThatAreInUseAreNotMappedOver) {
   EXPECT_TRUE(publisher->eventually("state", island));
   ASSERT_EQ(publisher->ask("publish 1 1000"), "ok");
   EXPECT_EQ(subscriber.ask("wait 10000"), "news");
-  EXPECT_EQ(subscriber.ask("take"), "3") << "an island goes on";
+  EXPECT_EQ(subscriber.ask("take"), "3") << "an orphaned session goes on";
   newcomer.reset();
   EXPECT_TRUE(publisher->eventually("state", "connected")) << "the addresses are free again";
   ASSERT_TRUE(publisher->eventually("matched", "2"));
@@ -285,13 +285,13 @@ TEST_F(Reregistration, AddressesThatAreInUseAreNotMappedOver) {
   EXPECT_EQ(take_all(subscriber), "4 ");
 }
 
-TEST_F(Reregistration, AnotherDaemonGivesOtherAddresses) {
+TEST_F(Reregistration, AnotherDaemonAssignsOtherAddresses) {
   ClientTool publisher(socket()), subscriber(socket());
   ASSERT_TRUE(meet(subscriber, "sub /t 10", publisher, "pub /t 10"));
   ASSERT_EQ(publisher.ask("publish 1 10"), "ok");
   ASSERT_EQ(subscriber.ask("take"), "1");
   const std::uint64_t before = std::stoull(subscriber.ask("address"));
-  ::kill(publisher.pid(), SIGSTOP);  // it has not come back when the next one asks
+  ::kill(publisher.pid(), SIGSTOP);  // it has not rejoined when the next one asks
   lose();
   ClientTool newcomer(socket());
   ASSERT_EQ(newcomer.ask("pub /t 10"), "ok");
@@ -306,7 +306,7 @@ TEST_F(Reregistration, AnotherDaemonGivesOtherAddresses) {
   EXPECT_TRUE(publisher.eventually("state", "connected"));
 }
 
-TEST_F(Reregistration, AnotherLayoutLeavesAnIsland) {
+TEST_F(Reregistration, AnotherLayoutLeavesAnOrphanedSession) {
   ClientTool publisher(socket()), subscriber(socket());
   ASSERT_TRUE(meet(subscriber, "sub /t 100", publisher, "pub /t 10"));
   end();
@@ -316,7 +316,7 @@ TEST_F(Reregistration, AnotherLayoutLeavesAnIsland) {
   ASSERT_TRUE(subscriber.eventually("state", island));
   ASSERT_EQ(publisher.ask("publish 3 10"), "ok");
   EXPECT_EQ(take_all(subscriber), "1 2 3 ");
-  // Whoever put that daemon there puts the right one back.
+  // The user who installed that daemon restores the right one.
   end();
   begin();
   ASSERT_TRUE(are_connected({&publisher, &subscriber}));
@@ -325,7 +325,7 @@ TEST_F(Reregistration, AnotherLayoutLeavesAnIsland) {
   EXPECT_EQ(take_all(subscriber), "4 5 6 ");
 }
 
-/// Stands in the daemon's place and refuses: who says rejoin with one code, everybody else with another.
+/// Takes the daemon's place and refuses: rejoin with one code, every other request with another.
 class Refusing {
  public:
   Refusing(const std::string& path, Errc to_rejoin, Errc to_others)
@@ -366,8 +366,8 @@ class Refusing {
   std::thread thread_;
 };
 
-TEST_F(Reregistration, ADamagedStoreLeavesAnIslandUntilAnotherDaemonHasBegun) {
-  // To rejoin our daemon says that later; whoever is told at once is no worse off.
+TEST_F(Reregistration, ADamagedStoreLeavesAnOrphanedSessionUntilAnotherDaemonBegins) {
+  // Our daemon refuses a rejoin so only later; an earlier refusal does no harm.
   for (const Errc to_rejoin : {Errc::started_anew, Errc::store_damaged}) {
     ClientTool publisher(socket()), subscriber(socket());
     ASSERT_TRUE(meet(subscriber, "sub /t 100", publisher, "pub /t 10"));
@@ -388,9 +388,9 @@ TEST_F(Reregistration, ADamagedStoreLeavesAnIslandUntilAnotherDaemonHasBegun) {
   }
 }
 
-// The daemon lives, but its socket is for a while another's, who refuses: what is destroyed meanwhile
-// has to leave when the process is taken back.
-TEST_F(Reregistration, WhatIsDestroyedWhileSomebodyRefusesHasLeftAfterwards) {
+// The daemon lives, but for a while its socket belongs to another program, which refuses:
+// endpoints destroyed meanwhile have to leave when the process rejoins.
+TEST_F(Reregistration, EndpointsDestroyedDuringARefusalHaveLeftAfterwards) {
   ClientTool publisher(socket()), subscriber(socket()), others(socket());
   ASSERT_EQ(subscriber.ask("sub /t 5 all"), "ok");
   ASSERT_EQ(others.ask("pub /t 100 all"), "ok");
@@ -409,7 +409,7 @@ TEST_F(Reregistration, WhatIsDestroyedWhileSomebodyRefusesHasLeftAfterwards) {
       ASSERT_TRUE(tool->eventually("state", island));
     }
     ASSERT_EQ(publisher.ask("unpub"), "ok");
-    ASSERT_EQ(subscriber.ask("unsub"), "ok");  // and holds a message still
+    ASSERT_EQ(subscriber.ask("unsub"), "ok");  // and still holds a message
   }
   std::filesystem::rename(away, socket());
   for (ClientTool* const tool : {&publisher, &subscriber})
@@ -418,10 +418,10 @@ TEST_F(Reregistration, WhatIsDestroyedWhileSomebodyRefusesHasLeftAfterwards) {
   EXPECT_EQ(subscriber.ask("release"), "ok");
   EXPECT_TRUE(others.eventually("matched", "0"));
   EXPECT_TRUE(eventually([&] { return test::wire_dump(socket()).endpoints.size() == 1; }))
-      << "the publisher of others alone is left";
+      << "only the other process's publisher is left";
 }
 
-TEST_F(Reregistration, APublisherWaitsForThoseWhomItHadNotForAsManyOthers) {
+TEST_F(Reregistration, APublisherWaitsForItsPreviousReadersAndNotForOthers) {
   ClientTool publisher(socket()), first(socket()), slow(socket());
   for (ClientTool* const tool : {&first, &slow}) ASSERT_EQ(tool->ask("sub /t 100"), "ok");
   ASSERT_EQ(publisher.ask("pub /t 100"), "ok");
@@ -444,13 +444,13 @@ TEST_F(Reregistration, APublisherWaitsForThoseWhomItHadNotForAsManyOthers) {
   EXPECT_EQ(take_all(newcomer), "6 ");
 }
 
-TEST_F(Reregistration, AMembershipThatIsLostBeforeAnybodyMovedToItEnds) {
+TEST_F(Reregistration, ASessionLostBeforeAnyEndpointMovedToItEnds) {
   ClientTool both(socket()), slow(socket());
   for (ClientTool* const tool : {&both, &slow}) ASSERT_EQ(tool->ask("sub /t 100"), "ok");
   ASSERT_EQ(both.ask("pub /t 100"), "ok");
   ASSERT_TRUE(both.eventually("matched", "2"));
   const Use before = use_of(both.pid());
-  ::kill(slow.pid(), SIGSTOP);  // for whom the publisher waits
+  ::kill(slow.pid(), SIGSTOP);  // the publisher waits for it
   lose();
   ASSERT_TRUE(both.eventually("state", "connected"));
   ASSERT_TRUE(both.eventually("links", "2"));

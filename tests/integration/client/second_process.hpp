@@ -1,13 +1,13 @@
 // SPDX-License-Identifier: Apache-2.0
 //
 // SecondProcess: this test program started once more, as a publisher or a subscription of its own.
-// second_process.cpp has the main() of both roles. Ends with its standard input, at the latest with
-// the destructor.
+// second_process.cpp has the main() of both roles. Ends with its standard input, at the latest
+// with the destructor.
 //
 //   publish TOPIC QOS COUNT   waits for a subscription, publishes Number 1 … COUNT, stays
 //   subscribe TOPIC QOS       stays
 //   blocks TOPIC QOS          stays; then takes all Blocks, and ends with 5 if one is damaged
-//   other_type TOPIC          asks for the topic with another type, is refused, stays
+//   other_type TOPIC          requests the topic with another type, is refused, stays
 //
 // QOS: a depth, then r/b (reliable, best effort), v/t (volatile, transient local), a for keep-all:
 // "10rv", "100rva".
@@ -30,7 +30,7 @@ struct Number {
   std::uint64_t value = 0;
 };
 
-/// Its words lie elsewhere in the heap.
+/// Its words lie in another block of the heap.
 struct Block {
   std::uint64_t value = 0;
   std::vector<std::uint64_t> words;
@@ -52,9 +52,9 @@ class SecondProcess {
   ~SecondProcess() { kill(); }
   SecondProcess(const SecondProcess&) = delete;
   SecondProcess& operator=(const SecondProcess&) = delete;
-  /// SIGKILL, and waits for its end.
+  /// Sends SIGKILL, and waits for its end.
   void kill();
-  /// Lets it end by itself; its exit status.
+  /// Lets it end by itself; returns its exit status.
   int end();
 
  private:

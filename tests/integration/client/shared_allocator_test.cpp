@@ -1,9 +1,9 @@
 // SPDX-License-Identifier: Apache-2.0
 //
-// Goal: a message on an explicit shared allocator is published from a process in which malloc is not
-// the heap hook's, so that publishers run under sanitizers.
+// Goal: a process whose malloc is not the heap hook's can publish a message on an explicit shared
+// allocator, so that publishers run under sanitizers.
 // Method: the publisher in one process, a subscriber in another, the real daemon; the same test in
-// plain and sanitized builds. The subscriber compares every member with what it computes itself.
+// plain and sanitized builds. The subscriber compares every member with its own computation.
 
 #include <agnocast/abi/heaphook.h>
 #include <agnocast/agnocast.hpp>
@@ -78,7 +78,7 @@ struct MessageTraits<Ordinary> {
 
 namespace {
 
-/// In steps, so that vectors move and give memory back.
+/// Fills it in steps, so that vectors move and free memory.
 void fill(Track& track, std::uint32_t id) {
   track.id = id;
   track.label = "a label that does not fit into a string object, of track ";
@@ -119,7 +119,7 @@ TEST_F(ExplicitAllocator, MessagesOfAnyThreadCrossProcessesWithoutACopy) {
     return 0;
   });
   char byte = 0;
-  ASSERT_EQ(::read(ready[0], &byte, 1), 1) << "a publisher that comes later misses nobody";
+  ASSERT_EQ(::read(ready[0], &byte, 1), 1) << "the subscription exists before the publisher";
   EXPECT_TRUE(in_own_process([] {
     auto publisher = create_publisher<Track>(PlainNode(), "tracks", message_count);
     for (std::uint32_t id = 1; id <= message_count; ++id) {
@@ -154,7 +154,7 @@ TEST_F(ExplicitAllocator, OverAlignedMessagesAreAligned) {
   }));
 }
 
-TEST_F(ExplicitAllocator, WhatIsOlderThanTheHeapIsAdopted) {
+TEST_F(ExplicitAllocator, MemoryOlderThanTheHeapIsAdopted) {
   EXPECT_TRUE(in_own_process([] {
     auto subscription = create_subscription<Track>(PlainNode(), "tracks", QoS(1));
     auto early = std::make_unique<Track>(track_of(53));
@@ -175,7 +175,7 @@ TEST_F(ExplicitAllocator, WhatIsOlderThanTheHeapIsAdopted) {
   }));
 }
 
-TEST_F(ExplicitAllocator, APauseHoldsForItToo) {
+TEST_F(ExplicitAllocator, APauseAppliesToItToo) {
   EXPECT_TRUE(in_own_process([] {
     auto publisher = create_publisher<Track>(PlainNode(), "tracks", 1);
     SharedVector<int> shared(100);
@@ -188,7 +188,8 @@ TEST_F(ExplicitAllocator, APauseHoldsForItToo) {
   }));
 }
 
-/// Says goodbye among the static objects: the data of the main thread is gone by then.
+/// Publishes during the destruction of static objects: the data of the main thread is gone by
+/// then.
 struct Farewell {
   Publisher<Track>::SharedPtr publisher;
   ~Farewell() {
@@ -234,7 +235,7 @@ constexpr bool malloc_is_the_sanitizers = true;
 constexpr bool malloc_is_the_sanitizers = false;
 #endif
 
-// Everybody else needs malloc: asked at every creation, not only at the first.
+// All other types need malloc: every creation checks it, not only the first.
 TEST_F(ExplicitAllocator, OrdinaryTypesNeedTheHookInFrontOfMalloc) {
   EXPECT_TRUE(in_own_process([] {
     EXPECT_TRUE(try_create_publisher<Track>(PlainNode(), "tracks", QoS(1)));

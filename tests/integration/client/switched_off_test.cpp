@@ -1,7 +1,7 @@
 // SPDX-License-Identifier: Apache-2.0
 //
-// Goal: AGNOCAST=off makes endpoints that do nothing and say so, without daemon and hook.
-// Method: this program has no hook, and no daemon runs.
+// Goal: AGNOCAST=off makes endpoints that do nothing and say so, without daemon and hook. Method:
+// this program has no hook, and no daemon runs.
 
 #include <agnocast/agnocast.hpp>
 #include <tests/support/plain_node.hpp>
@@ -125,13 +125,13 @@ TEST_F(SwitchedOff, ExecutorsSpinOverNothing) {
   EXPECT_EQ(called->get_matched_status().current_count, 0u);
 }
 
-TEST_F(SwitchedOff, MistakesAreStillFound) {
+TEST_F(SwitchedOff, MisuseIsStillReported) {
   EXPECT_EQ(try_create_publisher<Numbers>(PlainNode(), "a//b", QoS(1)).error().code,
             Errc::invalid_name);
   EXPECT_FALSE(try_create_subscription<Numbers>(PlainNode(), "numbers", QoS(0)));
 }
 
-TEST_F(SwitchedOff, OnAndEmptyAreAsUnsetAndOtherValuesAreRefused) {
+TEST_F(SwitchedOff, OnAndEmptyEqualUnsetAndOtherValuesAreRefused) {
   for (const char* value : {"on", ""}) {
     ::setenv("AGNOCAST", value, 1);
     EXPECT_EQ(try_create_publisher<Numbers>(PlainNode(), "numbers", QoS(1)).error().code,

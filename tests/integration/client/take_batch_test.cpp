@@ -1,16 +1,17 @@
 // SPDX-License-Identifier: Apache-2.0
 //
-// Goal: take_batch() gives what take() would have given, called as often, and each of its messages is
-// as independent as one of take().
-// Method: two subscriptions alike hear the same publishers; one is asked by take(), the other by
-// take_batch(). Publishers and subscriptions are in this process, with the real daemon and the real
-// heap hook. A batch without memory: memory_shortage_test.cpp; in a forked child: fork_test.cpp; in
-// the middle of deaths and lost daemons: sweep_clients, whose `drain` is by batches.
+// Goal: take_batch() gives the same messages as repeated take(), and each of them is as
+// independent as one of take().
+// Method: two equal subscriptions hear the same publishers; the test calls take() on one and
+// take_batch() on the other. Publishers and subscriptions are in this process, with the real
+// daemon and the real heap hook. A batch without memory: memory_shortage_test.cpp; in a forked
+// child: fork_test.cpp; amid deaths and lost daemons: sweep_clients, whose `drain` uses batches.
 
 #include <agnocast/agnocast.hpp>
 #include <tests/integration/client/second_process.hpp>
 #include <tests/support/daemon_process.hpp>
 #include <tests/support/plain_node.hpp>
+#include <tests/support/suite_daemon.hpp>
 
 #include <gmock/gmock.h>
 
@@ -55,7 +56,7 @@ Values one_by_one(Subscription<Block>& subscription) {
   while (const Message message = subscription.take()) values.push_back(message->value);
   return values;
 }
-/// All that is unread, in batches of `size`.
+/// Returns all unread values, in batches of `size`.
 Values in_batches(Subscription<Block>& subscription, std::size_t size) {
   Values values;
   std::vector<Message> messages(size);
@@ -66,18 +67,11 @@ Values in_batches(Subscription<Block>& subscription, std::size_t size) {
   return values;
 }
 
-class TakeBatch : public testing::Test {
+class TakeBatch : public test::SuiteDaemon {
  protected:
-  // The library connects once per process.
-  static void SetUpTestSuite() {
-    daemon = new test::DaemonProcess;
-    ::setenv("AGNOCAST_SOCKET", daemon->socket_path().c_str(), 1);
-  }
-  static test::DaemonProcess* daemon;
-
   /// A topic of this test's own.
   void begin(std::size_t publisher_count, const QoS& qos, const SubscriptionOptions& options = {}) {
-    topic_ = testing::UnitTest::GetInstance()->current_test_info()->name();
+    topic_ = test_name();
     singly = create_subscription<Block>(node, topic_, qos, options);
     batched = create_subscription<Block>(node, topic_, qos, options);
     while (publishers.size() < publisher_count)
@@ -85,7 +79,7 @@ class TakeBatch : public testing::Test {
     for (const auto& publisher : publishers)
       ASSERT_TRUE(test::eventually([&] { return publisher->get_subscription_count() == 2; }));
   }
-  /// From `first` to `last`, each by a publisher of chance.
+  /// Publishes `first` to `last`, each by a random publisher.
   void publish_all(std::uint64_t first, std::uint64_t last) {
     for (std::uint64_t value = first; value <= last; ++value)
       publish(*publishers[random_() % publishers.size()], value);
@@ -99,10 +93,9 @@ class TakeBatch : public testing::Test {
   std::string topic_;
   std::mt19937 random_{1};
 };
-test::DaemonProcess* TakeBatch::daemon = nullptr;
 
-/// A thread publishes `count` messages by eight publishers in turn, while this one takes `size` at once:
-/// how many come behind one that was published later.
+/// A thread publishes `count` messages by eight publishers in turn, while this one takes `size` at
+/// once. Returns how many come after one that was published later.
 std::uint64_t inversions_of(PlainNode& node, const std::string& topic, std::size_t size,
                             std::uint64_t count) {
   const auto subscription = create_subscription<Block>(node, topic, QoS(100));
@@ -137,13 +130,13 @@ std::uint64_t inversions_of(PlainNode& node, const std::string& topic, std::size
   return inversions;
 }
 
-// Whatever is lost.
+// Losses do not matter.
 TEST_F(TakeBatch, KeepsTheOrderInWhichAThreadPublishesByManyPublishers) {
   EXPECT_EQ(inversions_of(node, "many_singly", 1, 1'000'000), 0u);
   EXPECT_EQ(inversions_of(node, "many_in_batches", 16, 1'000'000), 0u);
 }
 
-TEST_F(TakeBatch, GivesTheOldestInOrderAndNoMoreThanThereIs) {
+TEST_F(TakeBatch, GivesTheOldestInOrderAndNoMoreThanExist) {
   ASSERT_NO_FATAL_FAILURE(begin(1, QoS(20)));
   publish_all(1, 10);
   std::array<Message, 4> messages;
@@ -153,13 +146,13 @@ TEST_F(TakeBatch, GivesTheOldestInOrderAndNoMoreThanThereIs) {
   EXPECT_EQ(messages[3].info().sequence, 4u);
   EXPECT_EQ(messages[3].info().object_bytes, sizeof(Block));
   EXPECT_GE(messages[3].info().publish_time_ns, messages[2].info().publish_time_ns);
-  EXPECT_EQ(batched->take()->value, 5u) << "both ways go on where the other was";
+  EXPECT_EQ(batched->take()->value, 5u) << "each way continues where the other was";
   ASSERT_EQ(batched->take_batch(messages.data(), 3), 3u);
   EXPECT_THAT(values_of(messages.data(), 3), ElementsAre(6, 7, 8));
-  EXPECT_TRUE(messages[3]) << "beyond what was asked for nothing is touched";
+  EXPECT_TRUE(messages[3]) << "entries beyond the batch are not touched";
   ASSERT_EQ(batched->take_batch(messages.data(), 4), 2u);
   EXPECT_THAT(values_of(messages.data(), 2), ElementsAre(9, 10));
-  EXPECT_FALSE(messages[2] || messages[3]) << "what was there is let go of";
+  EXPECT_FALSE(messages[2] || messages[3]) << "old entries are released";
   EXPECT_EQ(batched->take_batch(messages.data(), 4), 0u);
   EXPECT_FALSE(messages[0]);
   EXPECT_EQ(batched->get_lost_count(), 0u);
@@ -175,7 +168,7 @@ TEST_F(TakeBatch, KeepsTheOrderBetweenPublishers) {
   }
 }
 
-TEST_F(TakeBatch, LosesWhatTakeLoses) {
+TEST_F(TakeBatch, LosesTheSameAsTake) {
   for (const std::size_t publisher_count : {1u, 3u}) {
     ASSERT_NO_FATAL_FAILURE(begin(publisher_count, QoS(5)));
     const std::uint64_t lost_before = singly->get_lost_count();
@@ -199,7 +192,7 @@ TEST_F(TakeBatch, EndsAtTheHoldQuota) {
   std::array<Message, 16> messages, others;
   EXPECT_EQ(batched->take_batch(messages.data(), 16), 4u);
   EXPECT_EQ(batched->take_batch(others.data(), 16), 0u) << "six are held";
-  ASSERT_EQ(batched->take_batch(messages.data(), 16), 4u) << "which lets go of four";
+  ASSERT_EQ(batched->take_batch(messages.data(), 16), 4u) << "which releases four";
   EXPECT_THAT(values_of(messages.data(), 4), ElementsAre(7, 8, 9, 10));
   messages[1].reset();
   ASSERT_EQ(batched->take_batch(others.data(), 16), 1u);
@@ -216,7 +209,7 @@ TEST_F(TakeBatch, EachMessageIsHeldByItself) {
   Message sixth = std::move(messages[5]);
   messages.clear();
   (void)one_by_one(*singly);
-  // Whatever was freed is used again.
+  // Freed memory is used again.
   for (std::uint64_t value = 100; value < 400; ++value) {
     publish_all(value, value);
     EXPECT_EQ(in_batches(*batched, 3), one_by_one(*singly));
@@ -229,7 +222,7 @@ TEST_F(TakeBatch, EachMessageIsHeldByItself) {
   EXPECT_TRUE(third->is_intact() && third->value == 3);
 }
 
-TEST_F(TakeBatch, OfAPublisherThatIsGoneNothingIsMissing) {
+TEST_F(TakeBatch, GivesAllMessagesOfAnEndedPublisher) {
   ASSERT_NO_FATAL_FAILURE(begin(2, QoS(20)));
   publish_all(1, 20);
   publishers.pop_back();
@@ -240,8 +233,8 @@ TEST_F(TakeBatch, OfAPublisherThatIsGoneNothingIsMissing) {
   EXPECT_THAT(in_batches(*batched, 6), ElementsAre(21));
 }
 
-// What is released comes back into use here while others are released.
-TEST_F(TakeBatch, MessagesAreLetGoOfByOtherThreadsMeanwhile) {
+// This thread reuses released memory while others release.
+TEST_F(TakeBatch, MessagesAreReleasedByOtherThreadsMeanwhile) {
   ASSERT_NO_FATAL_FAILURE(begin(1, QoS(48)));
   std::mutex mutex;
   std::condition_variable changed;

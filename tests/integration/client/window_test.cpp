@@ -1,12 +1,13 @@
 // SPDX-License-Identifier: Apache-2.0
 //
-// Goal: a heap that was refused to grow grows when what it needs is there again, and the process's own
-// subscriptions read in a window that came after they had linked.
-// Method: the real daemon with small windows; in the first test with a quota of two, and another client
-// has the second one and gives it back. The publisher keeps all it has published, so that only another
-// window makes room. Each in a process of its own, because a process has one heap.
+// Goal: a heap whose growth was refused grows when the resources are there again, and the
+// process's own subscriptions read in a window that came after they had linked.
+// Method: the real daemon with small windows; in the first test with a quota of two, and another
+// client has the second one and gives it back. The publisher keeps all its messages, so that only
+// another window makes room. Each in a process of its own, because a process has one heap.
 
 #include <agnocast/agnocast.hpp>
+#include <tests/support/bulk.hpp>
 #include <tests/support/daemon_process.hpp>
 #include <tests/support/own_process.hpp>
 #include <tests/support/plain_node.hpp>
@@ -23,23 +24,8 @@ namespace agnocast {
 namespace {
 
 namespace wire = abi::wire;
+using test::Bulk;
 using test::PlainNode;
-
-struct Bulk : SharedMessage {
-  SharedVector<std::uint8_t> data;
-};
-
-}  // namespace
-
-template <>
-struct MessageTraits<Bulk> {
-  static constexpr const char* name = "tests/Bulk";
-  static void for_each_pointer(const Bulk& bulk, PointerVisitor& visit) noexcept {
-    visit("data", bulk.data);
-  }
-};
-
-namespace {
 
 void grow_after_a_refusal() {
   test::DaemonProcess daemon(
@@ -60,7 +46,7 @@ void grow_after_a_refusal() {
     result = publisher->publish(std::move(loan));
     if (!result) break;
   }
-  ASSERT_EQ(result.code, Errc::heap_exhausted) << "it may grow one day";
+  ASSERT_EQ(result.code, Errc::heap_exhausted) << "it may grow later";
   ASSERT_TRUE(loan);
   ASSERT_TRUE(daemon.wait_for_log("[quota] heap_bytes"));
   EXPECT_EQ(publisher->publish(std::move(loan)).code, Errc::heap_exhausted);
@@ -97,7 +83,7 @@ void grow_while_linked() {
   EXPECT_EQ(subscriber->get_lost_count(), 0u);
 }
 
-TEST(Window, ARefusedOneIsAskedForAgain) {
+TEST(Window, ARefusedOneIsRequestedAgain) {
   EXPECT_TRUE(test::in_own_process(grow_after_a_refusal));
 }
 TEST(Window, TheProcessItselfReadsInANewOne) {

@@ -1,13 +1,14 @@
 // SPDX-License-Identifier: Apache-2.0
 //
-// Goal: `agnocast-ctl service call` asks typed services and prints what they answer, in ros2's shape
-// and as JSON, and says with the promised exit status why there is no answer.
+// Goal: `agnocast-ctl service call` calls typed services and prints their responses, in ros2's
+// format and as JSON, and its exit status says why there is no response.
 // Method: typed services in this process, the real daemon, agnocast-ctl as a program of its own.
 
 #include <agnocast/agnocast.hpp>
 #include <tests/support/ctl.hpp>
 #include <tests/support/daemon_process.hpp>
 #include <tests/support/steered_process.hpp>
+#include <tests/support/suite_daemon.hpp>
 #include <tests/support/temporary_directory.hpp>
 
 #include <example_interfaces/srv/add_two_ints.hpp>
@@ -37,18 +38,13 @@ using testing::HasSubstr;
 
 const std::string add_type = "example_interfaces/srv/AddTwoInts";
 
-class CtlCall : public testing::Test {
+class CtlCall : public test::SuiteDaemon {
  protected:
-  // The library connects once per process.
-  static void SetUpTestSuite() {
-    daemon = new test::DaemonProcess;
-    ::setenv("AGNOCAST_SOCKET", daemon->socket_path().c_str(), 1);
-  }
   static CtlResult call(std::vector<std::string> words) {
     words.insert(words.begin(), {"service", "call"});
     return test::run_ctl(daemon->socket_path(), std::move(words));
   }
-  /// What it prints, whether or not it had to wait for the service.
+  /// Returns its output, whether or not it had to wait for the service.
   static std::string without_waiting(std::string out) {
     const std::string line = "waiting for service to become available...\n";
     return out.starts_with(line) ? out.substr(line.size()) : out;
@@ -60,12 +56,10 @@ class CtlCall : public testing::Test {
           response->sum = request->a + request->b;
         });
   }
-  static test::DaemonProcess* daemon;
   Node node{"server"};
 };
-test::DaemonProcess* CtlCall::daemon = nullptr;
 
-TEST_F(CtlCall, PrintsWhatATypedServiceAnswers) {
+TEST_F(CtlCall, PrintsTheResponseOfATypedService) {
   const auto service = serve_sums("/add");
   const CtlResult sum = call({"add", add_type, "{a: 2, b: 40}", "--timeout", "30"});
   EXPECT_EQ(sum.status, 0) << sum.err;
@@ -77,7 +71,7 @@ TEST_F(CtlCall, PrintsWhatATypedServiceAnswers) {
   EXPECT_THAT(defaults.out, HasSubstr("{a: 0, b: 0}\n\nresponse:\nsum: 0\n"));
 }
 
-TEST_F(CtlCall, SaysTheSameAsOneJsonObject) {
+TEST_F(CtlCall, PrintsTheSameAsOneJsonObject) {
   const auto service =
       node.create_service<Trigger>("/trigger", [](const ipc_shared_ptr<const Trigger::Request>&,
                                                   ipc_shared_ptr<Trigger::Response>& response) {
@@ -95,7 +89,7 @@ TEST_F(CtlCall, SaysTheSameAsOneJsonObject) {
             "a message that is too long to be kept inside of its string");
 }
 
-TEST_F(CtlCall, AsksForEachDocumentOfAFile) {
+TEST_F(CtlCall, CallsOnceForEachDocumentOfAFile) {
   const auto service = serve_sums("/file");
   const test::TemporaryDirectory directory;
   const std::string path = directory.path("requests.yaml");
@@ -122,7 +116,7 @@ TEST_F(CtlCall, GoesOnAtARateUntilItIsEnded) {
   EXPECT_EQ(again.finish(), 0);
 }
 
-TEST_F(CtlCall, EndsWhenNobodyAnswersInTime) {
+TEST_F(CtlCall, EndsWhenNoResponseArrivesInTime) {
   const CtlResult nobody = call({"/nobody", add_type, "--timeout", "0.2"});
   EXPECT_EQ(nobody.status, 124);
   EXPECT_EQ(nobody.out, "waiting for service to become available...\n");
@@ -136,7 +130,7 @@ TEST_F(CtlCall, EndsWhenNobodyAnswersInTime) {
   EXPECT_THAT(none.err, HasSubstr("/silent: no response came within 3 s\n"));
 }
 
-TEST_F(CtlCall, SaysThatTheServerIsGone) {
+TEST_F(CtlCall, ReportsThatTheServerIsGone) {
   std::promise<void> asked;
   auto service = node.create_service<AddTwoInts>(
       "/gone", [&](const ServiceRequest<AddTwoInts>&) { asked.set_value(); });
@@ -155,7 +149,7 @@ TEST_F(CtlCall, IsEndedByASignalWithAnError) {
   EXPECT_EQ(waits.finish(), 1);
 }
 
-TEST_F(CtlCall, RefusesWhatIsNoRequestOfThatService) {
+TEST_F(CtlCall, RefusesARequestOfAnotherType) {
   const auto service = serve_sums("/refuses");
   const auto refused = [&](std::vector<std::string> words, int status, const std::string& err) {
     const CtlResult result = call(std::move(words));

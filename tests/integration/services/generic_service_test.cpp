@@ -1,13 +1,14 @@
 // SPDX-License-Identifier: Apache-2.0
 //
-// Goal: services of types that rosidl generated, typed and found at run time, meet each other; what
-// their requests and responses have in strings and sequences crosses whole.
-// Method: the public interface with the real daemon, in one process; typed and generic sides are the
-// judges of each other.
+// Goal: services of types that rosidl generated, typed and found at run time, match each other;
+// strings and sequences in their requests and responses arrive whole.
+// Method: the public interface with the real daemon, in one process; typed and generic sides check
+// each other.
 
 #include <agnocast/agnocast.hpp>
 #include <agnocast/generic_service.hpp>
 #include <tests/support/daemon_process.hpp>
+#include <tests/support/suite_daemon.hpp>
 
 #include <example_interfaces/srv/add_two_ints.hpp>
 #include <std_srvs/srv/empty.hpp>
@@ -35,19 +36,14 @@ using Arrays = test_msgs::srv::Arrays;
 
 constexpr auto patience = 20s;
 
-class GenericServices : public testing::Test {
+class GenericServices : public test::SuiteDaemon {
  protected:
-  // The library connects once per process, so all tests here share one daemon.
   static void SetUpTestSuite() {
     test::DaemonOptions options;
     options.config = "[heap]\nwindow_bytes = \"64MiB\"\n";
-    daemon = new test::DaemonProcess(options);
-    ::setenv("AGNOCAST_SOCKET", daemon->socket_path().c_str(), 1);
+    start(options);
   }
-  static void TearDownTestSuite() { delete daemon; }
-  static test::DaemonProcess* daemon;
 };
-test::DaemonProcess* GenericServices::daemon = nullptr;
 
 void add(const ipc_shared_ptr<const AddTwoInts::Request>& request,
          ipc_shared_ptr<AddTwoInts::Response>& response) {
@@ -98,7 +94,7 @@ TEST_F(GenericServices, AnswerTypedClients) {
   EXPECT_EQ(sent.get()->sum, 7);
 }
 
-TEST_F(GenericServices, AreAskedByGenericClientsAndAnswerLater) {
+TEST_F(GenericServices, AnswerGenericClientsLater) {
   Node node("node");
   std::mutex mutex;
   std::vector<GenericServiceRequest> kept;
@@ -140,7 +136,7 @@ TEST_F(GenericServices, CarryStringsAndSequencesWhole) {
   Arrays::Request asked;
   for (std::size_t i = 0; i < asked.string_values.size(); ++i)
     asked.string_values[i] = std::string(100 * (i + 1), static_cast<char>('a' + i));
-  // The generic side copies by the table what it gets from the typed side, and back.
+  // The generic side copies the typed side's values by the table, and back.
   auto service = create_generic_service(
       node, "arrays", type, [&](const GenericMessage& request, GenericLoan& response) {
         as<Arrays::Response>(response).string_values = as<Arrays::Request>(request).string_values;
@@ -155,7 +151,7 @@ TEST_F(GenericServices, CarryStringsAndSequencesWhole) {
   EXPECT_EQ(as<Arrays::Response>(response).string_values, asked.string_values);
 }
 
-TEST_F(GenericServices, AdoptWhatWasBuiltElsewhere) {
+TEST_F(GenericServices, AdoptForeignMemory) {
   Node node("node");
   auto service =
       node.create_service<Arrays>("adopts", [](const ipc_shared_ptr<const Arrays::Request>& request,
@@ -187,14 +183,13 @@ TEST_F(GenericServices, AdoptWhatWasBuiltElsewhere) {
   }
 }
 
-// A request of one type that passes for one of another is read as that by the service. As a rule another client, or
-// service, is made at the address where one was.
-TEST_F(GenericServices, ARequestThatOutlivesItsClientIsOfNoOtherType) {
+// The service interprets a request by its own type, so one of another type must not pass. A new
+// client, or service, is usually made at the address of the previous one.
+TEST_F(GenericServices, ARequestThatOutlivesItsClientIsRefusedByOtherTypes) {
   Node node("node");
   std::atomic<int> asked{0};
-  auto service = create_generic_service(
-      node, "stale_requests", "test_msgs/srv/Arrays",
-      [&](const GenericMessage&, GenericLoan&) { ++asked; });
+  auto service = create_generic_service(node, "stale_requests", "test_msgs/srv/Arrays",
+                                        [&](const GenericMessage&, GenericLoan&) { ++asked; });
   std::vector<GenericLoan> stale;
   for (int round = 0; round < 20; ++round) {
     {
@@ -217,7 +212,7 @@ TEST_F(GenericServices, ARequestThatOutlivesItsClientIsOfNoOtherType) {
   }
 }
 
-TEST_F(GenericServices, AResponseThatOutlivesItsServiceIsOfNoOtherType) {
+TEST_F(GenericServices, AResponseThatOutlivesItsServiceIsRefusedByOtherTypes) {
   Node node("node");
   std::vector<GenericLoan> stale;
   auto client = create_generic_client(node, "stale_responses", "test_msgs/srv/Arrays");
@@ -262,7 +257,7 @@ TEST_F(GenericServices, OfEmptyMessagesAnswer) {
   EXPECT_TRUE(sent.get());
 }
 
-TEST_F(GenericServices, OfUnknownTypesAreNotThere) {
+TEST_F(GenericServices, OfUnknownTypesAreRefused) {
   Node node("node");
   const auto code = [&](const std::string& type) {
     const auto made = try_create_generic_client(node, "unknown", type);

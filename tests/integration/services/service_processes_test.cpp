@@ -29,7 +29,7 @@ class ServiceProcesses : public testing::Test {
   struct Tool : test::SteeredProcess {
     explicit Tool(const test::DaemonProcess& daemon)
         : SteeredProcess({AGNOCAST_SERVICE_TOOL}, {"AGNOCAST_SOCKET=" + daemon.socket_path()}) {}
-    /// Until it goes on it does nothing more.
+    /// Stops it until go_on().
     void stop() {
       ::kill(pid(), SIGSTOP);
       ::waitpid(pid(), nullptr, WUNTRACED);
@@ -52,7 +52,7 @@ TEST_F(ServiceProcesses, AskAndAnswer) {
   }
 }
 
-TEST_F(ServiceProcesses, AServerThatIsKilledLeavesAnErrorAndWhatItHasAnswered) {
+TEST_F(ServiceProcesses, AKilledServerLeavesAnErrorAndItsEarlierResponses) {
   Tool server(daemon_), client(daemon_);
   ASSERT_EQ(server.ask("defer repeat"), "ok");
   ASSERT_EQ(client.ask("client repeat"), "ok");
@@ -77,7 +77,7 @@ TEST_F(ServiceProcesses, AServerThatIsKilledLeavesAnErrorAndWhatItHasAnswered) {
 }
 
 #ifdef AGNOCAST_TEST_CTL
-TEST_F(ServiceProcesses, AClientThatIsRevokedWaitsForNoResponseThatItHasNotRead) {
+TEST_F(ServiceProcesses, ARevokedClientWaitsForNoUnreadResponse) {
   Tool server(daemon_), client(daemon_);
   ASSERT_EQ(server.ask("defer repeat"), "ok");
   ASSERT_EQ(client.ask("client repeat"), "ok");
@@ -86,7 +86,7 @@ TEST_F(ServiceProcesses, AClientThatIsRevokedWaitsForNoResponseThatItHasNotRead)
   ASSERT_TRUE(server.eventually("held", "1"));
   client.stop();
   ASSERT_EQ(server.ask("answer 0"), "ok");
-  server.stop();  // so what it has sent stays
+  server.stop();  // so its sent response stays
   const auto revoked =
       test::run_ctl(daemon_.socket_path(), {"process", "revoke", std::to_string(client.pid())});
   EXPECT_EQ(revoked.status, 0) << revoked.err;
@@ -95,7 +95,7 @@ TEST_F(ServiceProcesses, AClientThatIsRevokedWaitsForNoResponseThatItHasNotRead)
 }
 #endif
 
-TEST_F(ServiceProcesses, AServerThatIsKilledIsReplacedByTheOtherOne) {
+TEST_F(ServiceProcesses, AKilledServerIsReplacedByTheOtherOne) {
   Tool first(daemon_), second(daemon_), client(daemon_);
   ASSERT_EQ(first.ask("defer repeat"), "ok");
   ASSERT_EQ(client.ask("client repeat"), "ok");
@@ -109,7 +109,7 @@ TEST_F(ServiceProcesses, AServerThatIsKilledIsReplacedByTheOtherOne) {
   EXPECT_EQ(client.ask("result 1"), "5");
 }
 
-TEST_F(ServiceProcesses, AClientThatIsKilledIsForgotten) {
+TEST_F(ServiceProcesses, AKilledClientIsForgotten) {
   Tool server(daemon_), stays(daemon_);
   ASSERT_EQ(server.ask("defer repeat"), "ok");
   ASSERT_EQ(stays.ask("client repeat"), "ok");
@@ -130,7 +130,7 @@ TEST_F(ServiceProcesses, AClientThatIsKilledIsForgotten) {
   EXPECT_EQ(stays.ask("result 1"), "9");
 }
 
-TEST_F(ServiceProcesses, AClientThatIsStoppedHoldsUpNobodyElse) {
+TEST_F(ServiceProcesses, AStoppedClientDelaysNoOther) {
   Tool server(daemon_), stopped(daemon_), client(daemon_);
   ASSERT_EQ(server.ask("defer repeat 2"), "ok");
   ASSERT_EQ(stopped.ask("client repeat 2"), "ok");
@@ -177,7 +177,7 @@ TEST_F(ServiceProcesses, GoOnWhileTheDaemonIsDeadAndAfterwards) {
   EXPECT_TRUE(server.eventually("clients", "2"));
 }
 
-TEST_F(ServiceProcesses, AServerThatDiesWithTheDaemonIsMissedAfterwards) {
+TEST_F(ServiceProcesses, AServerThatDiesWithTheDaemonIsReportedAfterwards) {
   Tool server(daemon_), client(daemon_);
   ASSERT_EQ(server.ask("defer repeat"), "ok");
   ASSERT_EQ(client.ask("client repeat"), "ok");
@@ -190,7 +190,7 @@ TEST_F(ServiceProcesses, AServerThatDiesWithTheDaemonIsMissedAfterwards) {
   EXPECT_EQ(client.ask("result 1"), "no_server");
 }
 
-TEST_F(ServiceProcesses, GoOnWithADaemonThatKnowsNothingOfThem) {
+TEST_F(ServiceProcesses, GoOnWithADaemonWithoutAStore) {
   auto daemon = std::make_unique<test::DaemonProcess>(
       test::DaemonOptions{.config = "[heap]\nwindow_bytes = \"64MiB\"\n" AGNOCAST_TEST_ARENA_BASE});
   const std::string socket = daemon->socket_path();
@@ -204,7 +204,7 @@ TEST_F(ServiceProcesses, GoOnWithADaemonThatKnowsNothingOfThem) {
   for (Tool* const tool : {&server, &client}) ASSERT_TRUE(tool->eventually("connected", "no"));
   test::DaemonProcess next(
       {.config = "[heap]\nwindow_bytes = \"64MiB\"\n" AGNOCAST_TEST_ARENA_BASE, .socket = socket});
-  // Before anybody else, who could be given their addresses.
+  // Before any other process, which could get their addresses.
   for (Tool* const tool : {&server, &client}) ASSERT_TRUE(tool->eventually("connected", "yes"));
   Tool late(next);
   ASSERT_EQ(late.ask("client repeat"), "ok");
@@ -219,7 +219,7 @@ TEST_F(ServiceProcesses, GoOnWithADaemonThatKnowsNothingOfThem) {
 
 class RefusedServiceProcesses : public ServiceProcesses {
  protected:
-  // So the second server of a service gets no way back to a client of the first one.
+  // So the second server of a service gets no publisher to a client of the first one.
   test::DaemonProcess strict_{{.config =
                                    "[heap]\nwindow_bytes = \"64MiB\"\n" AGNOCAST_TEST_ARENA_BASE
                                    "[limits]\npublishers_per_topic = 1\n"}};
@@ -235,11 +235,12 @@ class RefusedServiceProcesses : public ServiceProcesses {
   }
 };
 
-TEST_F(RefusedServiceProcesses, AServerSaysWhyItCannotAnswerAndCanWhenTheReasonIsGone) {
+TEST_F(RefusedServiceProcesses, AServerReportsWhyItCannotAnswerAndCanWhenTheReasonIsGone) {
   EXPECT_EQ(client_.ask("servers"), "1");
   EXPECT_EQ(second_.ask("answer 0"), "limit_reached");
   first_.kill();
-  EXPECT_EQ(client_.ask("result 1"), "no_server") << "who had been ready for it is gone";
+  EXPECT_EQ(client_.ask("result 1"), "no_server")
+      << "the server that could have answered it is gone";
   ASSERT_TRUE(second_.eventually("clients", "1"));
   EXPECT_EQ(second_.ask("refused"), "0 limit_reached");
   ASSERT_EQ(client_.ask("wait 20000", 30), "yes");
@@ -250,7 +251,7 @@ TEST_F(RefusedServiceProcesses, AServerSaysWhyItCannotAnswerAndCanWhenTheReasonI
 }
 
 TEST_F(RefusedServiceProcesses, AServerThatAnswersWaitsForNoDaemon) {
-  // The library asks again every second, and then waits for this one, up to five seconds.
+  // The library retries every second, and then waits for this daemon, up to five seconds.
   strict_.kill_worker(SIGSTOP);
   const auto end = std::chrono::steady_clock::now() + std::chrono::seconds(2);
   while (std::chrono::steady_clock::now() < end)
@@ -258,7 +259,7 @@ TEST_F(RefusedServiceProcesses, AServerThatAnswersWaitsForNoDaemon) {
   strict_.kill_worker(SIGCONT);
 }
 
-TEST_F(ServiceProcesses, AServiceThatEndsWaitsOnceForADaemonThatIsStopped) {
+TEST_F(ServiceProcesses, AnEndingServiceWaitsOnceForAStoppedDaemon) {
   Tool server(daemon_);
   ASSERT_EQ(server.ask("serve repeat"), "ok");
   std::vector<std::unique_ptr<Tool>> clients;

@@ -1,109 +1,18 @@
 // SPDX-License-Identifier: Apache-2.0
 //
-// Goal: requests get their responses, at once or later, once; and what cannot be answered ends with an
-// error, where it should, and soon.
-// Method: the public interface with the real daemon, all in this process. Nodes are run by the
-// library's threads unless the test says otherwise. More processes: service_processes_test.cpp.
+// Goal: requests get their responses, at once or later, once; and a request that cannot be
+// answered ends with an error, at the right place, and soon.
+// Method: the public interface with the real daemon, all in this process. The library's threads
+// run the nodes unless the test says otherwise. More processes: service_processes_test.cpp.
 
-#include <tests/integration/services/services.hpp>
-#include <tests/support/daemon_process.hpp>
-#include <tests/support/plain_node.hpp>
-
-#include <agnocast/abi/heaphook.h>
-
-#include <gmock/gmock.h>
-
-#include <array>
-#include <chrono>
-#include <cstdlib>
-#include <functional>
-#include <future>
-#include <mutex>
-#include <string>
-#include <thread>
-#include <utility>
-#include <vector>
+#include <tests/integration/services/service_fixture.hpp>
 
 namespace agnocast {
 namespace {
 
-using namespace std::chrono_literals;
-using test::Count;
-using test::eventually;
-using test::PlainNode;
-using test::Repeat;
-
-constexpr auto patience = 20s;
-
-class Services : public testing::Test {
- protected:
-  // The library connects once per process, so all tests here share one daemon.
-  static void SetUpTestSuite() {
-    test::DaemonOptions options;
-    options.config = "[heap]\nwindow_bytes = \"64MiB\"\n" AGNOCAST_TEST_ARENA_BASE;
-    daemon = new test::DaemonProcess(options);
-    ::setenv("AGNOCAST_SOCKET", daemon->socket_path().c_str(), 1);
-  }
-  static void TearDownTestSuite() { delete daemon; }
-  static test::DaemonProcess* daemon;
-};
-test::DaemonProcess* Services::daemon = nullptr;
-
-void answer(const ipc_shared_ptr<const Repeat::Request>& request,
-            ipc_shared_ptr<Repeat::Response>& response) {
-  Repeat::answer(*request, *response);
-}
-
-ipc_shared_ptr<Repeat::Request> ask_for(const Client<Repeat>::SharedPtr& client,
-                                        std::uint64_t value) {
-  auto request = client->borrow_loaned_request();
-  request->value = value;
-  request->count = 1000;
-  request->note = "a note that is too long to be kept inside of its string";
-  return request;
-}
-
-template <class FutureT>
-bool is_ready_soon(const FutureT& future) {
-  return future.wait_for(patience) == std::future_status::ready;
-}
-/// The code of the error that the future ends with; ok if it has a response.
-template <class FutureT>
-Errc error_of(FutureT& future) {
-  if (!is_ready_soon(future)) return Errc::internal;
-  try {
-    (void)future.get();
-    return Errc::ok;
-  } catch (const Error& error) {
-    return error.failure().code;
-  }
-}
-
-/// Requests that wait for somebody to answer them.
-struct Kept {
-  std::mutex mutex;
-  std::vector<ServiceRequest<Repeat>> requests;
-  auto keep() {
-    return [this](ServiceRequest<Repeat> request) {
-      const std::lock_guard lock(mutex);
-      requests.push_back(std::move(request));
-    };
-  }
-  std::size_t count() {
-    const std::lock_guard lock(mutex);
-    return requests.size();
-  }
-  Errc answer(const Service<Repeat>::SharedPtr& service, std::size_t index) {
-    const std::lock_guard lock(mutex);
-    auto response = service->borrow_loaned_response();
-    if (requests[index].message()) Repeat::answer(*requests[index], *response);
-    return service->send_response(requests[index], std::move(response)).code;
-  }
-};
-
 // --- requests and responses
 
-TEST_F(Services, AnswerWhatTheyAreAsked) {
+TEST_F(Services, AnswerRequests) {
   Node server("server"), asker("asker");
   auto service = server.create_service<Repeat>("repeat", answer);
   auto client = asker.create_client<Repeat>("repeat");
@@ -148,10 +57,10 @@ TEST_F(Services, CallTheClientBackWithItsFuture) {
   ASSERT_TRUE(is_ready_soon(value));
   EXPECT_EQ(value.get(), 8u);
   ASSERT_TRUE(is_ready_soon(sent));
-  EXPECT_EQ(sent.get()->values.front(), 8u) << "the future that was returned is the same";
+  EXPECT_EQ(sent.get()->values.front(), 8u) << "it is the future that was returned";
 }
 
-TEST_F(Services, TakeCallbacksOfEveryPromisedShape) {
+TEST_F(Services, TakeCallbacksOfEveryPromisedSignature) {
   Node node("node");
   using Request = Repeat::Request;
   using Response = Repeat::Response;
@@ -185,7 +94,7 @@ TEST_F(Services, OfManyClientsAnswerEachItsOwn) {
   }
 }
 
-TEST_F(Services, LetGoOfClientsThatCameAndWent) {
+TEST_F(Services, ReleaseClientsThatCameAndWent) {
   Node server("server"), asker("asker");
   auto service = server.create_service<Repeat>("guests", answer);
   for (std::uint64_t guest = 0; guest < 50; ++guest) {
@@ -213,7 +122,7 @@ TEST_F(Services, RunInAnExecutorAndAreReadyBeforeItSpins) {
         Repeat::answer(*request, *response);
       });
   auto client = node.create_client<Repeat>("spun");
-  ASSERT_TRUE(client->wait_for_service(patience)) << "nobody spins yet";
+  ASSERT_TRUE(client->wait_for_service(patience)) << "no executor spins yet";
   auto sent = client->async_send_request(
       ask_for(client, 3),
       [&](const Client<Repeat>::SharedFuture&) { called = std::this_thread::get_id(); });
@@ -223,7 +132,7 @@ TEST_F(Services, RunInAnExecutorAndAreReadyBeforeItSpins) {
   EXPECT_EQ(called, std::this_thread::get_id());
 }
 
-TEST_F(Services, GiveTheExceptionOfACallbackToWhoeverSpins) {
+TEST_F(Services, GiveTheExceptionOfACallbackToTheSpinningCaller) {
   Node node("throws");
   SingleThreadedExecutor executor;
   executor.add_node(node);
@@ -293,7 +202,7 @@ TEST_F(Services, AnswerOnlyTheirOwnRequestsWithTheirOwnLoans) {
   EXPECT_EQ(other->send_response({}, other->borrow_loaned_response()).code, Errc::invalid_argument);
   EXPECT_EQ(service->send_response(kept.requests[0], other->borrow_loaned_response()).code,
             Errc::loan_invalid);
-  EXPECT_EQ(kept.answer(service, 0), Errc::ok) << "what failed can be tried again";
+  EXPECT_EQ(kept.answer(service, 0), Errc::ok) << "a failed response can be tried again";
   EXPECT_TRUE(is_ready_soon(sent));
 }
 
@@ -341,7 +250,7 @@ TEST_F(Services, SendNoRequestOfAnEarlierClient) {
   }
 }
 
-TEST_F(Services, CanLetGoOfARequestBeforeTheyAnswer) {
+TEST_F(Services, CanReleaseARequestBeforeTheyAnswer) {
   Node server("server"), asker("asker");
   Kept kept;
   auto service = server.create_service<Repeat>("light", kept.keep());
@@ -357,9 +266,9 @@ TEST_F(Services, CanLetGoOfARequestBeforeTheyAnswer) {
   EXPECT_TRUE(sent.get()->values.empty());
 }
 
-// --- who is there
+// --- servers come and go
 
-TEST_F(Services, AreWaitedForUntilSomebodyServes) {
+TEST_F(Services, AreWaitedForUntilAServerExists) {
   Node asker("asker"), server("server");
   auto client = asker.create_client<Repeat>("awaited");
   EXPECT_FALSE(client->service_is_ready());
@@ -374,26 +283,26 @@ TEST_F(Services, AreWaitedForUntilSomebodyServes) {
   EXPECT_TRUE(eventually([&] { return !client->service_is_ready(); }));
 }
 
-TEST_F(Services, RefuseARequestThatNobodyWouldAnswer) {
+TEST_F(Services, RefuseARequestWithoutAServer) {
   Node asker("asker");
   auto client = asker.create_client<Repeat>("nobody");
   auto request = ask_for(client, 9);
   const auto sent = client->try_async_send_request(std::move(request));
   ASSERT_FALSE(sent);
   EXPECT_EQ(sent.error().code, Errc::no_server);
-  ASSERT_TRUE(request) << "it is the caller's still";
+  ASSERT_TRUE(request) << "the caller still has it";
   EXPECT_EQ(request->value, 9u);
   EXPECT_EQ(client->get_pending_request_count(), 0u);
   try {
     client->async_send_request(std::move(request));
-    ADD_FAILURE() << "sent to nobody";
+    ADD_FAILURE() << "sent without a server";
   } catch (const Error& error) {
     EXPECT_EQ(error.failure().code, Errc::no_server);
     EXPECT_THAT(error.what(), testing::HasSubstr("/nobody"));
   }
 }
 
-TEST_F(Services, ThatEndLeaveAnErrorToWhoeverWaits) {
+TEST_F(Services, EndWithAnErrorForTheWaitingCaller) {
   Node server("server"), asker("asker");
   Kept kept;
   auto service = server.create_service<Repeat>("ends", kept.keep());
@@ -408,7 +317,7 @@ TEST_F(Services, ThatEndLeaveAnErrorToWhoeverWaits) {
   ASSERT_TRUE(eventually([&] { return kept.count() == 3; }));
   EXPECT_EQ(kept.answer(service, 0), Errc::ok);
   service.reset();
-  EXPECT_EQ(error_of(answered), Errc::ok) << "what was answered before counts";
+  EXPECT_EQ(error_of(answered), Errc::ok) << "earlier responses count";
   EXPECT_EQ(error_of(waits), Errc::no_server);
   auto code = called.get_future();
   ASSERT_TRUE(is_ready_soon(code));
@@ -416,7 +325,7 @@ TEST_F(Services, ThatEndLeaveAnErrorToWhoeverWaits) {
   EXPECT_EQ(client->get_pending_request_count(), 0u);
 }
 
-TEST_F(Services, ThatEndLeaveAnErrorAlsoIfTheirLastResponseIsMalformed) {
+TEST_F(Services, EndWithAnErrorAlsoIfTheirLastResponseIsMalformed) {
   Node asker("asker");
   SingleThreadedExecutor spins_late;
   spins_late.add_node(asker);
@@ -458,7 +367,7 @@ TEST_F(Services, HaveDestroyedTheirCallbackWhenTheyHaveEnded) {
                                             ipc_shared_ptr<Repeat::Response>& response) {
           Repeat::answer(*request, *response);
         });
-    // The library's thread makes the way to this one meanwhile.
+    // Meanwhile the library's thread makes the publisher to this client.
     auto client = asker.create_client<Repeat>("ended");
     service.reset();
     ASSERT_TRUE(callback.expired()) << "round " << round;
@@ -476,7 +385,7 @@ TEST_F(Services, OfSeveralTheFirstResponseCounts) {
   ASSERT_TRUE(eventually([&] { return kept_first.count() + kept_second.count() == 2; }));
   one.reset();
   EXPECT_EQ(kept_second.answer(two, 0), Errc::ok);
-  EXPECT_EQ(error_of(sent), Errc::ok) << "the other one had it still";
+  EXPECT_EQ(error_of(sent), Errc::ok) << "the other server still had it";
   ASSERT_TRUE(eventually([&] { return client->get_server_count() == 1; }));
 
   one = first.create_service<Repeat>("several", kept_first.keep());
@@ -489,294 +398,6 @@ TEST_F(Services, OfSeveralTheFirstResponseCounts) {
   EXPECT_TRUE(eventually([&] { return client->get_dropped_response_count() == 1; }))
       << "the second one is dropped";
   EXPECT_EQ(client->get_pending_request_count(), 0u);
-}
-
-// --- exactly once
-
-/// Copying its request, as publish does when it has to adopt one, runs what a test wants then.
-struct Trap {
-  static inline std::function<void()> on_copy;
-  struct Request : SharedMessage {
-    Request() = default;
-    Request(const Request& other) : note(other.note) { on_copy(); }
-    Request& operator=(const Request&) = default;
-    SharedString note;
-  };
-  struct Response : SharedMessage {
-    std::uint64_t number = 0;
-  };
-};
-
-}  // namespace
-
-template <>
-struct MessageTraits<Trap::Request> {
-  static constexpr const char* name = "tests/srv/Trap_Request";
-  static void for_each_pointer(const Trap::Request& request, PointerVisitor& visit) noexcept {
-    visit("note", request.note);
-  }
-};
-template <>
-struct MessageTraits<Trap::Response> {
-  static constexpr const char* name = "tests/srv/Trap_Response";
-};
-
-namespace {
-
-TEST_F(Services, SayOfARequestThatFailsEitherToTheCallerOrToTheCallback) {
-  Node server("server"), asker("asker");
-  auto service = server.create_service<Trap>("trap", [](const ServiceRequest<Trap>&) {});
-  auto client = asker.create_client<Trap>("trap");
-  ASSERT_TRUE(client->wait_for_service(patience));
-  std::promise<void> called;
-  auto call = called.get_future();
-  int calls = 0;
-  // The server ends, and the request is given up, while it is being sent; and then that fails.
-  Trap::on_copy = [&] {
-    service.reset();
-    EXPECT_TRUE(is_ready_soon(call));
-    throw std::string("no");
-  };
-  auto request = client->borrow_loaned_request();
-  {
-    const LoanPause private_memory;
-    request->note = "a note that is too long to be kept inside of its string";
-  }
-  const auto sent =
-      client->try_async_send_request(std::move(request), [&](const Client<Trap>::SharedFuture&) {
-        if (++calls == 1) called.set_value();
-      });
-  ASSERT_TRUE(sent) << "the callback was called, and so it was not refused";
-  EXPECT_FALSE(request) << "what was sent is the caller's no more";
-  auto future = sent->future;
-  EXPECT_EQ(error_of(future), Errc::no_server);
-  EXPECT_EQ(calls, 1);
-  EXPECT_EQ(client->get_pending_request_count(), 0u);
-}
-
-TEST_F(Services, RememberRequestsInPrivateMemory) {
-  Node node("private");
-  auto service = node.create_service<Repeat>("private", answer);
-  auto client = node.create_client<Repeat>("private");
-  ASSERT_TRUE(client->wait_for_service(patience));
-  struct Callback {
-    std::promise<bool>* is_shared;
-    std::array<std::byte, 512> bulk = {};  // is kept elsewhere than in a std::function itself
-    void operator()(const Client<Repeat>::SharedFuture&) const {
-      is_shared->set_value(agnocast_heaphook()->owns(this) != 0);
-    }
-  };
-  std::promise<bool> is_shared;
-  auto open = client->borrow_loaned_request();  // this thread allocates shared memory
-  const auto sent = client->async_send_request(ask_for(client, 1), Callback{&is_shared});
-  auto answer_is = is_shared.get_future();
-  ASSERT_TRUE(is_ready_soon(answer_is));
-  EXPECT_FALSE(answer_is.get());
-}
-
-// --- cancelling
-
-TEST_F(Services, DropTheResponseToARemovedRequest) {
-  Node server("server"), asker("asker");
-  Kept kept;
-  auto service = server.create_service<Repeat>("removed", kept.keep());
-  auto client = asker.create_client<Repeat>("removed");
-  ASSERT_TRUE(client->wait_for_service(patience));
-  auto removed = client->async_send_request(ask_for(client, 1));
-  auto stays = client->async_send_request(ask_for(client, 2));
-  EXPECT_TRUE(client->remove_pending_request(removed));
-  EXPECT_FALSE(client->remove_pending_request(removed.request_id)) << "it is gone";
-  EXPECT_THROW(removed.get(), std::future_error);
-  ASSERT_TRUE(eventually([&] { return kept.count() == 2; }));
-  EXPECT_EQ(kept.answer(service, 0), Errc::ok);
-  EXPECT_EQ(kept.answer(service, 1), Errc::ok);
-  EXPECT_EQ(error_of(stays), Errc::ok);
-  EXPECT_EQ(client->get_dropped_response_count(), 1u);
-  EXPECT_FALSE(client->remove_pending_request(stays.request_id)) << "it was answered";
-}
-
-TEST_F(Services, PruneRequestsAllOrByAge) {
-  Node server("server"), asker("asker");
-  Kept kept;
-  auto service = server.create_service<Repeat>("pruned", kept.keep());
-  auto client = asker.create_client<Repeat>("pruned");
-  ASSERT_TRUE(client->wait_for_service(patience));
-  bool was_called = false;
-  auto old = client->async_send_request(
-      ask_for(client, 1), [&](const Client<Repeat>::SharedFuture&) { was_called = true; });
-  const auto sent = std::chrono::system_clock::now();
-  auto middle = sent;
-  while (middle == sent) middle = std::chrono::system_clock::now();
-  auto young = client->async_send_request(ask_for(client, 2));
-  std::vector<std::int64_t> pruned;
-  EXPECT_EQ(client->prune_requests_older_than(middle, &pruned), 1u);
-  EXPECT_THAT(pruned, testing::ElementsAre(old.request_id));
-  EXPECT_EQ(client->get_pending_request_count(), 1u);
-  EXPECT_EQ(client->prune_pending_requests(), 1u);
-  EXPECT_EQ(client->get_pending_request_count(), 0u);
-  EXPECT_THROW(young.get(), std::future_error);
-  EXPECT_FALSE(was_called);
-}
-
-TEST_F(Services, AClientThatEndsBreaksItsFuturesAndIsNotAnswered) {
-  Node server("server"), asker("asker");
-  Kept kept;
-  auto service = server.create_service<Repeat>("left", kept.keep());
-  auto client = asker.create_client<Repeat>("left");
-  ASSERT_TRUE(client->wait_for_service(patience));
-  auto sent = client->async_send_request(ask_for(client, 1));
-  ASSERT_TRUE(eventually([&] { return kept.count() == 1; }));
-  client.reset();
-  EXPECT_THROW(sent.get(), std::future_error);
-  ASSERT_TRUE(eventually([&] { return service->get_client_count() == 0; }));
-  EXPECT_EQ(kept.answer(service, 0), Errc::endpoint_gone);
-}
-
-// --- ending in a callback
-
-TEST_F(Services, MayEndInTheirOwnCallbacks) {
-  Node server("ending_server"), asker("ending_asker");  // a callback may end after the test
-  Service<Repeat>::SharedPtr service;
-  std::mutex assigning;
-  {
-    const std::lock_guard lock(assigning);
-    service = server.create_service<Repeat>(
-        "suicide",
-        [&](const ipc_shared_ptr<const Repeat::Request>&, ipc_shared_ptr<Repeat::Response>&) {
-          const std::lock_guard assigned(assigning);
-          service.reset();
-        });
-  }
-  auto client = asker.create_client<Repeat>("suicide");
-  ASSERT_TRUE(client->wait_for_service(patience));
-  std::promise<Errc> called;
-  (void)client->async_send_request(ask_for(client, 1), [&](Client<Repeat>::SharedFuture future) {
-    client.reset();
-    called.set_value(error_of(future));
-  });
-  auto code = called.get_future();
-  ASSERT_TRUE(is_ready_soon(code));
-  EXPECT_EQ(code.get(), Errc::no_server);
-  const std::lock_guard until_the_callback_has_ended(assigning);
-}
-
-// --- limits
-
-TEST_F(Services, ThatDoNotReadMakeTheSenderGetAnError) {
-  Node server("late_server"), asker("asker");
-  SingleThreadedExecutor nobody_spins;
-  nobody_spins.add_node(server);
-  auto service = server.create_service<Repeat>("full", answer, 3);
-  auto client = asker.create_client<Repeat>("full", 5);
-  ASSERT_TRUE(client->wait_for_service(patience));
-  std::vector<Client<Repeat>::Future> sent;
-  Errc last = Errc::ok;
-  for (std::uint64_t value = 0; value < 10 && last == Errc::ok; ++value) {
-    auto request = ask_for(client, value);
-    auto next = client->try_async_send_request(std::move(request));
-    if (next) {
-      sent.push_back(std::move(next->future));
-    } else {
-      last = next.error().code;
-      EXPECT_TRUE(request);
-    }
-  }
-  EXPECT_EQ(last, Errc::would_block);
-  EXPECT_EQ(sent.size(), 3u) << "the smaller depth";
-  EXPECT_EQ(client->get_pending_request_count(), 3u);
-  for (auto& future : sent)
-    EXPECT_EQ(nobody_spins.spin_until_future_complete(future, patience), FutureReturnCode::SUCCESS)
-        << "nothing was overwritten";
-}
-
-TEST_F(Services, AClientThatDoesNotReadHoldsUpNobodyElse) {
-  Node server("server"), reads("reads"), sleeps("sleeps");
-  Kept kept;
-  SingleThreadedExecutor nobody_spins;
-  nobody_spins.add_node(sleeps);
-  auto service = server.create_service<Repeat>("slow", kept.keep(), 4);
-  auto sleeper = sleeps.create_client<Repeat>("slow", 4);
-  auto reader = reads.create_client<Repeat>("slow", 4);
-  ASSERT_TRUE(sleeper->wait_for_service(patience));
-  ASSERT_TRUE(reader->wait_for_service(patience));
-  for (std::size_t i = 0; i < 6; ++i) {
-    (void)sleeper->async_send_request(ask_for(sleeper, i));
-    ASSERT_TRUE(eventually([&] { return kept.count() == i + 1; }));
-  }
-  for (std::size_t i = 0; i < 4; ++i) EXPECT_EQ(kept.answer(service, i), Errc::ok);
-  EXPECT_EQ(kept.answer(service, 4), Errc::would_block);
-  auto sent = reader->async_send_request(ask_for(reader, 70));
-  ASSERT_TRUE(eventually([&] { return kept.count() == 7; }));
-  EXPECT_EQ(kept.answer(service, 6), Errc::ok);
-  EXPECT_EQ(error_of(sent), Errc::ok);
-  nobody_spins.spin_all(patience);
-  EXPECT_EQ(kept.answer(service, 4), Errc::ok) << "now it has read";
-  EXPECT_EQ(kept.answer(service, 5), Errc::ok);
-}
-
-TEST_F(Services, RefuseWhatTheyCannotBe) {
-  Node node("node");
-  const auto code = [&](const std::string& name, const QoS& qos) {
-    const auto made = try_create_client<Repeat>(node, name, qos);
-    return made ? Errc::ok : made.error().code;
-  };
-  EXPECT_EQ(code("name", QoS(1).best_effort()), Errc::invalid_argument);
-  EXPECT_EQ(code("name", QoS(1).transient_local()), Errc::invalid_argument);
-  EXPECT_EQ(code("name", QoS(0)), Errc::depth_refused);
-  EXPECT_EQ(code("a b", QoS(1)), Errc::invalid_name);
-  EXPECT_EQ(code(std::string(service_name_length_max - 1, 'a'), QoS(1)), Errc::ok);
-  EXPECT_EQ(code(std::string(service_name_length_max, 'a'), QoS(1)), Errc::invalid_name);
-  const auto topic = try_create_publisher<Repeat::Request>(node, "/_service/request/name", 1);
-  ASSERT_FALSE(topic);
-  EXPECT_EQ(topic.error().code, Errc::invalid_name);
-  EXPECT_THAT(text_of(topic.error()), testing::HasSubstr("topics of services"));
-}
-
-TEST_F(Services, OfAnotherTypeAreRefusedAlsoWhenOnlyTheResponseDiffers) {
-  Node node("node");
-  auto service = node.create_service<Repeat>("typed", answer);
-  const auto client = try_create_client<Count>(node, "typed");
-  ASSERT_FALSE(client);
-  EXPECT_EQ(client.error().code, Errc::type_mismatch);
-}
-
-// --- names
-
-TEST_F(Services, AreRemappedAsTheCommandLineSays) {
-  const char* const line[] = {"program", "--ros-args",        "-r", "both:=b",
-                              "-r",      "rosservice://s:=t", "-r", "rostopic://o:=p"};
-  init(8, line);
-  Node node("node");
-  EXPECT_EQ(node.resolve_service_name("both"), "/b");
-  EXPECT_EQ(node.resolve_topic_name("both"), "/b");
-  EXPECT_EQ(node.resolve_service_name("s"), "/t");
-  EXPECT_EQ(node.resolve_topic_name("s"), "/s");
-  EXPECT_EQ(node.resolve_service_name("o"), "/o");
-  EXPECT_EQ(node.resolve_topic_name("o"), "/p");
-  EXPECT_EQ(node.resolve_service_name("~/own"), "/node/own");
-  const char* const none[] = {"program"};
-  init(1, none);
-}
-
-TEST(ServiceNames, TellTopicsOfServicesFromOthers) {
-  using Kind = TopicRole::Kind;
-  const TopicRole request = role_of_topic(request_topic("/ns/name"));
-  EXPECT_EQ(request.kind, Kind::request);
-  EXPECT_EQ(request.service, "/ns/name");
-  const TopicRole reply = role_of_topic(reply_topic("/ns/name", 0x0123456789abcdef));
-  EXPECT_EQ(reply.kind, Kind::reply);
-  EXPECT_EQ(reply.service, "/ns/name");
-  EXPECT_EQ(reply.client, 0x0123456789abcdefu);
-  EXPECT_EQ(role_of_topic(reply_topic("/s", ~std::uint64_t{0})).client, ~std::uint64_t{0});
-  for (const char* const topic :
-       {"", "/", "/points", "/_service", "/_service/request", "/_service/request/",
-        "/_service/requests", "/_service/reply/c0123", "/_service/reply/c0123456789abcdef",
-        "/_service/reply/c0123456789abcdeg/a", "/_service/reply/c0123456789abcdeF/a",
-        "/_service/reply/c0X23456789abcdef/a", "/_service/reply/c+123456789abcde/a",
-        "/_service/reply/c0123456789abcdefa", "/ns/_service/request/a"}) {
-    EXPECT_EQ(role_of_topic(topic).kind, Kind::topic) << topic;
-    EXPECT_EQ(role_of_topic(topic).service, "") << topic;
-  }
 }
 
 }  // namespace

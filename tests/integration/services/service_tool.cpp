@@ -3,7 +3,7 @@
 // A node of its own with services or a client, steered line by line:
 //
 //   serve NAME [DEPTH]    → ok; it answers at once (test::Repeat)
-//   defer NAME [DEPTH]    → ok; it keeps what it is asked
+//   defer NAME [DEPTH]    → ok; it keeps its requests
 //   unserve               → ok
 //   held                  → how many requests are kept
 //   answer INDEX          → of one of them, from 0: ok, or the word of the error
@@ -15,7 +15,7 @@
 //   servers               → that can answer it
 //   connected             → yes, no: to the daemon
 //   ask VALUE             → the number of the request, or the word of the error
-//   result NUMBER         → the value that came, or the word of the error; waits for it
+//   result NUMBER         → the response's value, or the word of the error; waits for it
 
 #include <tests/integration/services/services.hpp>
 
@@ -27,8 +27,8 @@
 #include <string>
 #include <vector>
 
-// The references of an exception are counted by libstdc++, in code that ThreadSanitizer has not compiled: it sees that one
-// thread reads what a future threw, and another one frees it.
+// libstdc++ counts the references of an exception in code that ThreadSanitizer has not compiled:
+// it only sees one thread read the exception of a future, and another one free it.
 extern "C" [[gnu::visibility("default")]] const char* __tsan_default_suppressions();
 extern "C" const char* __tsan_default_suppressions() {
   return "race:std::__exception_ptr::exception_ptr::_M_release\n";

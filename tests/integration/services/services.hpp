@@ -15,7 +15,7 @@ struct Repeat {
   struct Request : SharedMessage {
     std::uint64_t value = 0;
     std::uint64_t count = 0;
-    SharedString note;  // comes back
+    SharedString note;  // the response repeats it
   };
   struct Response : SharedMessage {
     SharedVector<std::uint64_t> values;

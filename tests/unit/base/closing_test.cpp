@@ -1,8 +1,8 @@
 // SPDX-License-Identifier: Apache-2.0
 //
-// Goal: who has something thrown away may use its numbers for something else afterwards, however late the thread that
-// does it comes to it.
-// Method: this program's own syscall(), which lets such a thread wait before its first step.
+// Goal: after a caller hands over a datagram to discard, it may reuse the descriptor number at
+// once, however late the discarding thread runs. Method: this program's own syscall(), which
+// delays that thread before its first step.
 
 #include <base/closing.hpp>
 
@@ -24,7 +24,7 @@ namespace {
 std::atomic<bool> is_slow = false;
 }
 
-// Reads six arguments whatever there are, as the kernel does.
+// Reads six arguments whatever the call has, as the kernel does.
 extern "C" [[gnu::no_sanitize_address]] long syscall(long number, ...) noexcept {
   static const auto real = reinterpret_cast<long (*)(long, ...)>(::dlsym(RTLD_NEXT, "syscall"));
   if (number == SYS_close_range && is_slow) ::usleep(1'000'000);
@@ -45,7 +45,7 @@ std::array<UniqueFd, 2> bell() {
   return {UniqueFd(ends[0]), UniqueFd(ends[1])};
 }
 
-TEST(Closing, ADatagramIsThrownAwayOutOfItsOwnSocket) {
+TEST(Closing, DiscardsADatagramOnlyFromItsOwnSocket) {
   auto first = bell(), second = bell();
   const int number = first[1].get();
   ASSERT_EQ(::send(first[0].get(), "1", 1, 0), 1);
@@ -59,7 +59,8 @@ TEST(Closing, ADatagramIsThrownAwayOutOfItsOwnSocket) {
   for (int round = 0; round < 10'000 && threads() > 1; ++round)
     std::this_thread::sleep_for(std::chrono::milliseconds(1));
   char word = 0;
-  EXPECT_EQ(::recv(number, &word, 1, MSG_DONTWAIT), 1) << "it was taken out of another one";
+  EXPECT_EQ(::recv(number, &word, 1, MSG_DONTWAIT), 1)
+      << "the datagram was taken from another socket";
   EXPECT_EQ(word, '2');
 }
 

@@ -1,7 +1,7 @@
 // SPDX-License-Identifier: Apache-2.0
 //
-// Goal: who may serve a process is decided by the uid of the listener and by who could have put it
-// there. Method: every kind of server and directory; directories of other users need root.
+// Goal: a process trusts a daemon by the uid of the listener and by which users could have put the
+// socket there. Method: every kind of server and directory; directories of other users need root.
 
 #include <base/daemon_socket.hpp>
 
@@ -29,7 +29,7 @@ bool trusts(uid_t server, std::string_view named = {}, const std::string& path =
   return is_trusted_server({server, self, named, is_unknown}, path);
 }
 
-TEST(DaemonSocket, TrustsRootItselfAndWhomTheEnvironmentNames) {
+TEST(DaemonSocket, TrustsRootItselfAndTheUserThatTheEnvironmentNames) {
   EXPECT_TRUE(trusts(0));
   EXPECT_TRUE(trusts(self));
   EXPECT_FALSE(trusts(other));
@@ -40,14 +40,14 @@ TEST(DaemonSocket, TrustsRootItselfAndWhomTheEnvironmentNames) {
   EXPECT_FALSE(trusts(other, "", "relative/d.sock"));
 }
 
-TEST(DaemonSocket, ANumberThatStandsForManyIsNobodysOwn) {
+TEST(DaemonSocket, OverflowUidIsNotTrustedAsOneUser) {
   EXPECT_TRUE(is_trusted_server({overflow, overflow, "", none}, "/tmp/d.sock"));
   EXPECT_FALSE(is_trusted_server({overflow, overflow, "", overflow_is_unknown}, "/tmp/d.sock"));
   EXPECT_TRUE(is_trusted_server({overflow, overflow, "65534", overflow_is_unknown}, "/tmp/d.sock"));
 }
 
-// Which variables may be read by a program with raised rights: those of a service manager and of the loader, and
-// one whose presence is a reason to refuse.
+// Variables that a program with raised rights may read: those of a service manager and of the
+// loader, and one whose presence is a reason to refuse.
 TEST(DaemonSocket, IsNotNamedByAVariableThatAProgramWithRaisedRightsReads) {
   const std::vector<std::string> harmless{"LD_PRELOAD",     "ROS_DOMAIN_ID",     "FDSTORE",
                                           "NOTIFY_SOCKET",  "JOURNAL_STREAM",    "NO_COLOR",
@@ -67,7 +67,7 @@ TEST(DaemonSocket, IsNotNamedByAVariableThatAProgramWithRaisedRightsReads) {
         if (!std::regex_search(line, found, plain)) continue;
         const std::string what = found[1];
         const bool is_harmless =
-            what == "name" || what == "supervisor_variable" ||  // of the supervisor, to its child
+            what == "name" || what == "supervisor_variable" ||  // supervisor to child
             std::any_of(harmless.begin(), harmless.end(), [&](const std::string& name) {
               return what == '"' + name + '"';
             });
@@ -80,7 +80,7 @@ TEST(DaemonSocket, IsNotNamedByAVariableThatAProgramWithRaisedRightsReads) {
   EXPECT_GT(secure, 8u);
 }
 
-/// "/DIRECTORY" of the root directory's kind: nobody but root writes above it.
+/// "/DIRECTORY" with the rights of the root directory: only root can write above it.
 class GivenDirectory : public testing::Test {
  protected:
   void SetUp() override {
@@ -102,30 +102,30 @@ class GivenDirectory : public testing::Test {
 
 TEST_F(GivenDirectory, VouchesForItsOwner) {
   EXPECT_TRUE(trusts(other, "", socket()));
-  EXPECT_FALSE(trusts(other + 1, "", socket())) << "who listens there is somebody else";
+  EXPECT_FALSE(trusts(other + 1, "", socket())) << "another user listens there";
   EXPECT_FALSE(trusts(other, "", top_ + "/d/no/agnocastd.sock"));
 }
 
-TEST_F(GivenDirectory, DoesNotWhereOthersMayWrite) {
+TEST_F(GivenDirectory, IsNotTrustedWhereOthersMayWrite) {
   ASSERT_EQ(::chmod((top_ + "/d").c_str(), 0777), 0);
   EXPECT_FALSE(trusts(other, "", socket()));
   ASSERT_EQ(::chmod((top_ + "/d").c_str(), 0775), 0);
   EXPECT_FALSE(trusts(other, "", socket()));
   ASSERT_EQ(::chmod((top_ + "/d").c_str(), 0755), 0);
   ASSERT_EQ(::chmod(top_.c_str(), 01777), 0);
-  EXPECT_FALSE(trusts(other, "", socket())) << "anybody may have made it there";
+  EXPECT_FALSE(trusts(other, "", socket())) << "any user may have created the socket there";
 }
 
-TEST_F(GivenDirectory, DoesNotThroughLinks) {
+TEST_F(GivenDirectory, IsNotTrustedThroughLinks) {
   ASSERT_EQ(::symlink((top_ + "/d").c_str(), (top_ + "/link").c_str()), 0);
   EXPECT_FALSE(trusts(other, "", top_ + "/link/agnocastd.sock"));
   EXPECT_FALSE(trusts(other, "", top_ + "/./d/agnocastd.sock"));
 }
 
-TEST_F(GivenDirectory, DoesNotWhereAnotherUserOwnsWhatIsAbove) {
+TEST_F(GivenDirectory, IsNotTrustedBelowADirectoryOfAnotherUser) {
   ASSERT_EQ(::chown(top_.c_str(), other, other), 0);
   EXPECT_FALSE(trusts(other, "", socket()));
-  // Of the host's root a user namespace knows no number; who mounted it there has decided.
+  // A user namespace has no uid for the machine's root; the user that mounted it decided.
   ASSERT_EQ(::chown(top_.c_str(), overflow, overflow), 0);
   EXPECT_FALSE(trusts(other, "", socket()));
   EXPECT_TRUE(trusts(other, "", socket(), overflow_is_unknown));

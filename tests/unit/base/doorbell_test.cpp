@@ -1,8 +1,8 @@
 // SPDX-License-Identifier: Apache-2.0
 //
-// Goal: a ring always wakes who sleeps, never blocks, and nobody can silence somebody else's.
-// Method: bells as the daemon makes them in a private directory, an epoll set as an executor has
-// it, and raw system calls for what a hostile holder would do.
+// Goal: a ring always wakes a sleeping thread, never blocks, and no process can silence the
+// doorbell of another. Method: doorbells as the daemon makes them in a private directory, an epoll
+// set as an executor uses, and raw system calls for what a hostile holder would do.
 
 #include <base/doorbell.hpp>
 #include <base/packet_socket.hpp>
@@ -54,7 +54,7 @@ struct Executor {
   Doorbell other_user() const {
     return Doorbell(connect_doorbell(directory.path(), "bell").value());
   }
-  // Tags of what is ready now.
+  // Returns the tags that are ready now.
   std::vector<std::uint64_t> ready(int timeout_ms = 0) const {
     std::array<epoll_event, 4> events{};
     const int count = ::epoll_wait(epoll.get(), events.data(), int{events.size()}, timeout_ms);
@@ -64,7 +64,7 @@ struct Executor {
   }
 };
 
-// Until the kernel says that the queue is full.
+// Sends until the kernel says that the queue is full.
 std::size_t fill_queue(const Doorbell& bell) {
   std::size_t count = 0;
   while (::send(bell.datagram_fd(), "x", 1, MSG_DONTWAIT | MSG_NOSIGNAL) == 1) ++count;
@@ -138,15 +138,15 @@ TEST(Doorbell, FullQueueOfDatagramsCountsAsRung) {
   EXPECT_THAT(executor.ready(), IsEmpty()) << "one drain empties a full queue";
 }
 
-// The open file description is shared by all holders, and one of them may change its flags.
-TEST(Doorbell, RingDoesNotSleepWhenSomebodyClearedTheNonBlockingFlag) {
+// All holders share the open file description, and any of them may change its flags.
+TEST(Doorbell, RingDoesNotBlockWhenAHolderClearedTheNonBlockingFlag) {
   Executor executor;
   const Doorbell bell = executor.other_user();
   fill_queue(bell);
   ASSERT_EQ(::fcntl(bell.datagram_fd(), F_SETFL, 0), 0);
   ASSERT_EQ(::fcntl(executor.bells.datagram_fd(), F_SETFL, 0), 0);
   test::Child child([&] {
-    ::alarm(10);  // ends a child that sleeps
+    ::alarm(10);  // ends a child that blocks
     if (bell.ring() != Rung::rung) return 1;
     executor.bells.drain();
     return executor.ready().empty() ? 0 : 2;
@@ -154,7 +154,7 @@ TEST(Doorbell, RingDoesNotSleepWhenSomebodyClearedTheNonBlockingFlag) {
   EXPECT_EQ(child.wait(), 0);
 }
 
-// Distributions raise the length of the queue; a namespace of its own lets the test do so.
+// Distributions raise the length of the queue; a network namespace lets the test do so too.
 TEST(Doorbell, OneDrainEmptiesALongQueue) {
   test::Child child([] {
     if (::unshare(::geteuid() == 0 ? CLONE_NEWNET : CLONE_NEWUSER | CLONE_NEWNET) != 0) return 77;
@@ -167,7 +167,7 @@ TEST(Doorbell, OneDrainEmptiesALongQueue) {
     return executor.ready().empty() ? 0 : 2;
   });
   const int status = child.wait();
-  if (status == 77) GTEST_SKIP() << "may not change the length of queues here";
+  if (status == 77) GTEST_SKIP() << "needs the right to change max_dgram_qlen";
   EXPECT_EQ(status, 0);
 }
 
@@ -175,7 +175,7 @@ TEST(Doorbell, FilledEventfdIsBackedByADatagram) {
   Executor executor;
   const Doorbell bell = executor.same_user();
   fill_eventfd(bell.eventfd());
-  executor.ready();  // the edge of the filling itself
+  executor.ready();  // the wake-up by the filling itself
   EXPECT_EQ(bell.ring(), Rung::rung);
   EXPECT_THAT(executor.ready(), ElementsAre(datagram_tag));
 }
@@ -196,7 +196,7 @@ TEST(Doorbell, OneSenderCannotSilenceAnother) {
   const Doorbell hostile = executor.other_user();
   const Doorbell honest = executor.other_user();
   fill_queue(hostile);
-  EXPECT_EQ(honest.ring(), Rung::rung) << "a flood makes the socket readable, no more";
+  EXPECT_EQ(honest.ring(), Rung::rung) << "a flood only makes the socket readable";
   EXPECT_THAT(executor.ready(), ElementsAre(datagram_tag));
   executor.bells.drain();
 
@@ -206,7 +206,7 @@ TEST(Doorbell, OneSenderCannotSilenceAnother) {
   EXPECT_THAT(executor.ready(), ElementsAre(datagram_tag));
 }
 
-TEST(Doorbell, RingingSomebodyWhoClosedSaysGone) {
+TEST(Doorbell, RingingAClosedReceiverSaysGone) {
   Executor executor;
   const Doorbell bell = executor.other_user();
   executor.bells = DoorbellReceiver();
@@ -215,7 +215,7 @@ TEST(Doorbell, RingingSomebodyWhoClosedSaysGone) {
   EXPECT_EQ(Doorbell().ring(), Rung::gone);
 }
 
-TEST(Doorbell, DescriptorsPushedThroughABellLeakNowhere) {
+TEST(Doorbell, DescriptorsSentThroughADoorbellDoNotLeak) {
   Executor executor;
   const Doorbell bell = executor.other_user();
   const std::size_t before = test::open_descriptor_count();
@@ -233,7 +233,7 @@ TEST(Doorbell, DescriptorsPushedThroughABellLeakNowhere) {
   part->cmsg_len = CMSG_LEN(sizeof(int));
   const int number = 0;
   std::memcpy(CMSG_DATA(part), &number, sizeof number);
-  // Linux 6.16 refuses it for us; before, it is thrown away when drained.
+  // Linux 6.16 refuses the descriptor for us; on older kernels drain() discards it.
   if (::sendmsg(bell.datagram_fd(), &message, MSG_DONTWAIT) < 0) {
     EXPECT_EQ(errno, EPERM);
   }
@@ -242,7 +242,7 @@ TEST(Doorbell, DescriptorsPushedThroughABellLeakNowhere) {
   EXPECT_EQ(test::open_descriptor_count(), before);
 }
 
-TEST(Doorbell, BellsAreCloseOnExecAndDoNotSleep) {
+TEST(Doorbell, DoorbellsAreCloseOnExecAndNonBlocking) {
   Executor executor;
   const Doorbell bell = executor.other_user();
   for (const int fd :
@@ -252,27 +252,27 @@ TEST(Doorbell, BellsAreCloseOnExecAndDoNotSleep) {
   }
 }
 
-TEST(Doorbell, SenderCanBeMadeFromTheReceiverAlone) {
+TEST(Doorbell, SenderCanBeMadeFromOnlyTheReceiver) {
   Executor executor;
   const Doorbell bell(connect_doorbell(executor.bells.datagram_fd()).value());
   EXPECT_EQ(bell.ring(), Rung::rung);
   EXPECT_THAT(executor.ready(), ElementsAre(datagram_tag));
 }
 
-TEST(Doorbell, LeftoverOfAFormerLifeIsReplaced) {
+TEST(Doorbell, LeftoverOfAPreviousIncarnationIsReplaced) {
   Executor executor;
   const Doorbell old_bell = executor.other_user();
   const auto replacement = make_doorbell(executor.directory.path(), "bell");
   ASSERT_TRUE(replacement);
   const Doorbell new_bell = executor.other_user();
   EXPECT_EQ(new_bell.ring(), Rung::rung);
-  EXPECT_THAT(executor.ready(), IsEmpty()) << "the new bell does not ring the old receiver";
+  EXPECT_THAT(executor.ready(), IsEmpty()) << "the new doorbell does not ring the old receiver";
   EXPECT_EQ(old_bell.ring(), Rung::rung);
   EXPECT_THAT(executor.ready(), ElementsAre(datagram_tag));
 }
 
-TEST(Doorbell, NobodyElseCanConnectThroughThePrivateDirectory) {
-  if (::geteuid() != 0) GTEST_SKIP() << "needs root to become somebody else";
+TEST(Doorbell, OtherUsersCannotConnectThroughThePrivateDirectory) {
+  if (::geteuid() != 0) GTEST_SKIP() << "needs root to become another user";
   Executor executor;
   test::Child child([&] {
     if (::setuid(65534) != 0) return 1;
@@ -299,8 +299,8 @@ TEST(Doorbell, BadNamesAreRefused) {
   }
 }
 
-// As on a kernel before 6.16: somebody sends what takes for ever to close. The sender ends with it, so the bell
-// has the last one; a call that waited for it would not come back.
+// As on a kernel before 6.16: a peer sends a socket whose close() blocks. The sender then exits,
+// so the doorbell holds the last reference, and a blocking close() would not return.
 void send_lingering_socket(const Executor& executor, const test::DeafPeer& peer) {
   const UniqueFd sender = connect_doorbell(executor.directory.path(), "bell").value();
   test::Child child([&] {
@@ -322,7 +322,7 @@ void send_lingering_socket(const Executor& executor, const test::DeafPeer& peer)
   EXPECT_EQ(child.wait(), 0);
 }
 
-TEST(Doorbell, NobodyWaitsForWhatSomebodyHasSent) {
+TEST(Doorbell, DrainDoesNotWaitForTheCloseOfSentDescriptors) {
   const test::DeafPeer peer;
   Executor executor;
   accept_descriptors(executor.bells.datagram_fd());
@@ -334,11 +334,12 @@ TEST(Doorbell, NobodyWaitsForWhatSomebodyHasSent) {
     EXPECT_TRUE(executor.bells.drain());
     EXPECT_THAT(executor.ready(), IsEmpty());
   }
-  EXPECT_EQ(test::open_descriptor_count(), before) << "none of them was opened here";
+  EXPECT_EQ(test::open_descriptor_count(), before)
+      << "none of the sent descriptors was installed here";
   EXPECT_EQ(executor.other_user().ring(), Rung::rung);
-  EXPECT_THAT(executor.ready(), ElementsAre(datagram_tag)) << "it can be rung as ever";
+  EXPECT_THAT(executor.ready(), ElementsAre(datagram_tag)) << "the doorbell still works";
   send_lingering_socket(executor, peer);
-  executor.bells = DoorbellReceiver();  // with what is in it
+  executor.bells = DoorbellReceiver();  // while it still contains a datagram
 }
 
 }  // namespace

@@ -1,6 +1,6 @@
 // SPDX-License-Identifier: Apache-2.0
 //
-// Goal: the error table is complete and says something useful. Method: walk it, and look at the
+// Goal: the error table is complete and every entry is useful. Method: walk it, and look at the
 // texts a user would see.
 
 #include <agnocast/error.hpp>
@@ -30,7 +30,7 @@ const Errc all_codes[] = {
 #undef AGNOCAST_CODE
 };
 
-TEST(Error, EveryCodeHasItsOwnSentenceACauseAndARemedy) {
+TEST(Error, EveryCodeHasItsOwnSentenceCauseAndRemedy) {
   std::set<std::string> sentences;
   for (Errc code : all_codes) {
     EXPECT_TRUE(sentences.insert(sentence_of(code)).second)
@@ -46,7 +46,7 @@ TEST(Error, NumbersOutsideTheTableAreNamedAsUnknown) {
   EXPECT_STREQ(sentence_of(static_cast<Errc>(9999)), "unknown error");
 }
 
-// The table in the documentation is this one, row by row.
+// The documentation has the same table, row by row.
 TEST(Error, DocumentationHasTheTable) {
   std::string rows;
   for (const Errc code : all_codes)
@@ -88,24 +88,24 @@ bool has_word(const std::string& text, const std::string& word) {
   return false;
 }
 
-// A code that nothing makes is a promise to handle what never comes; one that no test meets may be made
-// in the wrong place. What a test expects is named there as the code, or as its word in an answer.
-TEST(Error, EveryCodeIsMadeSomewhereAndMetByATest) {
+// A code that nothing returns makes users handle what never happens; one that no test meets may be
+// returned in the wrong place. A test names the code that it expects, or its word in an answer.
+TEST(Error, EveryCodeIsReturnedSomewhereAndExpectedByATest) {
   const std::string product =
       texts_below({"base", "client", "ctl", "daemon", "heaphook", "include", "journal"});
   const std::string tests = texts_below({"tests"});
   for (const Errc code : all_codes) {
     const std::string word = word_of(code);
-    EXPECT_TRUE(has_word(product, "Errc::" + word)) << word << " is made nowhere";
-    // It stands for a fault of ours, which no test can bring about from outside.
+    EXPECT_TRUE(has_word(product, "Errc::" + word)) << word << " is returned nowhere";
+    // It stands for a fault of ours, which no test can cause from outside.
     if (code == Errc::internal) continue;
     EXPECT_TRUE(has_word(tests, "Errc::" + word) || has_word(tests, '"' + word) ||
                 has_word(tests, ": " + word))
-        << "no test meets " << word;
+        << "no test expects " << word;
   }
 }
 
-TEST(Error, ExceptionSaysWhatThenWhy) {
+TEST(Error, ExceptionSaysWhatFailedThenWhy) {
   const Error error(Failure{Errc::os_failure, EACCES, "opening the socket"});
   EXPECT_STREQ(error.what(),
                "the operating system refused an operation: opening the socket: Permission denied");
@@ -140,16 +140,17 @@ TEST(Failure, KeepsItsDetailInItsThreadUntilTheNextOne) {
   const Failure plain{Errc::no_slot, 0, "publish"};
   EXPECT_STREQ(detail_of(plain), "");
   std::thread([&] {
-    EXPECT_STREQ(detail_of(first), "") << "another thread";
+    EXPECT_STREQ(detail_of(first), "") << "the detail belongs to another thread";
     const Failure theirs = failure_with(Errc::depth_refused, "depth 9");
     EXPECT_STREQ(detail_of(theirs), "depth 9");
     EXPECT_STREQ(detail_of(first), "");
   }).join();
   EXPECT_STREQ(detail_of(first), "depth 0");
   const Failure again = failure_with(Errc::depth_refused, detail_of(first));
-  EXPECT_STREQ(detail_of(again), "depth 0") << "its own text may be given again";
+  EXPECT_STREQ(detail_of(again), "depth 0") << "a failure may be made from its own detail";
   EXPECT_STREQ(detail_of(first), "");
-  EXPECT_EQ(text_of(first), sentence_of(Errc::depth_refused)) << "never the text of another one";
+  EXPECT_EQ(text_of(first), sentence_of(Errc::depth_refused))
+      << "never the detail of another failure";
 }
 
 TEST(Failure, CutsADetailThatIsTooLong) {

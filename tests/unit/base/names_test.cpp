@@ -1,7 +1,7 @@
 // SPDX-License-Identifier: Apache-2.0
 //
-// Goal: exactly the names of ROS 2 pass, and each of the others is told what is wrong and where.
-// Method: tables of good names, bad names with the text a user sees, and expansions.
+// Goal: exactly the names of ROS 2 pass, and every refusal says what is wrong and where. Method:
+// tables of good names, bad names with the text a user sees, and expansions.
 
 #include <base/names.hpp>
 
@@ -86,11 +86,11 @@ const Row rows[] = {
     {check_namespace, "//", "two slashes in a row, at character 2"},
 };
 
-TEST(Names, TableOfGoodAndBadOnes) {
+TEST(Names, GoodNamesPassAndBadOnesAreExplained) {
   for (const Row& row : rows) EXPECT_EQ(text_of(row.check(row.name)), row.text) << row.name;
 }
 
-// Every byte at every place of a name that is good otherwise.
+// Every byte at every position of an otherwise good name.
 TEST(Names, OnlyTheAlphabetPasses) {
   const std::string letters = "abcdefghijklmnopqrstuvwxyzABCDEFGHIJKLMNOPQRSTUVWXYZ_";
   const std::string digits = "0123456789";
@@ -135,7 +135,7 @@ TEST(Names, BadSpellingsAreRefusedWhereTheyAreWrong) {
   EXPECT_EQ(expand("{ns}/a"), "substitutions in braces are not supported, at character 1");
 }
 
-TEST(Names, WhatBecomesTooLongIsRefused) {
+TEST(Names, ExpansionThatIsTooLongIsRefused) {
   const std::string node_namespace = "/" + std::string(200, 'n');
   EXPECT_EQ(expand(std::string(53, 'x'), "talker", node_namespace).size(), name_length_max);
   EXPECT_EQ(expand(std::string(54, 'x'), "talker", node_namespace),
@@ -144,7 +144,7 @@ TEST(Names, WhatBecomesTooLongIsRefused) {
             "the fully qualified name is longer than 255 characters, at character 1");
 }
 
-// Whatever comes out passes the check of what may go in.
+// Every expansion passes the check for topic names.
 TEST(Names, ExpansionsAreFullyQualifiedNames) {
   for (const char* name : {"/a", "a", "~", "~/a", "a/b", "~/a/b9", "_"}) {
     for (const char* node_namespace : {"/", "/r", "/r/s"})

@@ -1,8 +1,8 @@
 // SPDX-License-Identifier: Apache-2.0
 //
-// Goal: packets and descriptors arrive whole or are reported, and no descriptor is ever left over.
-// Method: both ends in this process; where PacketSocket would not send such a thing, the sender is
-// raw sendmsg. Leaks are found by counting /proc/self/fd.
+// Goal: packets and descriptors arrive whole or the loss is reported, and no descriptor leaks.
+// Method: both ends in this process; where PacketSocket would refuse to send, the test uses raw
+// sendmsg. Counting /proc/self/fd finds leaks.
 
 #include <base/packet_socket.hpp>
 #include <base/unix_address.hpp>
@@ -59,7 +59,7 @@ struct Pair {
 
 UniqueFd some_file() { return UniqueFd(::memfd_create("test", MFD_CLOEXEC)); }
 
-// What PacketSocket::send refuses to send.
+// Sends what PacketSocket::send refuses.
 ssize_t send_raw(int socket, std::string_view text, const std::vector<int>& fds) {
   std::vector<char> control(CMSG_SPACE(fds.size() * sizeof(int)));
   iovec data{const_cast<char*>(text.data()), text.size()};
@@ -138,7 +138,7 @@ TEST(PacketSocket, PacketThatFillsTheBufferIsNotTruncated) {
   EXPECT_EQ(pair.text(packet), text);
 }
 
-// From one too many (which padding of the control buffer lets in) to what the kernel cuts.
+// From one too many (it fits into padding of the control buffer) to what the kernel cuts off.
 TEST(PacketSocket, TooManyDescriptorsAreReportedAndNoneLeaks) {
   Pair pair;
   const UniqueFd file = some_file();
@@ -174,7 +174,7 @@ TEST(PacketSocket, DescriptorsThatThisProcessMayNotOpenAreReported) {
   EXPECT_EQ(child.wait(), 0);
 }
 
-TEST(PacketSocket, WhereThereIsRoomForDescriptorsTheyWereWithheld) {
+TEST(PacketSocket, LostDescriptorsCountAsWithheldWhereThereIsRoomForThem) {
   const std::size_t before = open_descriptor_count();
   EXPECT_EQ(failure_of_descriptors("a packet").code, Errc::descriptors_withheld);
   EXPECT_EQ(open_descriptor_count(), before);
@@ -215,7 +215,7 @@ TEST(PacketSocket, FullQueueAnswersWouldBlockAndOpensAgainAfterReading) {
   }
   EXPECT_EQ(pair.left.send(bytes_of(text)).value(), Sent::would_block);
   for (std::size_t i = 0; i < sent_count; ++i) EXPECT_EQ(pair.receive().bytes, text.size());
-  EXPECT_EQ(pair.receive().kind, Packet::Kind::nothing) << "a refused packet was sent nevertheless";
+  EXPECT_EQ(pair.receive().kind, Packet::Kind::nothing) << "a refused packet was sent anyway";
   EXPECT_EQ(pair.left.send(bytes_of(text)).value(), Sent::sent);
 }
 
@@ -235,7 +235,7 @@ TEST(PacketSocket, PacketsSentBeforeTheEndAreStillReceived) {
   EXPECT_EQ(pair.receive().kind, Packet::Kind::end);
 }
 
-// The kernel puts ECONNRESET in front of the queue when the peer left something unread.
+// The kernel puts ECONNRESET in front of the queue when the peer left packets unread.
 TEST(PacketSocket, PacketsSentBeforeAResetAreStillReceived) {
   Pair pair;
   ASSERT_EQ(pair.right.send(bytes_of("never read")).value(), Sent::sent);
@@ -247,7 +247,7 @@ TEST(PacketSocket, PacketsSentBeforeAResetAreStillReceived) {
   EXPECT_EQ(pair.receive().kind, Packet::Kind::end);
 }
 
-// In memory that the child sees, too.
+// In memory shared with the child.
 std::atomic<int>& signal_count =
     *new (::mmap(nullptr, sizeof(std::atomic<int>), PROT_READ | PROT_WRITE,
                  MAP_SHARED | MAP_ANONYMOUS, -1, 0)) std::atomic<int>(0);
@@ -274,7 +274,7 @@ TEST(PacketSocket, SignalsDoNotEndAWait) {
   EXPECT_EQ(child.wait(), 0);
 }
 
-TEST(PacketSocket, CredentialsComeWhenWantedOnly) {
+TEST(PacketSocket, CredentialsComeOnlyOnRequest) {
   Pair pair;
   ASSERT_TRUE(pair.right.want_credentials(true));
   ASSERT_EQ(pair.left.send(bytes_of("x")).value(), Sent::sent);
@@ -312,11 +312,11 @@ TEST(PacketSocket, RefusedDescriptorsStayWithTheSender) {
   EXPECT_EQ(open_descriptor_count(), before);
 }
 
-TEST(PacketListener, AcceptsConnectionsThatDoNotSleepAndAreCloseOnExec) {
+TEST(PacketListener, AcceptsNonBlockingConnectionsThatAreCloseOnExec) {
   test::TemporaryDirectory directory;
   const auto listener = test::listen_at(directory.path("socket"));
   ASSERT_TRUE(listener);
-  EXPECT_FALSE(listener->accept().value()) << "nobody has connected";
+  EXPECT_FALSE(listener->accept().value()) << "no client has connected";
   const auto client = PacketSocket::connect(directory.path("socket"));
   ASSERT_TRUE(client);
   const auto session = listener->accept();
@@ -332,11 +332,11 @@ TEST(PacketListener, AcceptsConnectionsThatDoNotSleepAndAreCloseOnExec) {
   EXPECT_EQ((*session)->receive(buffer).value().bytes, 5U);
 }
 
-TEST(PacketListener, NobodyIsTurnedAwayOrLetInBeforeItListens) {
+TEST(PacketListener, NobodyIsRefusedOrAcceptedBeforeItListens) {
   test::TemporaryDirectory directory;
   ASSERT_EQ(::chmod(directory.path("").c_str(), 0755), 0);
   const std::string path = directory.path("socket");
-  // What another user hears, where this test may be one.
+  // The answer to another user, where this test can become one.
   const auto answer_to_other = [&] {
     test::Child other([&] {
       if (::geteuid() == 0 && ::setuid(65534) != 0) return 99;
@@ -347,7 +347,7 @@ TEST(PacketListener, NobodyIsTurnedAwayOrLetInBeforeItListens) {
   };
   const mode_t mask = ::umask(077);
   const auto listener = PacketListener::bind(path);
-  EXPECT_EQ(::umask(mask), 077u) << "it is as it was";
+  EXPECT_EQ(::umask(mask), 077u) << "the umask is unchanged";
   ASSERT_TRUE(listener);
   EXPECT_EQ(answer_to_other(), Errc::daemon_not_running);
   ASSERT_EQ(::chmod(path.c_str(), 0600), 0);
@@ -356,7 +356,7 @@ TEST(PacketListener, NobodyIsTurnedAwayOrLetInBeforeItListens) {
   EXPECT_EQ(answer_to_other(), ::geteuid() == 0 ? Errc::permission_denied : Errc::ok);
 }
 
-TEST(PacketListener, SecondListenerIsToldThatOneExists) {
+TEST(PacketListener, SecondListenerIsRefusedAsAlreadyRunning) {
   test::TemporaryDirectory directory;
   const auto first = test::listen_at(directory.path("socket"));
   ASSERT_TRUE(first);
@@ -379,7 +379,7 @@ TEST(PacketListener, CredentialsComeFromTheFirstPacketOn) {
   EXPECT_EQ(packet.credentials->pid, ::getpid());
 }
 
-TEST(PacketSocket, ConnectSaysWhyNot) {
+TEST(PacketSocket, ConnectSaysWhyItFailed) {
   test::TemporaryDirectory directory;
   auto refused = PacketSocket::connect(directory.path("nobody"));
   ASSERT_FALSE(refused);
@@ -400,7 +400,7 @@ TEST(PacketSocket, ConnectSaysWhyNot) {
   }
 }
 
-TEST(PacketSocket, ConnectDoesNotWaitForeverForWhoDoesNotAccept) {
+TEST(PacketSocket, ConnectDoesNotWaitForeverForAServerThatDoesNotAccept) {
   test::TemporaryDirectory directory;
   const std::string path = directory.path("busy");
   const UniqueFd listener(::socket(AF_UNIX, SOCK_SEQPACKET | SOCK_CLOEXEC, 0));
@@ -418,15 +418,16 @@ TEST(PacketSocket, ConnectDoesNotWaitForeverForWhoDoesNotAccept) {
     break;
   }
   ASSERT_FALSE(waiting.empty());
-  EXPECT_LT(waiting.size(), 16u) << "the queue of the listener is full at some time";
+  EXPECT_LT(waiting.size(), 16u) << "the listener's queue must become full";
   timeval limit{1, 1};
   socklen_t size = sizeof limit;
   ASSERT_EQ(::getsockopt(waiting[0].fd(), SOL_SOCKET, SO_SNDTIMEO, &limit, &size), 0);
-  EXPECT_EQ(limit.tv_sec + limit.tv_usec, 0) << "the limit is connect's alone";
+  EXPECT_EQ(limit.tv_sec + limit.tv_usec, 0)
+      << "connect() must not leave its time limit on the socket";
 }
 
 TEST(PacketSocket, ConnectWithoutPermissionSaysSo) {
-  if (::geteuid() != 0) GTEST_SKIP() << "needs root to become somebody else";
+  if (::geteuid() != 0) GTEST_SKIP() << "needs root to become another user";
   test::TemporaryDirectory directory;
   ASSERT_EQ(::chmod(directory.path().c_str(), 0711), 0);
   const auto listener = test::listen_at(directory.path("socket"));

@@ -1,8 +1,8 @@
 // SPDX-License-Identifier: Apache-2.0
 //
-// Goal: the daemon knows who connected, also on kernels without SO_PEERPIDFD, and nobody passes as
-// somebody else. Method: forked children connect, one as another user; old kernels are played by a
-// seccomp filter, and by taking the facility away.
+// Goal: the daemon identifies its peer, also on kernels without SO_PEERPIDFD, and no process
+// passes for another one. Method: forked children connect, one as another user; a seccomp filter
+// or an argument takes SO_PEERPIDFD away, as on an old kernel.
 
 #include <base/packet_socket.hpp>
 #include <base/peer_identity.hpp>
@@ -44,7 +44,7 @@ void wait_until_readable(int fd) {
   ASSERT_EQ(::poll(&entry, 1, 10'000), 1);
 }
 
-// A listener that asks for credentials, and what an accepted connection says.
+// A listener that asks for credentials, and the connection that it has accepted.
 struct Daemon {
   test::TemporaryDirectory directory;
   PacketListener listener;
@@ -75,8 +75,8 @@ int connect_send_and_sleep(const Daemon& daemon) {
   return test::sleep_for_ever();
 }
 
-TEST(PeerIdentity, NamesUserGroupsAndProcessOfWhoConnected) {
-  if (::geteuid() != 0) GTEST_SKIP() << "needs root to become somebody else";
+TEST(PeerIdentity, NamesUserGroupsAndProcessOfThePeer) {
+  if (::geteuid() != 0) GTEST_SKIP() << "needs root to become another user";
   if (!kernel_has_peer_pidfd()) GTEST_SKIP() << "SO_PEERPIDFD needs Linux 6.5";
   Daemon daemon;
   Child child([&] {
@@ -99,7 +99,7 @@ TEST(PeerIdentity, NamesUserGroupsAndProcessOfWhoConnected) {
   wait_until_readable(identity->process.fd());
 }
 
-TEST(PeerIdentity, MoreGroupsThanTheFirstGuessAreAllThere) {
+TEST(PeerIdentity, ListsAllGroupsBeyondTheFirstGuess) {
   if (::geteuid() != 0) GTEST_SKIP() << "needs root to set groups";
   Daemon daemon;
   std::vector<gid_t> groups(300);
@@ -114,7 +114,7 @@ TEST(PeerIdentity, MoreGroupsThanTheFirstGuessAreAllThere) {
   EXPECT_THAT(identity->groups, testing::UnorderedElementsAreArray(groups));
 }
 
-TEST(PeerIdentity, ProcessThatDiedBeforeItWasAcceptedIsKnownToHaveEnded) {
+TEST(PeerIdentity, ProcessThatDiedBeforeItWasAcceptedHasEnded) {
   if (!kernel_has_peer_pidfd()) GTEST_SKIP() << "SO_PEERPIDFD needs Linux 6.5";
   Daemon daemon;
   Child child([&] { return connect_send_and_sleep(daemon); });
@@ -160,8 +160,8 @@ TEST(PeerIdentity, PacketOfAnotherProcessConfirmsNothing) {
   EXPECT_FALSE(identity->confirmed);
 }
 
-// The pid could have been given away between connect and pidfd_open: only a packet that was
-// received before the pidfd ended proves that it was not.
+// The kernel may reuse the pid between connect and pidfd_open. Only a packet received before the
+// pidfd reports the end proves that it did not.
 TEST(PeerIdentity, PacketReadAfterTheEndOfTheProcessConfirmsNothing) {
   Daemon daemon;
   Child child([&] { return connect_send_and_sleep(daemon); });
@@ -196,7 +196,7 @@ TEST(PeerIdentity, OldKernelReportsAPeerThatIsGone) {
 
 class MissingOption : public testing::TestWithParam<int> {};
 
-// The kernel's own answer, not our switch: each errno that an older kernel or a filter gives.
+// The kernel's own answer, not our argument: each errno that an older kernel or a filter gives.
 TEST_P(MissingOption, FallsBackToPidfdOpen) {
   Child child([&] {
     const auto pair = PacketSocket::pair();
@@ -215,7 +215,7 @@ TEST_P(MissingOption, FallsBackToPidfdOpen) {
     return packet.credentials && confirm(*identity, *packet.credentials) ? 0 : 6;
   });
   const int status = child.wait();
-  if (status == 77) GTEST_SKIP() << "no seccomp filters here";
+  if (status == 77) GTEST_SKIP() << "needs seccomp filters";
   EXPECT_EQ(status, 0);
 }
 INSTANTIATE_TEST_SUITE_P(PeerIdentity, MissingOption,
@@ -229,7 +229,7 @@ TEST(PeerIdentity, OtherErrorsAreNotTakenForAnOldKernel) {
     return !identity && identity.error().os_errno == EMFILE ? 0 : 1;
   });
   const int status = child.wait();
-  if (status == 77) GTEST_SKIP() << "no seccomp filters here";
+  if (status == 77) GTEST_SKIP() << "needs seccomp filters";
   EXPECT_EQ(status, 0);
 }
 

@@ -1,7 +1,7 @@
 // SPDX-License-Identifier: Apache-2.0
 //
-// Goal: a Pidfd tells the end of exactly its process, and identities tell processes apart. Method:
-// forked children, killed.
+// Goal: a Pidfd reports the end of exactly its process, and identities distinguish processes.
+// Method: forked children, killed.
 
 #include <base/pidfd.hpp>
 
@@ -36,7 +36,7 @@ TEST(Pidfd, BecomesReadableWhenTheProcessIsKilled) {
   EXPECT_TRUE(process->ended()) << "a reaped process has ended";
 }
 
-TEST(Pidfd, NobodyHasNone) {
+TEST(Pidfd, AReapedProcessHasNone) {
   Child child([] { return 0; });
   const pid_t pid = child.pid();
   child.wait();
@@ -45,7 +45,7 @@ TEST(Pidfd, NobodyHasNone) {
   EXPECT_EQ(process.error().os_errno, ESRCH);
 }
 
-TEST(Pidfd, InodeIsTheProcess) {
+TEST(Pidfd, InodeIdentifiesTheProcess) {
   Child first(sleep_for_ever);
   Child second(sleep_for_ever);
   const auto one = Pidfd::open(first.pid());
@@ -58,7 +58,7 @@ TEST(Pidfd, InodeIsTheProcess) {
   EXPECT_FALSE(Pidfd(UniqueFd(::dup(0))).inode()) << "not a pidfd";
 }
 
-TEST(Pidfd, ProcessesAreToldApartAndADeadOneIsNobody) {
+TEST(Pidfd, ProcessesAreDistinguishedAndADeadOneEqualsNone) {
   Child first(sleep_for_ever);
   Child second(sleep_for_ever);
   const auto one = Pidfd::open(first.pid());
@@ -75,7 +75,7 @@ TEST(Pidfd, ProcessesAreToldApartAndADeadOneIsNobody) {
   for (const bool has_inodes : {true, false}) EXPECT_FALSE(same_process(*one, *again, has_inodes));
 }
 
-TEST(Pidfd, StartTimeIsStableAndNobodyHasNone) {
+TEST(Pidfd, StartTimeIsStableAndADeadProcessHasNone) {
   Child child(sleep_for_ever);
   const auto own = start_time_of(::getpid());
   const auto its = start_time_of(child.pid());
@@ -89,7 +89,7 @@ TEST(Pidfd, StartTimeIsStableAndNobodyHasNone) {
   EXPECT_FALSE(start_time_of(pid));
 }
 
-// A name in /proc/PID/stat may hold spaces and parentheses.
+// A process name in /proc/PID/stat may contain spaces and parentheses.
 TEST(Pidfd, StartTimeSurvivesAHostileProcessName) {
   Child child([] {
     const auto plain = start_time_of(::getpid());
@@ -104,7 +104,7 @@ TEST(Pidfd, UserNamespaceTellsContainersApart) {
   ASSERT_TRUE(own);
   const auto self = Pidfd::open(::getpid());
   ASSERT_TRUE(self);
-  EXPECT_EQ(self->user_namespace().value_or(*own), *own) << "none before Linux 6.11";
+  EXPECT_EQ(self->user_namespace().value_or(*own), *own) << "unknown before Linux 6.11";
   Child same([&] { return user_namespace_of(::getpid()) == own ? 0 : 1; });
   EXPECT_EQ(same.wait(), 0);
   Child other([&] {
@@ -113,7 +113,7 @@ TEST(Pidfd, UserNamespaceTellsContainersApart) {
     return its && its != own ? 0 : 1;
   });
   const int status = other.wait();
-  if (status == 77) GTEST_SKIP() << "no new user namespaces here";
+  if (status == 77) GTEST_SKIP() << "needs the right to create user namespaces";
   EXPECT_EQ(status, 0);
 }
 

@@ -1,7 +1,7 @@
 // SPDX-License-Identifier: Apache-2.0
 //
-// Goal: pages become present for writing, what lies in them stays, and what cannot be is a failure and no signal.
-// Method: shared memory of a memfd with a hole, a page in use, and an end; both ways that the kernel offers.
+// Goal: pages become present for writing with their content, and an impossible range is a failure,
+// not a signal. Method: a memfd with a hole, a used page and an end; both ways of the kernel.
 
 #include <base/mapping.hpp>
 #include <base/memfd.hpp>
@@ -30,7 +30,7 @@ class Populate : public testing::TestWithParam<Result<void> (*)(std::byte*, std:
   }
 };
 
-TEST_P(Populate, MakesPagesPresentAndKeepsWhatIsThere) {
+TEST_P(Populate, MakesPagesPresentAndKeepsTheirContent) {
   std::memset(mapping_.base() + 3 * page, 0x5a, page);
   ASSERT_EQ(bytes_of_memory(), page);
   ASSERT_TRUE(GetParam()(mapping_.base() + page, 8 * page));
@@ -39,7 +39,7 @@ TEST_P(Populate, MakesPagesPresentAndKeepsWhatIsThere) {
     ASSERT_EQ(std::to_integer<int>(mapping_.base()[i]), i / page == 3 ? 0x5a : 0);
 }
 
-TEST_P(Populate, SaysThatTheFileIsShorter) {
+TEST_P(Populate, FailsWhereTheFileIsShorter) {
   const auto populated = GetParam()(mapping_.base(), (pages + 1) * page);
   ASSERT_FALSE(populated);
   EXPECT_EQ(populated.error().code, Errc::os_failure);

@@ -1,7 +1,7 @@
 // SPDX-License-Identifier: Apache-2.0
 //
-// Goal: foreign text cannot forge lines or drive a terminal, and slips of the hand find their word.
-// Method: every byte, and tables.
+// Goal: untrusted text cannot forge lines or drive a terminal, and a mistyped word finds the right
+// one. Method: every byte, and tables.
 
 #include <base/text.hpp>
 
@@ -14,7 +14,7 @@ namespace {
 
 using namespace std::string_literals;
 
-TEST(Text, EscapesWhatIsNotPlain) {
+TEST(Text, EscapesAllButPlainText) {
   EXPECT_EQ(escaped("/camera/front"), "/camera/front");
   EXPECT_EQ(escaped("a\nb\tc"), "a\\nb\\tc");
   EXPECT_EQ(escaped("say \"hi\" \\"), "say \\\"hi\\\" \\\\");
@@ -39,9 +39,9 @@ TEST(Text, LongTextIsCut) {
   EXPECT_EQ(escaped("\n\n\n", 2), "\\n\\n...");
 }
 
-TEST(Text, NearestFindsSlipsOfTheHandOnly) {
+TEST(Text, NearestFindsOnlyTypingMistakes) {
   constexpr std::string_view words[] = {"depth_max", "clients", "topics", "--socket"};
-  EXPECT_EQ(nearest("depht_max", words), "depth_max") << "two letters exchanged";
+  EXPECT_EQ(nearest("depht_max", words), "depth_max") << "two letters swapped";
   EXPECT_EQ(nearest("depthmax", words), "depth_max");
   EXPECT_EQ(nearest("client", words), "clients");
   EXPECT_EQ(nearest("topic", words), "topics");

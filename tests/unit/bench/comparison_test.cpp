@@ -1,7 +1,7 @@
 // SPDX-License-Identifier: Apache-2.0
 //
-// Goal: what is compared is compared within rounds, and an aim is reached only where that can be said. Method: rounds whose
-// figures are known by hand.
+// Goal: systems are compared within a round, and an aim is judged only where the data allow it.
+// Method: rounds whose figures are known by hand.
 
 #include <bench/comparison.hpp>
 
@@ -16,7 +16,7 @@ namespace {
 
 using testing::ElementsAre;
 
-/// One receiver, and calls that take a tenth of it.
+/// One receiver, and publish calls that take a tenth of its latency.
 Times round_of(const std::vector<double>& latencies_ns) {
   Times times;
   times.latency_ns = {latencies_ns};
@@ -30,7 +30,7 @@ Series series_of(const std::vector<std::vector<double>>& rounds) {
 }
 
 TEST(Series, IsComparedWithinEachRound) {
-  // The second round is slow for both, the third for one alone.
+  // The second round is slow for both, the third for only one.
   const Series one = series_of({{2, 4, 6}, {40, 40, 40}, {9, 9, 9}});
   const Series other = series_of({{2, 2, 2}, {20, 10, 30}, {1, 1, 1}});
   EXPECT_THAT(one.ratios_to(other), ElementsAre(2, 2, 9));
@@ -39,7 +39,7 @@ TEST(Series, IsComparedWithinEachRound) {
   EXPECT_DOUBLE_EQ(one.ratio_to(one), 1);
 }
 
-TEST(Series, ThatHasARoundOfNoTimeLeavesItOut) {
+TEST(Series, LeavesOutARoundWithoutTime) {
   const Series one = series_of({{3}, {8}, {5}}), other = series_of({{0}, {2}});
   EXPECT_THAT(one.ratios_to(other), ElementsAre(4));
 }
@@ -55,7 +55,7 @@ TEST(Series, HasTheMedianOfMediansAndTheTailOfAll) {
 TEST(Series, TakesEightPublishCallsTogether) {
   Series one;
   one.rounds.push_back({.publish_ns = {}, .latency_ns = {{}}, .sender_cpu_ns = 6});
-  // Three turns of one dear call among cheap ones, the last of them disturbed, and what is left over.
+  // Three periods of one expensive and seven cheap calls, the last disturbed, and a remainder.
   for (const double last : {1.0, 1.0, 1000.0}) {
     one.rounds[0].publish_ns.insert(one.rounds[0].publish_ns.end(), {9, 1, 1, 1, 1, 1, 1, last});
   }
@@ -74,14 +74,14 @@ TEST(Series, CountsTheSlowestReceiverOfEachMessage) {
   EXPECT_DOUBLE_EQ(one.p50_ns(), 8);
 }
 
-TEST(Series, OfEqualTailsHasAnIntervalThatIsAPoint) {
+TEST(Series, WithEqualTailsHasAPointAsInterval) {
   const Series one = series_of({{3, 3}, {3, 3}}), other = series_of({{6, 6}, {6, 6}});
   EXPECT_DOUBLE_EQ(one.p99_ratio_to(other), 0.5);
   EXPECT_DOUBLE_EQ(one.p99_ratio_interval(other).low, 0.5);
   EXPECT_DOUBLE_EQ(one.p99_ratio_interval(other).high, 0.5);
 }
 
-TEST(Turn, ThatFailsIsLeftOutOnlyOfAPeer) {
+TEST(Turn, ThatFailsIsSkippedOnlyForAPeerSystem) {
   System peer{}, ours{};
   peer.name = "iceoryx-listener";
   ours.name = "agnocast-take";
@@ -93,7 +93,7 @@ TEST(Turn, ThatFailsIsLeftOutOnlyOfAPeer) {
 
 // --- aims
 
-/// These tests are of any build.
+/// Tests must not depend on how this program was built.
 bench::Run of_a_build_to_measure(bench::Run run = {}) {
   run.has_assertions = false;
   return run;
@@ -118,7 +118,7 @@ TEST(Aims, AreReachedUpToTheirBound) {
   EXPECT_EQ(judged({}, 1.0, at_least).at("is_reached"), true);
 }
 
-TEST(Aims, WithAnIntervalAreReachedWhenAllOfItIs) {
+TEST(Aims, WithAnIntervalAreReachedWhenAllOfItReachesThem) {
   EXPECT_EQ(judged({}, 0.9, at_most, Interval{0.8, 0.99}).at("is_reached"), true);
   EXPECT_EQ(judged({}, 1.2, at_most, Interval{1.01, 1.3}).at("is_reached"), false);
   EXPECT_EQ(judged({}, 1.2, at_least, Interval{1.01, 1.3}).at("is_reached"), true);
@@ -133,7 +133,7 @@ TEST(Aims, WithAnIntervalAreReachedWhenAllOfItIs) {
   }
 }
 
-TEST(Aims, AreNotJudgedByAShortRunOrByNone) {
+TEST(Aims, AreNotJudgedByAShortRunOrWithoutOne) {
   bench::Run small, few;
   small.is_small = true;
   few.rounds = bench::Run::enough_rounds - 1;
@@ -152,7 +152,7 @@ TEST(Aims, AreNotJudgedByAShortRunOrByNone) {
   EXPECT_EQ(none.at("not_judged"), "not measured");
 }
 
-TEST(Aims, AreNotJudgedWhereTimesSayLittle) {
+TEST(Aims, AreNotJudgedWhereTimesAreUnreliable) {
   EXPECT_EQ(judged({}, 0.5, at_most, {}, {.is_without_fifo = true}).at("not_judged"),
             "not judged, SCHED_FIFO was refused");
   Report report(nullptr);
@@ -165,7 +165,7 @@ TEST(Aims, AreNotJudgedWhereTimesSayLittle) {
   EXPECT_EQ(report.results.at(0).at("not_judged"), "not judged, a build with assertions");
 }
 
-TEST(Aims, OfRoundsAreJudgedByTheIntervalOfTheirMedian) {
+TEST(Aims, OverRoundsAreJudgedByTheIntervalOfTheirMedian) {
   Report report(nullptr);
   report.is_quiet = true;
   Aims aims(of_a_build_to_measure());
@@ -184,7 +184,7 @@ TEST(Aims, OfRoundsAreJudgedByTheIntervalOfTheirMedian) {
   EXPECT_FALSE(report.results.at(3).contains("bound"));
 }
 
-TEST(Aims, RestOnAllWhoTookPart) {
+TEST(Aims, RestOnAllSystemsThatTookPart) {
   Comparison comparison{.plan = {.messages = 70, .cores = Cores::one},
                         .series = {series_of({{1}}), series_of({{2}})}};
   EXPECT_FALSE(basis_of(comparison).is_without_fifo);

@@ -1,6 +1,6 @@
 // SPDX-License-Identifier: Apache-2.0
 //
-// Goal: what is pinned to two CPUs has two cores where there are two. Method: machines of other people.
+// Goal: two pinned processes get two cores where there are two. Method: topologies as values.
 
 #include <bench/cpus.hpp>
 
@@ -12,7 +12,7 @@
 namespace agnocast::bench {
 namespace {
 
-/// Of a machine whose CPU n is a thread of core cores[n].
+/// Returns the choice on a machine whose CPU n is a thread of core cores[n].
 Cpus chosen(const std::vector<int>& usable, const std::map<int, std::string>& cores) {
   return choose_cpus(usable, [&](int cpu) -> std::optional<std::string> {
     const auto core = cores.find(cpu);
@@ -21,7 +21,7 @@ Cpus chosen(const std::vector<int>& usable, const std::map<int, std::string>& co
   });
 }
 
-TEST(Cpus, AreOfTwoCoresWhereThereAreTwo) {
+TEST(Cpus, AreOnTwoCoresWhereThereAreTwo) {
   const Cpus neighbours = chosen({0, 1, 2, 3}, {{0, "0-1"}, {1, "0-1"}, {2, "2-3"}, {3, "2-3"}});
   EXPECT_EQ(neighbours.first, 0);
   EXPECT_EQ(neighbours.second, 2);
@@ -38,7 +38,7 @@ TEST(Cpus, AreThreadsOfOneCoreWhereThereIsNoOther) {
   EXPECT_EQ(cpus.are_siblings, true);
 }
 
-TEST(Cpus, AreTheFirstTwoWhereNobodyKnows) {
+TEST(Cpus, AreTheFirstTwoWhereTheCoresAreUnknown) {
   const Cpus cpus = chosen({3, 7, 8}, {});
   EXPECT_EQ(cpus.first, 3);
   EXPECT_EQ(cpus.second, 7);

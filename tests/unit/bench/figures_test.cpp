@@ -1,6 +1,6 @@
 // SPDX-License-Identifier: Apache-2.0
 //
-// Goal: figures of samples are those of their definitions. Method: samples whose figures are known by hand.
+// Goal: statistics match their definitions. Method: samples whose statistics are known by hand.
 
 #include <bench/figures.hpp>
 
@@ -30,13 +30,13 @@ TEST(Figures, BootstrapOfEqualSamplesIsAPoint) {
   EXPECT_DOUBLE_EQ(interval.high, 7);
 }
 
-TEST(Figures, BootstrapOfARatioPutsRoundsTogether) {
+TEST(Figures, BootstrapOfARatioKeepsRoundsPaired) {
   const auto middle = [](const std::vector<double>& drawn) { return median(drawn); };
-  // One that is always half of the other.
+  // One system that always takes half of the other's time.
   const Interval certain = bootstrap_ratio({{2, 2}, {2, 2}}, {{4}, {4}}, middle);
   EXPECT_DOUBLE_EQ(certain.low, 0.5);
   EXPECT_DOUBLE_EQ(certain.high, 0.5);
-  // What disturbs a round disturbs both: the same round is drawn of both.
+  // A disturbance of a round affects both systems, so the same round is drawn for both.
   const Interval paired = bootstrap_ratio({{1}, {100}}, {{2}, {200}}, middle);
   EXPECT_DOUBLE_EQ(paired.low, 0.5);
   EXPECT_DOUBLE_EQ(paired.high, 0.5);
@@ -56,7 +56,7 @@ TEST(Figures, IntervalOfAMedianIsBetweenOrderStatistics) {
   };
   EXPECT_EQ(of_first(1), std::pair(1.0, 1.0));
   EXPECT_EQ(of_first(3), std::pair(1.0, 3.0));
-  // As the tables of the sign test have them: 98.4, 96.1, 96.1, 97.9, 95.9 %.
+  // From the tables of the sign test: 98.4, 96.1, 96.1, 97.9, 95.9 %.
   EXPECT_EQ(of_first(7), std::pair(1.0, 7.0));
   EXPECT_EQ(of_first(9), std::pair(2.0, 8.0));
   EXPECT_EQ(of_first(10), std::pair(2.0, 9.0));
@@ -68,7 +68,7 @@ TEST(Figures, LineOfLeastSquares) {
   const Line exact = line_through({1, 2, 4}, {5, 7, 11});
   EXPECT_DOUBLE_EQ(exact.slope, 2);
   EXPECT_DOUBLE_EQ(exact.offset, 3);
-  // Of (0, 0), (1, 2), (2, 1): slope 1/2 through the mean (1, 1).
+  // Through (0, 0), (1, 2), (2, 1): slope 1/2 through the mean (1, 1).
   const Line between = line_through({0, 1, 2}, {0, 2, 1});
   EXPECT_DOUBLE_EQ(between.slope, 0.5);
   EXPECT_DOUBLE_EQ(between.offset, 0.5);

@@ -1,7 +1,7 @@
 // SPDX-License-Identifier: Apache-2.0
 //
-// Goal: what one process writes into a lane another one finds, every cell apart from every other; and a payload that is
-// not what was sent is noticed. Method: a second Lane on the same descriptor, as a role has it.
+// Goal: a process finds in a lane what another one wrote, no two cells overlap, and a changed
+// payload is noticed. Method: a second Lane on the same descriptor, as a role has it.
 
 #include <bench/lane.hpp>
 
@@ -17,7 +17,7 @@ namespace {
 
 const Plan plan{.bytes = 9000, .receivers = 3, .messages = 50, .warm_up = 7};
 
-TEST(Lane, CarriesThePlanToWhoeverAttaches) {
+TEST(Lane, CarriesThePlanToAnAttachedProcess) {
   const Lane made(plan, "some-system", "/some/topic");
   const Lane attached(::dup(made.descriptor()));
   EXPECT_EQ(attached.plan().bytes, plan.bytes);
@@ -26,7 +26,7 @@ TEST(Lane, CarriesThePlanToWhoeverAttaches) {
   EXPECT_STREQ(attached.head().topic, "/some/topic");
 }
 
-TEST(Lane, KeepsEveryTimeInACellOfItsOwn) {
+TEST(Lane, KeepsEveryTimeInItsOwnCell) {
   const Lane made(plan, "s", "t");
   const Lane attached(::dup(made.descriptor()));
   std::int64_t value = 0;
@@ -66,7 +66,7 @@ TEST(Lane, WaitsForTheSlowestReceiver) {
   EXPECT_FALSE(lane.have_all_seen(2));
 }
 
-TEST(Lane, WakesWhoWaitsForItsState) {
+TEST(Lane, WakesAWaiterForItsState) {
   Lane lane(plan, "s", "t");
   std::thread waiting([&lane] { lane.wait_while(Lane::waiting); });
   lane.set_state(Lane::running);
@@ -82,7 +82,7 @@ TEST(Lane, KeepsTheFirstError) {
   EXPECT_EQ(lane.error(), "first");
 }
 
-TEST(Payload, IsProvedToItsLastByte) {
+TEST(Payload, IsCheckedToItsLastByte) {
   std::vector<std::byte> payload(3 * 4096 + 5);
   mark(payload.data(), payload.size(), 42);
   EXPECT_EQ(number_of(payload.data()), 42u);

@@ -1,6 +1,6 @@
 // SPDX-License-Identifier: Apache-2.0
 //
-// Goal: a command line means what --help says, and what means nothing is refused with a word on what would. Method: parse().
+// Goal: a command line means what --help says, and a refusal names what is right. Method: parse().
 
 #include <bench/options.hpp>
 
@@ -78,7 +78,7 @@ TEST(Options, AllIsEveryCase) {
   EXPECT_THAT(parsed({"all"}).cases, ElementsAre("latency", "fanout", "alloc", "throughput"));
 }
 
-TEST(Options, RefuseWhatMeansNothing) {
+TEST(Options, RefuseMeaninglessValues) {
   EXPECT_THAT(parsed({"laziness"}).error, HasSubstr("latency fanout"));
   EXPECT_THAT(parsed({"latency", "--systems", "pigeon"}).error, HasSubstr("floor-futex"));
   for (const std::vector<std::string>& wrong : {std::vector<std::string>{},
@@ -93,7 +93,7 @@ TEST(Options, RefuseWhatMeansNothing) {
   }
 }
 
-TEST(Options, ThatNoCaseReadsAreRefused) {
+TEST(Options, ReadByNoCaseAreRefused) {
   EXPECT_EQ(parsed({"fanout", "--period", "1ms"}).error,
             "fanout does not take --period; leave it out, or ask for latency");
   EXPECT_EQ(parsed({"fanout", "alloc", "--messages", "5"}).error,
@@ -101,12 +101,12 @@ TEST(Options, ThatNoCaseReadsAreRefused) {
   EXPECT_EQ(parsed({"latency", "--scan", "/dev/null"}).error,
             "latency does not take --scan; leave it out");
   EXPECT_EQ(parsed({"alloc", "--rounds", "2"}).error, "");
-  // One that reads it is enough.
+  // One case that reads it is enough.
   EXPECT_EQ(parsed({"fanout", "latency", "--period", "1ms"}).error, "");
   EXPECT_EQ(parsed({"all", "--messages", "5"}).error, "");
 }
 
-TEST(Options, OfSystemsThatNoCaseComparesAreRefused) {
+TEST(Options, NamingSystemsThatNoCaseComparesAreRefused) {
   EXPECT_EQ(parsed({"latency", "--systems", "floor-line"}).error,
             "latency does not take --systems floor-line; leave it out, or ask for fanout");
   EXPECT_EQ(parsed({"latency", "fanout", "--systems", "floor-line,agnocast-take"}).error, "");
@@ -116,7 +116,7 @@ TEST(Options, OfSystemsThatNoCaseComparesAreRefused) {
                           testing::Field(&SystemName::name, "floor-line")));
 }
 
-TEST(Options, OfSizesAreRefusedWhereACaseCannotHaveThem) {
+TEST(Options, WithSizesThatACaseCannotHaveAreRefused) {
   EXPECT_EQ(parsed({"fanout", "--sizes", "1K"}).error, "");
   const std::string refused =
       "fanout does not take more than one of --sizes; say one, or leave fanout out";

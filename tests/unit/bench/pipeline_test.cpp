@@ -1,7 +1,7 @@
 // SPDX-License-Identifier: Apache-2.0
 //
-// The nodes of the LiDAR pipeline against points made by hand, whose fate is known without the code under test; and
-// against scans of a scene whose surfaces are known.
+// Tests the nodes of the LiDAR pipeline with hand-made points whose results are known without the
+// code under test, and with scans of a scene whose surfaces are known.
 
 #include <bench/pipeline/filters.hpp>
 #include <bench/pipeline/simulator.hpp>
@@ -36,7 +36,7 @@ std::vector<Point> points_of(const Cloud& cloud) {
   for (std::size_t i = 0; i < cloud.width; ++i) points.push_back(point_at(cloud, i));
   return points;
 }
-/// Points are told apart by their intensities.
+/// Points carry their names as intensities.
 std::vector<int> names_in(const Cloud& cloud) {
   std::vector<int> names;
   for (const Point& point : points_of(cloud)) names.push_back(static_cast<int>(point.intensity));
@@ -93,16 +93,16 @@ TEST(Cloud, ChecksumSeesEveryByteAndNotTheStamp) {
 
 // --- crop box
 
-TEST(CropBox, DropsWhatIsInsideByTheVehiclesFrame) {
-  // The sensor looks to the left of the vehicle, 1 m above its origin: its x is the vehicle's y.
+TEST(CropBox, DropsPointsInsideTheBoxInTheVehiclesFrame) {
+  // The sensor looks to the vehicle's left, 1 m above its origin: its x is the vehicle's y.
   const Pose sensor{turned(radians(90), 0), {0, 0, 1}};
   const Box box{{-1, 1, 0}, {1, 3, 2}};
   Cloud out;
   crop_box(cloud_of({named(1, 2, 0, 0),      // at (0, 2, 1) in the vehicle
                      named(2, 0, 2, 0),      // at (-2, 0, 1)
                      named(3, 2.9, 0.9, 0),  // at (-0.9, 2.9, 1)
-                     named(4, 3.1, 0.9, 0),  // beyond it in y
-                     named(5, 2, 0, 1.1),    // above
+                     named(4, 3.1, 0.9, 0),  // beyond the box in y
+                     named(5, 2, 0, 1.1),    // above the box
                      named(6, 2, 0, -1.1)}),
            sensor, box, out);
   EXPECT_THAT(names_in(out), ElementsAre(2, 4, 5, 6));
@@ -123,7 +123,7 @@ TEST(CropBox, KeepsPointsAsTheyAre) {
   EXPECT_EQ(kept.time_ns, 12345u);
 }
 
-TEST(CropBox, ReplacesWhatTheOutputWas) {
+TEST(CropBox, ReplacesTheOldOutput) {
   Cloud out = cloud_of({named(1, 9, 9, 9), named(2, 9, 9, 9)});
   crop_box(cloud_of({}), {}, {}, out);
   EXPECT_TRUE(points_of(out).empty());
@@ -131,8 +131,8 @@ TEST(CropBox, ReplacesWhatTheOutputWas) {
 
 // --- distortion corrector
 
-TEST(DistortionCorrector, MovesPointsAlongAStraightWay) {
-  // 10 m/s forward: what is seen after 50 ms at x = 3 was at x = 3.5 by the frame of the stamp.
+TEST(DistortionCorrector, MovesPointsAlongAStraightPath) {
+  // 10 m/s forward: a point seen after 50 ms at x = 3 was at x = 3.5 in the frame of the stamp.
   Point early = named(1, 3, 1, 0), late = early;
   late.time_ns = 50'000'000;
   Cloud out;
@@ -143,7 +143,7 @@ TEST(DistortionCorrector, MovesPointsAlongAStraightWay) {
 }
 
 TEST(DistortionCorrector, MovesPointsAlongACircle) {
-  // A quarter of a turn in 100 ms on a circle of 2 m: the sensor ends at (2, 2), looking along y.
+  // A quarter of a circle of 2 m in 100 ms: the sensor ends at (2, 2), looking along y.
   const double rate = std::numbers::pi / 2 / 0.1;
   Point point = named(1, 1, 0, 4);
   point.time_ns = 100'000'000;
@@ -152,8 +152,8 @@ TEST(DistortionCorrector, MovesPointsAlongACircle) {
   EXPECT_TRUE(is_near(point_at(out, 0).place(), {2, 3, 4}, 1e-5));
 }
 
-TEST(DistortionCorrector, MeetsTheSeriesOfSmallAngles) {
-  // On both sides of where the formula changes the motion goes on smoothly.
+TEST(DistortionCorrector, AgreesWithTheSeriesForSmallAngles) {
+  // The motion is continuous where the formula changes.
   const Twist twist{{1, 2, 3}, {0.1, -0.2, 0.3}};
   const double border = 1e-4 / length(twist.angular);
   const Vector below = pose_after(twist, border * (1 - 1e-9)) * Vector{1, 1, 1};
@@ -175,7 +175,7 @@ TEST(DistortionCorrector, AgreesWithManySmallSteps) {
 TEST(RingOutlierFilter, DropsALonePointAndKeepsTheWallBehind) {
   std::vector<Point> points;
   for (int i = 0; i < 10; ++i) points.push_back(around(static_cast<float>(i), -i * 0.2, 10));
-  points[5] = around(5, -5 * 0.2, 3);  // a drop of rain
+  points[5] = around(5, -5 * 0.2, 3);  // a raindrop
   Cloud out;
   drop_ring_outliers(cloud_of(points), {}, out);
   EXPECT_THAT(names_in(out), ElementsAre(0, 1, 2, 3, 4, 6, 7, 8, 9));
@@ -194,8 +194,8 @@ TEST(RingOutlierFilter, KeepsASmallClusterOfManyPointsAndAWideOneOfFew) {
   EXPECT_THAT(names_in(out), ElementsAre(0, 1, 2, 3, 4, 10, 11));
 }
 
-TEST(RingOutlierFilter, DividesAtAGapAndAtAJumpOfDistance) {
-  // Pairs that would be objects together and are none apart.
+TEST(RingOutlierFilter, DividesAtAGapAndAtAJumpInDistance) {
+  // Points of a pair form one object, or no object if they are divided.
   Cloud out;
   drop_ring_outliers(cloud_of({around(1, 0, 10), around(2, -1.1, 10)}), {}, out);
   EXPECT_THAT(names_in(out), ElementsAre());
@@ -205,13 +205,13 @@ TEST(RingOutlierFilter, DividesAtAGapAndAtAJumpOfDistance) {
   EXPECT_THAT(names_in(out), ElementsAre());
   drop_ring_outliers(cloud_of({around(1, 0, 10), around(2, -0.9, 10.29)}), {}, out);
   EXPECT_THAT(names_in(out), ElementsAre(1, 2));
-  // Opposite directions have a sine of zero as well.
+  // Opposite directions also have a sine of zero.
   drop_ring_outliers(cloud_of({around(1, 0, 10), around(2, 180, 10)}), {}, out);
   EXPECT_THAT(names_in(out), ElementsAre());
 }
 
-TEST(RingOutlierFilter, WalksEachRingByItself) {
-  // Two rings measured by turns; the nearer one has a lone point.
+TEST(RingOutlierFilter, FiltersEachRingSeparately) {
+  // Two rings measured alternately; the third, nearest one has a lone point.
   std::vector<Point> points;
   for (int i = 0; i < 6; ++i) {
     points.push_back(around(static_cast<float>(10 + i), -i * 0.2, 10, 1));
@@ -225,7 +225,7 @@ TEST(RingOutlierFilter, WalksEachRingByItself) {
 
 // --- concatenate
 
-TEST(Concatenate, PutsAllIntoTheVehiclesFrame) {
+TEST(Concatenate, TransformsAllPartsIntoTheVehiclesFrame) {
   const Cloud ahead = cloud_of({named(1, 1, 0, 0)});
   const Cloud none = cloud_of({});
   const Cloud aside = cloud_of({named(2, 1, 0, 0), named(3, 2, 0, 0)});
@@ -272,7 +272,7 @@ TEST(Simulator, HasTheSizesOfThePipeline) {
   }
 }
 
-/// How far the point is from the nearest surface of the scene.
+/// Returns the distance of the point to the nearest surface of the scene.
 double way_to_scene(const Scene& scene, Vector at) {
   double least = std::abs(at.z);
   for (const auto& [box, reflectance] : scene) {
@@ -288,9 +288,9 @@ double way_to_scene(const Scene& scene, Vector at) {
   return least;
 }
 
-// The simulator moves the vehicle while the sensor spins; the corrector undoes it. So without noise all that remains
-// after the crop boxes lies on the surfaces of the scene, by the pose at the scan's beginning; and it did not before.
-TEST(Simulator, DistortsWhatTheCorrectorMends) {
+// The simulator moves the vehicle while the sensor spins. Without noise, all points left by the
+// crop boxes lie on surfaces of the scene at the scan's first pose, but only after correction.
+TEST(Simulator, DistortsAScanAsTheCorrectorUndoes) {
   const Scene scene = make_scene(1);
   constexpr std::size_t number = 2;
   const Pose vehicle =

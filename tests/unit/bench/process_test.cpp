@@ -1,7 +1,7 @@
 // SPDX-License-Identifier: Apache-2.0
 //
-// Goal: a process that the benchmark starts says how it ended, and is never left behind. Method: programs that every
-// machine has; a child that is killed with SIGKILL while it has one of its own.
+// Goal: a process of the benchmark reports how it ended, and never outlives the benchmark. Method:
+// programs that every machine has; a child killed with SIGKILL while it has a child of its own.
 
 #include <bench/process.hpp>
 
@@ -24,7 +24,7 @@ bool ends_soon(pid_t pid) {
   return ::kill(pid, 0) != 0;
 }
 
-TEST(Process, SaysHowItEnded) {
+TEST(Process, ReportsHowItEnded) {
   EXPECT_EQ(Process({.command = {"sh", "-c", "exit 3"}}).wait(seconds(10)), 3);
   EXPECT_EQ(Process({.command = {"sh", "-c", "kill -TERM $$"}}).wait(seconds(10)), 128 + SIGTERM);
   EXPECT_EQ(Process({.command = {"/nowhere/at-all"}, .output = "/dev/null"}).wait(seconds(10)),
@@ -42,12 +42,12 @@ TEST(Process, TalksByLines) {
   EXPECT_THROW((void)echo.line(std::chrono::milliseconds(10)), std::runtime_error);
 }
 
-TEST(Process, SendsToWhoHasEnded) {
+TEST(Process, SendingToAnEndedProcessFails) {
   const auto before = ::signal(SIGPIPE, SIG_IGN);
   Process gone({.command = {"sh", "-c", "exit 0"}, .has_pipes = true});
   EXPECT_EQ(gone.wait(seconds(10)), 0);
   EXPECT_FALSE(gone.send("hello"));
-  // Ignoring it stays with the caller.
+  // The child does not inherit that the caller ignores SIGPIPE.
   EXPECT_EQ(Process({.command = {"sh", "-c", "kill -PIPE $$"}}).wait(seconds(10)), 128 + SIGPIPE);
   ::signal(SIGPIPE, before);
 }
@@ -62,7 +62,7 @@ TEST(Process, EndsWithItsObject) {
   EXPECT_NE(::kill(pid, 0), 0);
 }
 
-TEST(Process, EndsWithWhoStartedIt) {
+TEST(Process, EndsWithItsParent) {
   int ends[2];
   ASSERT_EQ(::pipe(ends), 0);
   const pid_t child = ::fork();
@@ -81,7 +81,7 @@ TEST(Process, EndsWithWhoStartedIt) {
   ::close(ends[1]);
 }
 
-// In a process of its own, as nothing can be started after it.
+// In its own process, because no process can be started afterwards.
 TEST(Process, AllEndWhereNoDestructorRuns) {
   static const Process* client = nullptr;
   static bool is_over = false;

@@ -1,7 +1,7 @@
 // SPDX-License-Identifier: Apache-2.0
 //
-// Goal: how far a case is stands on the terminal while it runs, and nowhere else. Method: a Report with a file in place of
-// the terminal.
+// Goal: the progress of a case appears on the terminal while it runs, and nowhere else. Method: a
+// Report with a file instead of the terminal.
 
 #include <bench/case.hpp>
 
@@ -39,28 +39,28 @@ class Progress : public testing::Test {
 
 constexpr const char* cleared = "\r\033[K";
 
-TEST_F(Progress, BeginsWithWhatTheCaseUsuallyTakes) {
+TEST_F(Progress, BeginsWithTheUsualTimeOfTheCase) {
   report.begin_case("latency", std::chrono::seconds(90));
   report.progress(0, 4, "one core");
   EXPECT_EQ(told(), "latency: 0 of 4, 90 s left, one core");
 }
 
-TEST_F(Progress, SaysNothingOfTimeThatNobodyKnows) {
+TEST_F(Progress, OmitsAnUnknownTime) {
   report.begin_case("latency", std::chrono::seconds(0));
   report.progress(0, 4, "one core");
   EXPECT_EQ(told(), "latency: 0 of 4, one core");
 }
 
-TEST_F(Progress, GoesByWhatItTookSoFar) {
+TEST_F(Progress, EstimatesFromTheTimeSoFar) {
   report.begin_case("latency", std::chrono::hours(1));
   report.progress(0, 4, "one core");
   report.progress(2, 4, "two cores");
-  // Of this machine's time nothing is known, but that two steps take less than an hour.
+  // This machine's speed is unknown, but two steps take less than an hour.
   EXPECT_THAT(told(), ContainsRegex("latency: 2 of 4, [0-9]+ s left, two cores$"));
   EXPECT_THAT(told(), Not(HasSubstr("of 4, 3600 s left, two")));
 }
 
-TEST_F(Progress, IsGoneWhenItIsDoneOrSomethingElseIsSaid) {
+TEST_F(Progress, IsClearedWhenDoneOrBeforeOtherOutput) {
   report.begin_case("latency", std::chrono::seconds(0));
   report.is_quiet = true;
   report.progress(0, 2, "one core");
@@ -74,7 +74,7 @@ TEST_F(Progress, IsGoneWhenItIsDoneOrSomethingElseIsSaid) {
   EXPECT_THAT(told(), EndsWith(std::string("one core") + cleared));
 }
 
-TEST_F(Progress, IsNotToldWhereThereIsNoTerminal) {
+TEST_F(Progress, IsNotShownWithoutATerminal) {
   Report other(nullptr);
   other.begin_case("latency", std::chrono::seconds(1));
   other.progress(0, 2, "one core");

@@ -1,7 +1,7 @@
 // SPDX-License-Identifier: Apache-2.0
 //
-// Recorded scans: what is read is what was written, and a file that is none is refused with what is wrong, where, and
-// what to do.
+// Recorded scans: reading returns what was written, and the refusal of a bad file says what is
+// wrong, where, and what to do.
 
 #include <bench/pipeline/scan_file.hpp>
 
@@ -74,13 +74,13 @@ TEST_F(ScanFile, ThatIsTruncatedIsRefused) {
   EXPECT_THAT(refusal_of(write({})), AllOf(HasSubstr("it is empty"), HasSubstr("give a file")));
 }
 
-TEST_F(ScanFile, ThatIsNotThereIsRefused) {
+TEST_F(ScanFile, ThatDoesNotExistIsRefused) {
   EXPECT_THAT(refusal_of(directory_ + "/none"),
               AllOf(HasSubstr("/none"), HasSubstr("No such file"), HasSubstr("another file")));
   EXPECT_THAT(refusal_of(directory_), HasSubstr("no regular file"));
 }
 
-TEST_F(ScanFile, WithValuesThatAreNoneIsRefused) {
+TEST_F(ScanFile, WithInvalidValuesIsRefused) {
   const auto with = [&](std::size_t index, float value) {
     std::vector<float> values = two_points;
     values[index] = value;
@@ -95,11 +95,11 @@ TEST_F(ScanFile, WithValuesThatAreNoneIsRefused) {
   EXPECT_THAT(with(9, std::numeric_limits<float>::quiet_NaN()), HasSubstr("ring"));
 }
 
-// A recorded scan, if there is one here.
+// Reads a recorded scan, if there is one.
 TEST_F(ScanFile, RecordedByNuScenesIsRead) {
   const char* const folder = std::getenv("AGNOCAST_DATA_DIR");
   const std::string path = std::string(folder == nullptr ? "" : folder) + "/lidar_top_nuscenes.bin";
-  if (!std::filesystem::exists(path)) GTEST_SKIP() << "AGNOCAST_DATA_DIR has no recorded scan";
+  if (!std::filesystem::exists(path)) GTEST_SKIP() << "needs a recorded scan in AGNOCAST_DATA_DIR";
   const Cloud cloud = read_scan(path, "lidar_top");
   EXPECT_EQ(cloud.width, 34'688u);
   for (std::size_t i = 0; i < cloud.width; ++i) ASSERT_LT(point_at(cloud, i).ring, 32);

@@ -1,8 +1,8 @@
 // SPDX-License-Identifier: Apache-2.0
 //
-// Goal: what is written is read back, for every type of interfaces/; what is no message of the type is
-// refused with its place; nothing invalid gets into memory. Method: random messages by the table;
-// bytes written by hand. The bytes themselves are compared in golden_test.cpp.
+// Goal: reading returns what was written, for every type of interfaces/; other bytes are refused
+// with their position; nothing invalid gets into memory. Method: random messages made from the
+// type's table; bytes written by hand. golden_test.cpp compares the bytes themselves.
 
 #include <bridge/cdr/cdr.hpp>
 #include <tests/support/random_message.hpp>
@@ -26,7 +26,7 @@ using test::Bytes;
 using test::Pieces;
 using test::Schema;
 
-/// A type of one message, for bytes that are written by hand.
+/// A type with one message, for bytes that are written by hand.
 struct Probe {
   explicit Probe(const Schema& schema, const std::string& root = "p/msg/Root")
       : type(test::members_of_schema(schema, root)),
@@ -34,7 +34,7 @@ struct Probe {
         message(type.make()) {}
   explicit Probe(const std::string& field) : Probe({{"p/msg/Root", {{"value", field}}}}) {}
 
-  /// "" if the bytes are read, else why not.
+  /// Returns "" if the bytes can be read, else the reason.
   std::string read(const std::string& hex) {
     const auto read = read_cdr(cdr, Pieces(test::bytes_of_hex(hex)).all(), message.get());
     return read ? "" : read.error().text();
@@ -152,7 +152,7 @@ TEST(Cdr, EachTruncationNamesTheMemberThatItCuts) {
     EXPECT_EQ(cut(length),
               "truncated at byte " + std::to_string(length) + " in " + std::string(member));
   }
-  // A count that the rest cannot hold is refused at its place, before what it counts.
+  // A count that the rest cannot hold is refused at its position, before its elements.
   const auto overlong = [](int byte, const char* member) {
     return "a count that the rest of the input cannot hold at byte " + std::to_string(byte) +
            " in " + member;
@@ -170,10 +170,10 @@ TEST(Cdr, EachTruncationNamesTheMemberThatItCuts) {
   EXPECT_EQ(cut(67), overlong(60, "wide"));
 }
 
-TEST(Cdr, ElementsThatPaddingPushesOutAreNamedWithTheirIndex) {
+TEST(Cdr, ElementsPushedOutByPaddingAreNamedWithTheirIndex) {
   Probe probe({{"p/msg/Root", {{"list", "p/msg/Pair[]"}}},
                {"p/msg/Pair", {{"a", "float64"}, {"b", "float64"}}}});
-  // Two elements of 16 bytes at 8 and not at 4 of the body: room for one and a half.
+  // Two elements of 16 bytes at offset 8, not 4, of the body: room for one and a half.
   EXPECT_EQ(probe.read("0001000002000000" + std::string(2 * 32, '0')),
             "truncated at byte 40 in list[1].b");
   EXPECT_EQ(probe.read("0001000002000000" + std::string(2 * 36, '0')), "");
@@ -238,7 +238,7 @@ TEST(Cdr, AStringOfLengthZeroIsEmpty) {
                        "00000000"),
             "");
   EXPECT_EQ(probe.value<std::string>(), "");
-  // It is written as rclcpp does.
+  // It is written as rclcpp writes it.
   EXPECT_EQ(probe.written(),
             "0001000001000000"
             "00");
@@ -357,8 +357,8 @@ TEST(Cdr, AServiceHeaderStandsBeforeTheBody) {
   }
 }
 
-TEST(Cdr, AMessageThatGrowsWhileItIsWrittenIsNotWrittenOutside) {
-  // Its sequence is longer, or shorter, each time that somebody looks.
+TEST(Cdr, AMessageThatGrowsDuringTheWriteDoesNotOverflowTheBuffer) {
+  // Its sequence gets longer, or shorter, with each call that asks for its size.
   static std::size_t count = 0;
   static std::ptrdiff_t growth = 0;
   Probe probe("uint8[]");
@@ -391,7 +391,7 @@ TEST(Cdr, AMessageThatGrowsWhileItIsWrittenIsNotWrittenOutside) {
 }
 
 TEST(Cdr, TypesWithoutBytesInCdrAreRefusedByMember) {
-  // As rosidl would describe them.
+  // As rosidl would describe such types.
   MessageMember member{};
   member.name_ = "value";
   MessageMembers members{};
@@ -411,7 +411,7 @@ TEST(Cdr, TypesWithoutBytesInCdrAreRefusedByMember) {
               std::string::npos)
         << why();
   }
-  // A table that contains itself, which only a sequence can.
+  // A table that contains itself, which is possible only through a sequence.
   member.type_id_ = rosidl_typesupport_introspection_cpp::ROS_TYPE_MESSAGE;
   member.is_array_ = true;
   member.members_ = &own;

@@ -1,7 +1,7 @@
 // SPDX-License-Identifier: Apache-2.0
 //
-// Goal: bridge.toml means what docs/bridge.md says, and every mistake is named with its place and what to write instead;
-// the example that is installed has every key. Method: texts.
+// Goal: bridge.toml means what docs/bridge.md says; each mistake is reported with its position and
+// what to write instead; the installed example has every key. Method: texts.
 
 #include <bridge/dds/limits.hpp>
 #include <bridge/program/config.hpp>
@@ -160,7 +160,7 @@ TEST(BridgeConfig, UnreadableFilesSayWhy) {
   EXPECT_EQ(problem_of(endless), endless + ": it cannot be read: File too large; ls -l " + endless);
 }
 
-TEST(BridgeConfig, TheFileOfTheDomainWinsOverTheOneOfAll) {
+TEST(BridgeConfig, TheFileOfTheDomainWinsOverTheGeneralOne) {
   const test::TemporaryDirectory directory;
   const std::string folder = directory.path();
   Options options;
@@ -188,7 +188,7 @@ TEST(BridgeLimits, AreAllInTheDocument) {
   }
 }
 
-TEST(BridgeConfig, TheSocketOfTheStatusIsWhereItIsNamedElseBesideTheDaemons) {
+TEST(BridgeConfig, TheStatusSocketIsWhereConfiguredElseBesideTheDaemonsSocket) {
   ::unsetenv("RUNTIME_DIRECTORY");
   ::setenv("AGNOCAST_SOCKET", "/tmp/x/agnocastd.sock", 1);
   EXPECT_EQ(choose_status_path("", 7), "/tmp/x/bridge-7.sock");
@@ -198,7 +198,7 @@ TEST(BridgeConfig, TheSocketOfTheStatusIsWhereItIsNamedElseBesideTheDaemons) {
   ::unsetenv("RUNTIME_DIRECTORY");
 }
 
-TEST(BridgeOptions, SayWhatIsWrongAndHowToAsk) {
+TEST(BridgeOptions, SayWhatIsWrongAndHowToGetHelp) {
   const auto parse = [](std::vector<const char*> words) {
     words.insert(words.begin(), "agnocast-bridge");
     return parse_options(static_cast<int>(words.size()), words.data());

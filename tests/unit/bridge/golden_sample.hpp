@@ -1,7 +1,7 @@
 // SPDX-License-Identifier: Apache-2.0
 //
-// Samples: messages with the bytes that they are on the wire. Ours in tests/golden, made by
-// encode.py; those recorded from ROS 2 in the folder AGNOCAST_GOLDEN_CDR_DIR, if there is one.
+// Samples: messages with their bytes on the wire. Ours are in tests/golden, made by encode.py;
+// those recorded from ROS 2 in the folder AGNOCAST_GOLDEN_CDR_DIR, if there is one.
 #pragma once
 
 #include <agnocast/generic.hpp>
@@ -28,16 +28,16 @@ struct Sample {
 };
 
 std::filesystem::path own_samples();
-/// Empty if there is no folder of recorded samples.
+/// Returns an empty path if there is no folder of recorded samples.
 std::filesystem::path recorded_samples();
-/// Every *.json of both folders that has `key`.
+/// Returns every *.json of both folders that has `key`.
 std::vector<Sample> samples_with(const char* key);
 
 Bytes bytes_of_hex(const std::string& hex);
 std::string hex_of(std::span<const std::byte> bytes);
 
-/// Sets every member. Throws what nlohmann::json does if the value is not of this type, and
-/// std::runtime_error if it lacks a member or has one more.
+/// Sets every member. Throws the exception of nlohmann::json if the value is not of this type, and
+/// std::runtime_error if it lacks a member or has an extra one.
 void set_message(const MessageMembers& members, const nlohmann::json& value, void* message);
 
 }  // namespace agnocast::test

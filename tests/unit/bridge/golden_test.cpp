@@ -1,9 +1,9 @@
 // SPDX-License-Identifier: Apache-2.0
 //
-// Goal: bridge/cdr writes the bytes that ROS 2 writes and reads them back to the same message, however
-// they were cut on the way and in both byte orders. Method: samples of values with their bytes; each
-// with tables made from its own schema, and with the library of its package where one is built.
-// Deep comparison by the table. The big-endian bytes are encode.py's, at the time of the test.
+// Goal: bridge/cdr writes the bytes of ROS 2 and reads them back to the same message, in both byte
+// orders and cut into any pieces. Method: samples of values with their bytes, with tables made
+// from their own schema, and with the library of their package where one is built; messages are
+// compared member by member. encode.py makes the big-endian bytes.
 
 #include <bridge/cdr/cdr.hpp>
 #include <bridge/dds/names.hpp>
@@ -40,7 +40,7 @@ bool has_library(const std::string& type) {
 #endif
 }
 
-/// Each sample with each way to its table.
+/// Runs `check` on each sample with each source of its type's table.
 void for_every_sample(const std::function<void(const Sample&, const IntrospectedType&)>& check) {
   const std::vector<Sample> samples = test::samples_with("cdr_hex");
   ASSERT_FALSE(samples.empty());
@@ -80,7 +80,7 @@ TEST(GoldenCdr, EveryMessageIsWrittenByteForByte) {
     const CdrType cdr = compiled(type);
     const std::size_t length = cdr_bytes(cdr, message.get());
     EXPECT_EQ(length, sample.json.at("length").get<std::size_t>());
-    // Old contents of the memory show what is not written.
+    // The old contents of the memory reveal bytes that are not written.
     Bytes memory(length, std::byte{0xa5});
     const auto written = write_cdr(cdr, message.get(), memory);
     ASSERT_TRUE(written) << written.error().text();
@@ -89,7 +89,7 @@ TEST(GoldenCdr, EveryMessageIsWrittenByteForByte) {
   });
 }
 
-TEST(GoldenCdr, NoMessageIsWrittenIntoLessThanItsLength) {
+TEST(GoldenCdr, NoMessageIsWrittenIntoABufferShorterThanItself) {
   for_every_sample([](const Sample& sample, const IntrospectedType& type) {
     const OwnedGenericMessage message = message_of(sample, type);
     const CdrType cdr = compiled(type);
@@ -116,7 +116,7 @@ TEST(GoldenCdr, EveryMessageIsReadFromAnyTwoPiecesAndFromSingleBytes) {
   });
 }
 
-TEST(GoldenCdr, ReadingReplacesWhatAMessageHeldBefore) {
+TEST(GoldenCdr, ReadingReplacesTheOldContentOfAMessage) {
   test::RandomMessages random(5, {});
   for_every_sample([&](const Sample& sample, const IntrospectedType& type) {
     OwnedGenericMessage message = type.make();
@@ -127,7 +127,7 @@ TEST(GoldenCdr, ReadingReplacesWhatAMessageHeldBefore) {
   });
 }
 
-TEST(GoldenCdr, BytesBehindTheMessageAreLeftAlone) {
+TEST(GoldenCdr, BytesBehindTheMessageAreIgnored) {
   for_every_sample([](const Sample& sample, const IntrospectedType& type) {
     const Bytes bytes = test::bytes_of_hex(sample.text("cdr_hex"));
     for (std::size_t more = 1; more <= 8; ++more) {
@@ -139,7 +139,7 @@ TEST(GoldenCdr, BytesBehindTheMessageAreLeftAlone) {
   });
 }
 
-TEST(GoldenCdr, NoBeginningOfAMessageIsTakenForAMessage) {
+TEST(GoldenCdr, NoPrefixOfAMessageIsAcceptedAsAMessage) {
   for_every_sample([](const Sample& sample, const IntrospectedType& type) {
     const CdrType cdr = compiled(type);
     const Bytes bytes = test::bytes_of_hex(sample.text("cdr_hex"));
@@ -156,7 +156,7 @@ TEST(GoldenCdr, NoBeginningOfAMessageIsTakenForAMessage) {
   });
 }
 
-/// By the name of the sample.
+/// Returns the bytes by the name of the sample.
 std::map<std::string, Bytes> big_endian_bytes() {
   std::string command =
       "'" AGNOCAST_PYTHON "' '" + (test::own_samples() / "encode.py").string() + "' --big-endian";
@@ -176,7 +176,7 @@ std::map<std::string, Bytes> big_endian_bytes() {
   return all;
 }
 
-TEST(GoldenCdr, EveryMessageIsReadFromBigEndianBytesAsWell) {
+TEST(GoldenCdr, EveryMessageIsAlsoReadFromBigEndianBytes) {
   const auto big_endian = big_endian_bytes();
   for_every_sample([&](const Sample& sample, const IntrospectedType& type) {
     const auto bytes = big_endian.find(sample.text("name"));
@@ -189,7 +189,7 @@ TEST(GoldenCdr, EveryMessageIsReadFromBigEndianBytesAsWell) {
   });
 }
 
-TEST(GoldenCdr, TypesHaveTheNamesThatRosGaveThem) {
+TEST(GoldenCdr, TypesHaveTheNamesThatRosUses) {
   for (const Sample& sample : test::samples_with("cdr_hex")) {
     SCOPED_TRACE(sample.file);
     EXPECT_EQ(dds_type_of(sample.text("ros_type")), sample.text("dds_type"));
@@ -197,7 +197,7 @@ TEST(GoldenCdr, TypesHaveTheNamesThatRosGaveThem) {
   }
 }
 
-TEST(GoldenCdr, RecordedSamplesAreThere) {
+TEST(GoldenCdr, RecordedSamplesExist) {
   if (test::recorded_samples().empty())
     GTEST_SKIP() << "AGNOCAST_GOLDEN_CDR_DIR names no folder: only the samples of tests/golden "
                     "were compared";

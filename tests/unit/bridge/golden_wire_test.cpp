@@ -1,8 +1,8 @@
 // SPDX-License-Identifier: Apache-2.0
 //
-// Goal: what ROS 2 processes sent is understood: payloads of DATA submessages with their padding, the
-// header of a request, the discovery of nodes, and the names in discovery. Method: packets recorded
-// from rmw_cyclonedds and rmw_fastrtps, with the schemas of the other samples.
+// Goal: the bridge understands what ROS 2 processes sent: payloads of DATA submessages with their
+// padding, the header of a request, node discovery, and the names in discovery. Method: packets
+// recorded from rmw_cyclonedds and rmw_fastrtps, with the schemas of the other samples.
 
 #include <bridge/cdr/cdr.hpp>
 #include <bridge/dds/names.hpp>
@@ -29,7 +29,7 @@ class GoldenWire : public testing::Test {
   }
 };
 
-/// The schema of `type`, from whichever sample has it.
+/// Returns the schema of `type` from the first sample that has it.
 test::Schema schema_of(const std::string& type) {
   for (const Sample& sample : test::samples_with("schema")) {
     if (sample.text("ros_type") == type) return sample.schema();
@@ -45,7 +45,7 @@ nlohmann::json gid_of(const std::string& hex) {
   return {{"data", data}};
 }
 
-/// The value with the names of the schema: samples of node discovery say it shorter.
+/// Returns the value with the names of the schema: samples of node discovery abbreviate them.
 nlohmann::json value_of(const Sample& sample) {
   nlohmann::json value = sample.json.at("value");
   if (!value.contains("nodes")) return value;
@@ -64,7 +64,7 @@ nlohmann::json value_of(const Sample& sample) {
   return {{"gid", gid_of(value.at("gid").get<std::string>())}, {"node_entities_info_seq", nodes}};
 }
 
-TEST_F(GoldenWire, PayloadsAreReadAndWrittenAgainToTheSameBytes) {
+TEST_F(GoldenWire, PayloadsAreReadAndRewrittenToTheSameBytes) {
   const std::vector<Sample> samples = test::samples_with("payload_hex");
   ASSERT_FALSE(samples.empty());
   for (const Sample& sample : samples) {
@@ -126,7 +126,7 @@ TEST_F(GoldenWire, TopicsAndTypesOfDiscoveryHaveRosNames) {
     for (const auto& parameter : sample.json.at("parameters")) {
       const auto kind = parameter.at("name").get<std::string>();
       if (kind != "TOPIC_NAME" && kind != "TYPE_NAME") continue;
-      // A CDR string: its length, its letters, a zero, padding.
+      // A CDR string: its length, its characters, a zero, padding.
       const Bytes value = test::bytes_of_hex(parameter.at("value_hex").get<std::string>());
       const std::string name = reinterpret_cast<const char*>(value.data()) + 4;
       if (name == discovery_topic) continue;

@@ -1,8 +1,8 @@
 // SPDX-License-Identifier: Apache-2.0
 //
-// Goal: counts and lengths that are not true cost no memory beyond what the input is worth
-// (cdr_memory_factor), however deep they lie. Method: operator new of this program adds up what is
-// asked for; types are schema tables, whose sequences use it.
+// Goal: false counts and lengths cost no more memory than the input justifies (cdr_memory_factor),
+// at any nesting depth. Method: this program's operator new adds up the requested bytes; types are
+// schema tables, whose sequences use it.
 
 #include <bridge/cdr/cdr.hpp>
 #include <tests/support/random_message.hpp>
@@ -18,7 +18,7 @@ namespace {
 std::size_t bytes_asked_for = 0;
 }  // namespace
 
-// Not inlined: GCC would miss that both belong together.
+// Not inlined: GCC would not see that new and delete belong together.
 [[gnu::noinline]] void* operator new(std::size_t bytes) {
   bytes_asked_for += bytes;
   void* const memory = std::malloc(bytes);
@@ -34,10 +34,10 @@ namespace {
 using test::Bytes;
 using test::Pieces;
 
-// What naming the place of a failure takes.
+// Room for the text that names the position of a failure.
 constexpr std::size_t text_bytes_max = 2048;
 
-/// Whether it was read; adds a failure if it took more memory than it may.
+/// Returns whether it was read; adds a failure if that took more memory than allowed.
 bool read_within_bounds(const IntrospectedType& type, const CdrType& cdr, const Bytes& bytes) {
   const OwnedGenericMessage message = type.make();
   const Pieces pieces(bytes);
@@ -52,7 +52,7 @@ void put(Bytes& bytes, std::size_t at, std::uint32_t number) {
   std::memcpy(bytes.data() + at, &number, sizeof number);
 }
 
-TEST(CdrLies, CountsOfAnySizeAtAnyPlaceAreBoundedByTheInput) {
+TEST(CdrLies, MemoryForAnyFalseCountIsBoundedByTheInput) {
   int refused = 0;
   for (const test::Sample& sample : test::samples_with("cdr_hex")) {
     SCOPED_TRACE(sample.file);
@@ -72,7 +72,7 @@ TEST(CdrLies, CountsOfAnySizeAtAnyPlaceAreBoundedByTheInput) {
   EXPECT_GT(refused, 0);
 }
 
-/// A megabyte of zeros, in which some counts promise as much as they can.
+/// A megabyte of zeros, with some counts as large as possible.
 class Promises {
  public:
   explicit Promises(const test::Schema& schema)
@@ -94,8 +94,8 @@ class Promises {
   }();
 };
 
-TEST(CdrLies, AsManyElementsAreReadAsTheInputHoldsAndNoneMore) {
-  // What is large in memory and small on the wire.
+TEST(CdrLies, ExactlyAsManyElementsAreReadAsTheInputHolds) {
+  // Types that are large in memory and small on the wire.
   for (const char* const field : {"string", "wstring", "uint8[]", "bool[]"}) {
     SCOPED_TRACE(field);
     Promises promises(
@@ -107,7 +107,7 @@ TEST(CdrLies, AsManyElementsAreReadAsTheInputHoldsAndNoneMore) {
   }
 }
 
-TEST(CdrLies, ALengthIsRefusedBeforeMemoryIsTakenForIt) {
+TEST(CdrLies, AFalseLengthIsRefusedBeforeAllocation) {
   for (const char* const field : {"string", "wstring", "uint8[]", "bool[]", "float64[]"}) {
     SCOPED_TRACE(field);
     Promises promises({{"p/msg/Root", {{"value", field}}}});
@@ -116,16 +116,16 @@ TEST(CdrLies, ALengthIsRefusedBeforeMemoryIsTakenForIt) {
   }
 }
 
-TEST(CdrLies, PromisesWithinPromisesCountTogether) {
+TEST(CdrLies, NestedFalseCountsAddUp) {
   Promises promises({{"p/msg/Root", {{"trees", "p/msg/Tree[]"}}},
                      {"p/msg/Tree", {{"branches", "p/msg/Branch[]"}, {"name", "string"}}},
                      {"p/msg/Branch", {{"leaves", "string[]"}, {"weights", "float64[]"}}}});
-  // Half the input, then all that is left, then a quarter: each alone would be true.
+  // Half the input, then all of the rest, then a quarter: each alone would fit.
   promises.promise(4, promises.after(4) / 8 / 2);
   promises.promise(8, promises.after(8) / 8);
   promises.promise(12, promises.after(12) / 4 / 4);
   EXPECT_FALSE(promises.read());
-  // All of it on each level.
+  // All of the input on each level.
   promises.promise(4, promises.after(4) / 8);
   promises.promise(12, promises.after(12) / 4);
   EXPECT_FALSE(promises.read());

@@ -1,6 +1,6 @@
 // SPDX-License-Identifier: Apache-2.0
 //
-// Goal: names go over to DDS and come back, and nothing else comes back.
+// Goal: ROS names map to DDS names and back, and no other name maps.
 
 #include <bridge/dds/names.hpp>
 
@@ -9,7 +9,7 @@
 namespace agnocast::bridge {
 namespace {
 
-TEST(DdsNames, TopicsAndServicesGoOverAndComeBack) {
+TEST(DdsNames, TopicsAndServicesMapToDdsAndBack) {
   const std::pair<RosTopic, const char*> pairs[] = {
       {{DdsTopicKind::topic, "/chatter"}, "rt/chatter"},
       {{DdsTopicKind::topic, "/a/b_2/_c"}, "rt/a/b_2/_c"},
@@ -25,7 +25,7 @@ TEST(DdsNames, TopicsAndServicesGoOverAndComeBack) {
   }
 }
 
-TEST(DdsNames, OtherTopicsOfDdsAreNoneOfRos) {
+TEST(DdsNames, OtherDdsTopicsAreNoRosTopics) {
   for (const char* const name : {"",
                                  "rt",
                                  "rt/",
@@ -54,7 +54,7 @@ TEST(DdsNames, OtherTopicsOfDdsAreNoneOfRos) {
   EXPECT_FALSE(ros_topic_of(std::string_view("rt/a\0b", 6)));
 }
 
-TEST(DdsNames, NamesThatAreNotFullyQualifiedDoNotGoOver) {
+TEST(DdsNames, NamesThatAreNotFullyQualifiedDoNotMap) {
   for (const char* const name : {"", "/", "a", "a/b", "/a/", "//a", "/1", "~/a", "/{node}", "/a b"})
     EXPECT_FALSE(dds_topic_of({DdsTopicKind::topic, name})) << name;
   EXPECT_TRUE(dds_topic_of({DdsTopicKind::topic, "/" + std::string(254, 'a')}));
@@ -62,7 +62,7 @@ TEST(DdsNames, NamesThatAreNotFullyQualifiedDoNotGoOver) {
   EXPECT_FALSE(ros_topic_of("rt/" + std::string(255, 'a')));
 }
 
-TEST(DdsNames, TypesGoOverAndComeBack) {
+TEST(DdsNames, TypesMapToDdsAndBack) {
   const std::pair<const char*, const char*> pairs[] = {
       {"std_msgs/msg/String", "std_msgs::msg::dds_::String_"},
       {"p2/msg/UInt8MultiArray", "p2::msg::dds_::UInt8MultiArray_"},
@@ -82,7 +82,7 @@ TEST(DdsNames, TypesGoOverAndComeBack) {
   }
 }
 
-TEST(DdsNames, OtherTypesAreNoneOfTheOtherSide) {
+TEST(DdsNames, OtherTypesDoNotMap) {
   for (const char* const name : {"",
                                  "std_msgs",
                                  "std_msgs/String",

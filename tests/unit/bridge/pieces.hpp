@@ -1,6 +1,6 @@
 // SPDX-License-Identifier: Apache-2.0
 //
-// Payloads in pieces, each in memory of its own, so that a sanitizer sees who reads past one.
+// Payloads in pieces, each in its own allocation, so that a sanitizer sees reads past its end.
 #pragma once
 
 #include <algorithm>
@@ -12,9 +12,9 @@ namespace agnocast::test {
 
 class Pieces {
  public:
-  /// One piece.
+  /// Makes one piece.
   explicit Pieces(std::span<const std::byte> bytes) : Pieces(bytes, std::vector{bytes.size()}) {}
-  /// Pieces of these lengths, then the rest.
+  /// Makes pieces of these lengths, then one of the rest.
   Pieces(std::span<const std::byte> bytes, const std::vector<std::size_t>& lengths) {
     for (const std::size_t length : lengths) {
       add(bytes.first(std::min(length, bytes.size())));
@@ -22,7 +22,7 @@ class Pieces {
     }
     if (!bytes.empty()) add(bytes);
   }
-  /// One byte each, and an empty one behind each of them.
+  /// Makes pieces of one byte, each followed by an empty one.
   static Pieces of_single_bytes(std::span<const std::byte> bytes) {
     std::vector<std::size_t> lengths;
     for (std::size_t i = 0; i < bytes.size(); ++i) lengths.insert(lengths.end(), {1, 0});

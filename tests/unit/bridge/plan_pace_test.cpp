@@ -11,9 +11,9 @@ using namespace std::chrono_literals;
 
 constexpr PlanPace::Time start{100s};
 
-TEST(PlanPace, PlansAtOnceWhereNothingWasPlannedLately) {
+TEST(PlanPace, PlansAtOnceWhereNoPlanIsRecent) {
   PlanPace pace;
-  EXPECT_FALSE(pace.is_due(start)) << "nothing has changed";
+  EXPECT_FALSE(pace.is_due(start)) << "nothing has changed yet";
   EXPECT_FALSE(pace.due());
   pace.changed();
   EXPECT_TRUE(pace.is_due(start));
@@ -24,7 +24,7 @@ TEST(PlanPace, PlansAtOnceWhereNothingWasPlannedLately) {
   EXPECT_TRUE(pace.is_due(start + 1h));
 }
 
-TEST(PlanPace, TakesAFifthOfTheTimeHoweverOftenSomethingChanges) {
+TEST(PlanPace, TakesAFifthOfTheTimeHoweverFrequentTheChanges) {
   PlanPace pace;
   PlanPace::Time now = start;
   std::chrono::milliseconds planned{0};
@@ -41,7 +41,7 @@ TEST(PlanPace, TakesAFifthOfTheTimeHoweverOftenSomethingChanges) {
   EXPECT_EQ(planned, 2s);
 }
 
-TEST(PlanPace, LetsNobodyWaitForMoreThanASecond) {
+TEST(PlanPace, DelaysAPlanByAtMostASecond) {
   PlanPace pace;
   pace.made(start, start + 5s);
   pace.changed();
@@ -50,7 +50,7 @@ TEST(PlanPace, LetsNobodyWaitForMoreThanASecond) {
   EXPECT_TRUE(pace.is_due(start + 6s));
 }
 
-TEST(PlanPace, OwesWhatWasPutOff) {
+TEST(PlanPace, OwesAPostponedPlan) {
   PlanPace pace;
   pace.changed();
   pace.put_off(start + 1s);

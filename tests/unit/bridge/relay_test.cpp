@@ -1,9 +1,9 @@
 // SPDX-License-Identifier: Apache-2.0
 //
-// Goal: of a message that lies in the windows of a publisher, a relay writes (CDR) or copies nothing that
-// lies elsewhere, touches nothing that is not there, and does no more work than the windows are worth.
-// Method: messages whose strings and sequences are set word by word, in a piece of memory that stands for
-// the windows; beside it lies somebody else's secret, and a page that nobody may read.
+// Goal: a relay writes (CDR) or copies only bytes inside the publisher's heap windows, touches no
+// unmapped memory, and does no more work than the size of the windows justifies. Method: messages
+// whose strings and sequences are set word by word, in memory that stands for the windows; next to
+// it lie secret bytes of another owner, and an unreadable page.
 
 #include <agnocast/relay.hpp>
 #include <bridge/cdr/cdr.hpp>
@@ -21,7 +21,7 @@
 namespace agnocast::bridge {
 namespace {
 
-/// As libstdc++ has them.
+/// The layouts of libstdc++.
 struct RawString {
   const void* data = nullptr;
   std::size_t size = 0;
@@ -61,7 +61,7 @@ class Relay : public testing::Test {
   }
   ~Relay() override { ::munmap(window_, window_bytes + 3 * secret_bytes); }
 
-  /// A default message at the beginning of the window; it is not destroyed.
+  /// Makes a default message at the beginning of the window; it is not destroyed.
   void begin(const std::string& type) {
     members_ = &test::members_of_schema(schema, type);
     std::memset(window_, 0, members_->size_of_);
@@ -78,7 +78,7 @@ class Relay : public testing::Test {
     ADD_FAILURE() << "no member " << name;
     return 0;
   }
-  /// Whether both ways pass it on; then `written_` has the bytes.
+  /// Returns whether both ways relay the message; then `written_` has the bytes.
   bool passes() {
     const CdrType type = CdrType::of(*members_).value();
     const std::size_t bytes = cdr_bytes(type, window_, &windows_);
@@ -112,16 +112,17 @@ class Relay : public testing::Test {
   std::vector<std::byte> written_;
 };
 
-TEST_F(Relay, PassesStringsOfThePublishersMemoryAlone) {
+TEST_F(Relay, PassesOnlyStringsInThePublishersMemory) {
   begin("relay/msg/Text");
   EXPECT_TRUE(passes());
   std::memcpy(window_ + 4096, "honest", 6);
   EXPECT_TRUE(passes_string(window_ + 4096, 6));
   EXPECT_EQ(std::memcmp(written_.data() + 8, "honest", 6), 0);
   EXPECT_TRUE(passes_string(window_ + window_bytes - 8, 8)) << "up to the last byte";
-  EXPECT_TRUE(passes_string(window_ + offset_of("data") + 16, 15)) << "as a short one";
+  EXPECT_TRUE(passes_string(window_ + offset_of("data") + 16, 15))
+      << "short, within the string itself";
   EXPECT_FALSE(passes_string(secret_, 8));
-  EXPECT_FALSE(passes_string(window_ + window_bytes - 8, 9)) << "one byte of another's";
+  EXPECT_FALSE(passes_string(window_ + window_bytes - 8, 9)) << "one byte outside the window";
   EXPECT_FALSE(passes_string(secret_ + secret_bytes, 8)) << "not readable";
   EXPECT_FALSE(passes_string(nullptr, 8));
   EXPECT_FALSE(passes_string(reinterpret_cast<const void*>(~std::uintptr_t{0} - 3), 8));
@@ -130,7 +131,7 @@ TEST_F(Relay, PassesStringsOfThePublishersMemoryAlone) {
   EXPECT_FALSE(passes_string(window_ + 4096, window_bytes));
 }
 
-TEST_F(Relay, PassesSequencesOfThePublishersMemoryAlone) {
+TEST_F(Relay, PassesOnlySequencesInThePublishersMemory) {
   begin("relay/msg/Data");
   const auto passes_vector = [&](const std::byte* first, const std::byte* end) {
     set("data", RawVector{first, end, end});
@@ -144,8 +145,8 @@ TEST_F(Relay, PassesSequencesOfThePublishersMemoryAlone) {
   EXPECT_FALSE(passes_vector(secret_ + secret_bytes, secret_ + secret_bytes + 1));
 }
 
-// One megabyte that every element of a sequence has as its label would be gigabytes.
-TEST_F(Relay, DoesNoMoreWorkThanTheMemoryIsWorth) {
+// If every element of a sequence had the same megabyte as its label, the copy would be gigabytes.
+TEST_F(Relay, DoesNoMoreWorkThanTheWindowSizeJustifies) {
   begin("relay/msg/Data");
   const MessageMembers& of_label = test::members_of_schema(schema, "relay/msg/Label");
   constexpr std::size_t count = 1000;
@@ -169,7 +170,7 @@ TEST_F(Relay, DoesNoMoreWorkThanTheMemoryIsWorth) {
   EXPECT_FALSE(passes());
 }
 
-TEST_F(Relay, PassesBitsOfThePublishersMemoryAlone) {
+TEST_F(Relay, PassesOnlyBitsInThePublishersMemory) {
   begin("relay/msg/Bits");
   const auto passes_bits = [&](const RawBits& bits) {
     set("values", bits);
@@ -180,20 +181,20 @@ TEST_F(Relay, PassesBitsOfThePublishersMemoryAlone) {
   EXPECT_TRUE(passes_bits({words, 0, words + 8, 0, words + 8}));
   EXPECT_FALSE(passes_bits({secret_, 0, secret_ + 8, 0, secret_ + 8}));
   EXPECT_FALSE(passes_bits({window_ + window_bytes - 8, 0, secret_, 1, secret_ + 8}));
-  EXPECT_FALSE(passes_bits({words, 0, words + 8, 64, words + 8})) << "no bit of a word";
+  EXPECT_FALSE(passes_bits({words, 0, words + 8, 64, words + 8})) << "bit 64 is outside the word";
   EXPECT_TRUE(passes_bits({words, 64 * 100 - 1, words + 800, 0, words + 800}))
-      << "a vector of this library looks at no offset of its beginning";
+      << "libstdc++ ignores the bit offset of a vector's beginning";
   EXPECT_FALSE(passes_bits({words, 0, words + 800, ~0U, words + 800}));
   EXPECT_FALSE(passes_bits({words + 800, 0, words, 1, words}));
 }
 
-TEST_F(Relay, PassesNothingOfAMessageThatIsNotThere) {
+TEST_F(Relay, PassesNothingOfAMessageOutsideTheWindows) {
   begin("relay/msg/Text");
   const CdrType type = CdrType::of(*members_).value();
   EXPECT_EQ(cdr_bytes(type, secret_, &windows_), 0u);
   const WindowSet none;
   EXPECT_EQ(cdr_bytes(type, window_, &none), 0u);
-  EXPECT_NE(cdr_bytes(type, window_), 0u) << "one's own";
+  EXPECT_NE(cdr_bytes(type, window_), 0u) << "a message of this process";
 }
 
 }  // namespace

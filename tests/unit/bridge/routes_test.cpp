@@ -1,8 +1,8 @@
 // SPDX-License-Identifier: Apache-2.0
 //
-// Goal: the bridge has what the endpoints on both sides need and nothing else, every message goes one way once, and
-// whatever does not is said why. Method: plan_of() is pure; named situations, and random ones against what DDS's
-// matching rules say of each pair of endpoints.
+// Goal: the bridge has exactly what the endpoints on both sides need, every message takes one
+// route once, and the plan says why an endpoint is not bridged. Method: plan_of() is pure; named
+// situations, and random ones checked against DDS's matching rules for each pair of endpoints.
 
 #include <bridge/plan/routes.hpp>
 
@@ -97,14 +97,14 @@ ReaderKey tap(const QosClass& qos_class, std::size_t depth, bool keep_all = fals
   return {{chatter, qos_class}, depth, keep_all};
 }
 
-TEST_F(Routes, OfOneParticipantGiveWayToOthersBeyondItsShare) {
+TEST_F(Routes, BeyondAParticipantsShareGiveWayToOtherParticipants) {
   subscription("/chatter");
   const auto owned_by = [&](std::uint8_t participant) {
     const Guid guid = writer("rt/chatter");
     remotes_[guid].participant.bytes[0] = participant;
     return guid;
   };
-  // All of its writers have their sources already.
+  // All of its writers already have remote publishers.
   for (std::size_t i = 0; i < sources_per_topic_max + 10; ++i) has_source_.insert(owned_by(1));
   const auto count_of = [&](std::uint8_t participant) {
     std::size_t count = 0;
@@ -112,17 +112,17 @@ TEST_F(Routes, OfOneParticipantGiveWayToOthersBeyondItsShare) {
       count += remotes_[guid].participant.bytes[0] == participant;
     return count;
   };
-  EXPECT_EQ(count_of(1), sources_per_topic_max) << "nobody else wants a place";
+  EXPECT_EQ(count_of(1), sources_per_topic_max) << "no other participant wants a place";
   std::set<Guid> honest;
   for (std::size_t i = 0; i < 10; ++i) honest.insert(owned_by(2));
   EXPECT_EQ(count_of(2), honest.size());
   EXPECT_EQ(count_of(1), sources_per_topic_max - honest.size());
-  // Never below its share.
+  // Never less than its share.
   for (std::uint8_t other = 3; other < 100; ++other) owned_by(other);
   EXPECT_EQ(count_of(1), sources_of_participant_share);
 }
 
-TEST_F(Routes, AnnounceWhatNobodyReadsAndAReaderWouldGet) {
+TEST_F(Routes, AnnounceUnreadPublishersThatAReaderWouldGet) {
   announce_ = true;
   const auto alone = publisher("/chatter", QoS(7).transient_local());
   const auto read = publisher("/read"), weak = publisher("/read", QoS(5).best_effort());
@@ -136,7 +136,7 @@ TEST_F(Routes, AnnounceWhatNobodyReadsAndAReaderWouldGet) {
             {.topic = "/cut", .direction = Direction::both, .line = 2,
              .to_dds = {.reliable = false, .transient_local = {}, .depth = 3}}};
   const Plan made = plan();
-  ASSERT_THAT(made.announced, SizeIs(3)) << "the one nobody reads, the one that is too weak, /cut";
+  ASSERT_THAT(made.announced, SizeIs(3)) << "the unread one, the one with too weak QoS, /cut";
   const Outlet& announced = made.announced.at(alone);
   EXPECT_EQ(announced.tap.of.key, chatter);
   EXPECT_EQ(announced.node, "/ns/talker");
@@ -150,12 +150,12 @@ TEST_F(Routes, AnnounceWhatNobodyReadsAndAReaderWouldGet) {
   }
   ASSERT_THAT(made.outlets, SizeIs(1));
   EXPECT_TRUE(made.outlets.contains(read));
-  EXPECT_THAT(made.taps, SizeIs(1)) << "nothing subscribes to what is only announced";
+  EXPECT_THAT(made.taps, SizeIs(1)) << "announced topics have no local reader";
   announce_ = false;
   EXPECT_THAT(plan().announced, IsEmpty());
 }
 
-TEST_F(Routes, HaveAReaderAndNothingElseForATopicThatIsHereOnly) {
+TEST_F(Routes, HaveOnlyADdsReaderForATopicThatIsHereOnly) {
   publisher("/chatter");
   subscription("/news", QoS(200).best_effort(), "one");
   reader("rt/elsewhere");
@@ -164,7 +164,7 @@ TEST_F(Routes, HaveAReaderAndNothingElseForATopicThatIsHereOnly) {
   EXPECT_THAT(nothing.outlets, IsEmpty());
   EXPECT_THAT(nothing.taps, IsEmpty());
   EXPECT_THAT(nothing.sources, IsEmpty());
-  // By it another bridge knows that somebody wants the topic.
+  // It tells other bridges that this host wants the topic.
   ASSERT_THAT(nothing.inlets, SizeIs(1));
   const auto& [key, inlet] = *nothing.inlets.begin();
   EXPECT_EQ(key, (ClassKey{{"/news", string_type}, {false, false}}));
@@ -176,7 +176,7 @@ TEST_F(Routes, HaveAReaderAndNothingElseForATopicThatIsHereOnly) {
                   Unbridged{"/news", string_type, Direction::inward, WhyNot::no_writer, ""}));
 }
 
-TEST_F(Routes, AreNotForTheTopicsOfServices) {
+TEST_F(Routes, LeaveOutTheTopicsOfServices) {
   publisher("/_service/request/add");
   subscription("/_service/request/add");
   reader("rt/_service/request/add");
@@ -206,7 +206,7 @@ TEST_F(Routes, MirrorEachPublisherInTheNameOfItsNode) {
   EXPECT_THAT(all.unbridged, IsEmpty());
 }
 
-TEST_F(Routes, ShareATapAmongPublishersOfOneQos) {
+TEST_F(Routes, ShareALocalReaderAmongPublishersWithEqualQos) {
   publisher("/chatter", QoS(7));
   publisher("/chatter", QoS(7), "other");
   reader("rt/chatter");
@@ -215,20 +215,20 @@ TEST_F(Routes, ShareATapAmongPublishersOfOneQos) {
   EXPECT_THAT(all.taps, ElementsAre(tap({true, false}, 7)));
 }
 
-TEST_F(Routes, LetEachPublishersTapKeepWhatItKeepsWhoeverElseComes) {
+TEST_F(Routes, KeepALocalReadersDepthWhenOtherPublishersCome) {
   const auto first = publisher("/chatter", QoS(7));
   reader("rt/chatter");
   const Outlet before = plan().outlets.at(first);
   const auto deep = publisher("/chatter", QoS(900));
   const auto all_of_it = publisher("/chatter", QoS(1).keep_all(7));
   const Plan all = plan();
-  EXPECT_EQ(all.outlets.at(first).tap, before.tap) << "nobody retains more because of others";
+  EXPECT_EQ(all.outlets.at(first).tap, before.tap) << "other publishers must not change the depth";
   EXPECT_EQ(all.outlets.at(deep).tap, tap({true, false}, 900));
   EXPECT_EQ(all.outlets.at(all_of_it).tap, tap({true, false}, 7, true));
   EXPECT_THAT(all.taps, SizeIs(3));
 }
 
-TEST_F(Routes, HaveInletsOfFewDepths) {
+TEST_F(Routes, HaveDdsReadersOfFewDepths) {
   subscription("/chatter", QoS(1));
   for (const auto& [asked, made] :
        std::vector<std::pair<int, std::size_t>>{{1, 100}, {100, 100}, {101, 200}, {1000, 1600}}) {
@@ -237,7 +237,7 @@ TEST_F(Routes, HaveInletsOfFewDepths) {
   }
 }
 
-TEST_F(Routes, GiveWritersOfDdsHalfOfATopicsPlacesAndLeaveThemTheirs) {
+TEST_F(Routes, GiveDdsWritersHalfOfATopicsPlacesAndLetThemKeepThese) {
   subscription("/chatter");
   std::set<Guid> all;
   for (std::size_t i = 0; i < sources_per_topic_max; ++i) all.insert(writer("rt/chatter"));
@@ -245,7 +245,7 @@ TEST_F(Routes, GiveWritersOfDdsHalfOfATopicsPlacesAndLeaveThemTheirs) {
   EXPECT_THAT(plan().unbridged, IsEmpty());
   has_source_ = all;
   for (int i = 0; i < 300; ++i) writer("rt/chatter");
-  // Some of the new ones are before some of the old ones.
+  // Some of the new ones sort before some of the old ones.
   ASSERT_LT(remotes_.size(), 1000u);
   Remote early = remotes_.at(*all.begin());
   early.guid = {};
@@ -257,12 +257,12 @@ TEST_F(Routes, GiveWritersOfDdsHalfOfATopicsPlacesAndLeaveThemTheirs) {
   ASSERT_THAT(full.unbridged, SizeIs(1));
   EXPECT_EQ(full.unbridged[0].why, WhyNot::too_many);
   EXPECT_THAT(full.unbridged[0].detail, HasSubstr("301 of 428"));
-  // A place that is free is given away.
+  // A place that becomes free is given away.
   remotes_.erase(*all.begin());
   EXPECT_TRUE(plan().sources.contains(early.guid));
 }
 
-TEST_F(Routes, AreThereSoonForThousandsOfEndpointsOfOneTopic) {
+TEST_F(Routes, ArePlannedQuicklyForThousandsOfEndpointsOfOneTopic) {
   constexpr int count = 20'000;
   for (int i = 0; i < count; ++i) {
     publisher("/chatter", QoS(10), "talker_" + std::to_string(i));
@@ -278,19 +278,19 @@ TEST_F(Routes, AreThereSoonForThousandsOfEndpointsOfOneTopic) {
       remotes_[remote.guid] = remote;
     }
   }
-  // Of each with each it would be four hundred million looks, each with a text of its own: minutes.
+  // Comparing all pairs, each with its own text, would take 400 million comparisons: minutes.
   const Plan all = plan();
   EXPECT_THAT(all.outlets, SizeIs(count));
   EXPECT_THAT(all.sources, SizeIs(sources_per_topic_max));
   EXPECT_THAT(all.inlets.begin()->second.nodes, SizeIs(count));
 }
 
-TEST_F(Routes, MirrorEachRemoteWriterAndReadItOnceForAllSubscriptions) {
+TEST_F(Routes, MirrorEachDdsWriterAndReadItOnceForAllSubscriptions) {
   subscription("/chatter", QoS(4), "one");
   subscription("/chatter", QoS(400).best_effort(), "two");
   const Guid first = writer("rt/chatter", true, false, 6);
   const Guid second = writer("rt/chatter", true, false, 8);
-  const Guid third = writer("rt/chatter", false, false, 0);  // a history that is not announced
+  const Guid third = writer("rt/chatter", false, false, 0);  // no depth announced
   const Plan all = plan();
   ASSERT_THAT(all.sources, SizeIs(3));
   EXPECT_EQ(all.sources.at(first).depth, 6u);
@@ -302,19 +302,20 @@ TEST_F(Routes, MirrorEachRemoteWriterAndReadItOnceForAllSubscriptions) {
   EXPECT_EQ(reliable.depth, 400u);
   EXPECT_FALSE(reliable.keep_all);
   EXPECT_THAT(reliable.nodes, ElementsAre("/ns/one", "/ns/two"));
-  // A reliable subscription gets nothing of a best-effort writer.
+  // A reliable subscription gets nothing from a best-effort writer.
   const Inlet& best_effort = all.inlets.at({chatter, {false, false}});
   EXPECT_THAT(best_effort.nodes, ElementsAre("/ns/two"));
   EXPECT_EQ(best_effort.depth, 400u);
 }
 
-TEST_F(Routes, ReadOnceWhatIsOfferedBetterThanAnybodyWants) {
+TEST_F(Routes, ReadOnceAWriterThatOffersMoreThanAnySubscriptionRequests) {
   subscription("/chatter", QoS(5).best_effort());
   const Guid all_of_it = writer("rt/chatter", true, true);
   const Plan all = plan();
   ASSERT_THAT(all.inlets, SizeIs(1));
   EXPECT_EQ(all.inlets.begin()->first.qos_class, (QosClass{false, false}));
-  EXPECT_EQ(all.sources.at(all_of_it).qos_class, (QosClass{true, true})) << "as it offers";
+  EXPECT_EQ(all.sources.at(all_of_it).qos_class, (QosClass{true, true}))
+      << "the QoS that the writer offers";
 }
 
 TEST_F(Routes, KeepAllOfAWriterThatKeepsAll) {
@@ -329,13 +330,13 @@ TEST_F(Routes, KeepAllOfAWriterThatKeepsAll) {
   EXPECT_TRUE(all.inlets.begin()->second.keep_all);
 }
 
-TEST_F(Routes, HaveRoomForWhatComesWhileTheBridgeDoesSomethingElse) {
+TEST_F(Routes, HaveRoomForMessagesWhileTheBridgeIsBusy) {
   subscription("/chatter", QoS(1));
   writer("rt/chatter", true, false, 1);
   EXPECT_EQ(plan().inlets.begin()->second.depth, 100u);
 }
 
-TEST_F(Routes, SayThatNobodyMatches) {
+TEST_F(Routes, SayThatNoEndpointMatches) {
   publisher("/chatter", QoS(10).best_effort());
   subscription("/chatter", QoS(10).transient_local());
   reader("rt/chatter");
@@ -348,7 +349,7 @@ TEST_F(Routes, SayThatNobodyMatches) {
   EXPECT_EQ(nothing.unbridged[1].why, WhyNot::qos);
 }
 
-TEST_F(Routes, GoWhereTheDefaultSaysWhenNoRuleSpeaksOfThem) {
+TEST_F(Routes, FollowTheDefaultWhereNoRuleMatches) {
   publisher("/a");
   publisher("/b");
   reader("rt/a");
@@ -363,7 +364,7 @@ TEST_F(Routes, GoWhereTheDefaultSaysWhenNoRuleSpeaksOfThem) {
   EXPECT_THAT(made.unbridged[0].detail, HasSubstr("default"));
 }
 
-TEST_F(Routes, ARuleOfATypeLeavesOtherTypesToTheNext) {
+TEST_F(Routes, ARuleForATypeLeavesOtherTypesToTheNextRule) {
   publisher("/a");
   reader("rt/a");
   rules_ = {{"/a", Direction::none, 1, "std_msgs/msg/Int32"}, {"/a", Direction::outward, 2}};
@@ -372,7 +373,7 @@ TEST_F(Routes, ARuleOfATypeLeavesOtherTypesToTheNext) {
   EXPECT_THAT(plan().outlets, IsEmpty());
 }
 
-TEST_F(Routes, OfferToDdsWhatTheRuleSaysAndTakeWhatThePublisherOffers) {
+TEST_F(Routes, OfferTheRulesQosToDdsAndReadWithThePublishersQos) {
   const auto generation = publisher("/a", QoS(7).transient_local());
   reader("rt/a", false, false);
   Rule rule{"/a", Direction::both, 1};
@@ -387,7 +388,7 @@ TEST_F(Routes, OfferToDdsWhatTheRuleSaysAndTakeWhatThePublisherOffers) {
   EXPECT_THAT(made.taps, ElementsAre(outlet.tap));
 }
 
-TEST_F(Routes, MatchReadersByWhatTheRuleOffers) {
+TEST_F(Routes, MatchReadersAgainstTheQosOfTheRule) {
   publisher("/a", QoS(5).best_effort());
   reader("rt/a", true);
   EXPECT_THAT(plan().outlets, IsEmpty());
@@ -402,7 +403,7 @@ TEST_F(Routes, MatchReadersByWhatTheRuleOffers) {
   EXPECT_EQ(refused.unbridged[0].why, WhyNot::qos);
 }
 
-TEST_F(Routes, RequestFromDdsWhatTheRuleSays) {
+TEST_F(Routes, RequestTheRulesQosFromDds) {
   subscription("/a", QoS(5).best_effort());
   const Guid reliable = writer("rt/a", true, true);
   const Guid best_effort = writer("rt/a", false);
@@ -411,35 +412,35 @@ TEST_F(Routes, RequestFromDdsWhatTheRuleSays) {
   rules_ = {rule};
   const Plan made = plan();
   EXPECT_TRUE(made.sources.contains(reliable));
-  EXPECT_FALSE(made.sources.contains(best_effort)) << "offers less";
+  EXPECT_FALSE(made.sources.contains(best_effort)) << "the writer offers less";
   ASSERT_THAT(made.inlets, SizeIs(1));
   EXPECT_EQ(made.inlets.begin()->second.requested, (QosClass{true, false}));
   EXPECT_EQ(made.inlets.begin()->second.depth, 3u);
 }
 
-TEST_F(Routes, AlwaysHaveTheEndpointsThatARuleWantsAlways) {
+TEST_F(Routes, AlwaysHaveTheEndpointsOfARuleWithAlways) {
   const auto generation = publisher("/a");
   Rule rule{"/a", Direction::both, 1, string_type};
   EXPECT_THAT(plan().outlets, IsEmpty());
   rule.always = true;
   rules_ = {rule};
   Plan made = plan();
-  EXPECT_TRUE(made.outlets.contains(generation)) << "nobody reads it in DDS";
-  ASSERT_THAT(made.inlets, SizeIs(1)) << "nobody is on either side";
+  EXPECT_TRUE(made.outlets.contains(generation)) << "no DDS reader reads it";
+  ASSERT_THAT(made.inlets, SizeIs(1)) << "no endpoint is on either side";
   EXPECT_EQ(made.inlets.begin()->second.requested, (QosClass{true, false}));
   EXPECT_THAT(made.sources, IsEmpty());
   EXPECT_THAT(made.unbridged, IsEmpty());
 
   const Guid remote = writer("rt/a", false, false);
   made = plan();
-  EXPECT_TRUE(made.sources.contains(remote)) << "nobody subscribes here";
+  EXPECT_TRUE(made.sources.contains(remote)) << "no local subscription exists";
   rules_[0].direction = Direction::outward;
   made = plan();
   EXPECT_THAT(made.sources, IsEmpty());
   EXPECT_THAT(made.inlets, IsEmpty());
 }
 
-TEST_F(Routes, DoWhatTheFirstRuleSaysThatMatches) {
+TEST_F(Routes, FollowTheFirstRuleThatMatches) {
   rules_ = {{"/chatter", Direction::outward, 3},
             {"/lidar/**", Direction::both, 5},
             {"**", Direction::none, 7}};
@@ -467,7 +468,7 @@ TEST_F(Routes, SayWhichTypeAnotherTopicOfThatNameHas) {
   EXPECT_THAT(nothing.unbridged[0].detail, HasSubstr("std_msgs/msg/Int64"));
 }
 
-TEST_F(Routes, AskForATypeOnceAndOnlyWhenItIsOnBothSides) {
+TEST_F(Routes, LoadATypeOnceAndOnlyWhenItIsOnBothSides) {
   for (int i = 0; i < 5; ++i)
     local(EndpointKind::publisher, "/topic_" + std::to_string(i), QoS(1), "n", "foreign/msg/Type");
   local(EndpointKind::publisher, "/alone", QoS(1), "n", "lonely/msg/Type");
@@ -482,7 +483,7 @@ TEST_F(Routes, AskForATypeOnceAndOnlyWhenItIsOnBothSides) {
             5);
 }
 
-TEST_F(Routes, SayThatNoWriterCanBeSeenThereForTheTypeIsUnknown) {
+TEST_F(Routes, SayThatNoWriterIsFoundBecauseTheTypeIsUnknown) {
   local(EndpointKind::subscription, "/news", QoS(1), "n", "foreign/msg/Type");
   const Plan nothing = plan();
   ASSERT_THAT(nothing.unbridged, SizeIs(1));
@@ -490,7 +491,7 @@ TEST_F(Routes, SayThatNoWriterCanBeSeenThereForTheTypeIsUnknown) {
   EXPECT_THAT(nothing.unbridged[0].detail, HasSubstr("is not available here"));
 }
 
-TEST_F(Routes, LeaveOutBridgesOtherDomainsServicesAndWhatIsNoRosName) {
+TEST_F(Routes, LeaveOutBridgesOtherDomainsServicesAndNamesOutsideRos) {
   local(EndpointKind::publisher, "/chatter", QoS(1), std::string(bridge_node));
   local(EndpointKind::subscription, "/chatter", QoS(1), std::string(bridge_node) + "_3");
   local(EndpointKind::publisher, "/chatter", QoS(1), "n", string_type, 7);
@@ -515,7 +516,7 @@ bool matches(bool offers_reliable, bool offers_history, bool wants_reliable, boo
   return (offers_reliable || !wants_reliable) && (offers_history || !wants_history);
 }
 
-TEST_F(Routes, TakeEveryMessageOneWayOnceInAnySituation) {
+TEST_F(Routes, CarryEveryMessageOnceInAnySituation) {
   std::mt19937 random(7);
   const auto flip = [&] { return random() % 2 == 0; };
   for (int round = 0; round < 500; ++round) {
@@ -541,7 +542,7 @@ TEST_F(Routes, TakeEveryMessageOneWayOnceInAnySituation) {
         if (endpoint.kind == EndpointKind::publisher && other.kind == Remote::Kind::reader) {
           if (!matches(own.reliable, own.transient_local, theirs.reliable, theirs.transient_local))
             continue;
-          // Its messages come through the tap of its QoS alone, to its own writer.
+          // Its messages come only through the local reader of its QoS, to its own DDS writer.
           ASSERT_TRUE(now.outlets.contains(endpoint.generation));
           const ReaderKey tap{{{endpoint.topic, endpoint.type}, own}, endpoint.qos.depth(), false};
           EXPECT_EQ(now.outlets.at(endpoint.generation).tap, tap);
@@ -551,7 +552,7 @@ TEST_F(Routes, TakeEveryMessageOneWayOnceInAnySituation) {
             matches(theirs.reliable, theirs.transient_local, own.reliable, own.transient_local)) {
           ASSERT_TRUE(now.sources.contains(guid));
           EXPECT_EQ(now.sources.at(guid).qos_class, theirs);
-          // Read by one inlet, which matches it and asks for all that this one wants.
+          // One DDS reader matches the writer and requests all that the subscription does.
           const QosClass read = now.sources.at(guid).inlet;
           EXPECT_TRUE(now.inlets.contains({{endpoint.topic, endpoint.type}, read}));
           EXPECT_TRUE(matches(theirs.reliable, theirs.transient_local, read.reliable,
@@ -561,7 +562,7 @@ TEST_F(Routes, TakeEveryMessageOneWayOnceInAnySituation) {
         }
       }
     }
-    // Nothing without somebody for whom it is.
+    // Every part of the plan serves some endpoint.
     for (const auto& [generation, outlet] : now.outlets) EXPECT_TRUE(now.taps.contains(outlet.tap));
     for (const ReaderKey& tap : now.taps)
       EXPECT_TRUE(std::any_of(now.outlets.begin(), now.outlets.end(),

@@ -1,6 +1,6 @@
 // SPDX-License-Identifier: Apache-2.0
 //
-// Goal: which services a bridge has, from who serves and who asks on both sides. Method: endpoints as values.
+// Goal: servers and clients on both sides decide which services are bridged. Method: values.
 
 #include <bridge/plan/service_plan.hpp>
 
@@ -72,7 +72,7 @@ TEST_F(ServicePlans, ServeDdsForAllServersHere) {
   EXPECT_THAT(all.unbridged, IsEmpty());
 }
 
-TEST_F(ServicePlans, AskServersInDdsForAllClientsHere) {
+TEST_F(ServicePlans, CallServersInDdsForAllClientsHere) {
   client("one");
   client("two");
   remote_server(1);
@@ -82,7 +82,7 @@ TEST_F(ServicePlans, AskServersInDdsForAllClientsHere) {
   EXPECT_THAT(all.served, IsEmpty());
 }
 
-TEST_F(ServicePlans, LetServersWaitAndClientsCome) {
+TEST_F(ServicePlans, OfferAServerBeforeAnyClientButNoClientWithoutAServer) {
   server("server");
   EXPECT_THAT(plan().served, SizeIs(1));
   locals_.clear();
@@ -93,8 +93,8 @@ TEST_F(ServicePlans, LetServersWaitAndClientsCome) {
                                                        WhyNot::no_server, "", true}));
 }
 
-// Else a request would go round between two bridges.
-TEST_F(ServicePlans, NeverAskForAServiceThatIsServedHere) {
+// Otherwise a request would circulate between two bridges.
+TEST_F(ServicePlans, NeverCallAServiceThatIsServedHere) {
   server("server");
   client("client");
   remote_server(2);
@@ -106,13 +106,13 @@ TEST_F(ServicePlans, NeverAskForAServiceThatIsServedHere) {
 TEST_F(ServicePlans, WaitForBothEndsOfOneParticipant) {
   client("client");
   remote(Remote::Kind::reader, true, 1);   // half a server
-  remote(Remote::Kind::writer, false, 2);  // half of another
+  remote(Remote::Kind::writer, false, 2);  // half of another server
   EXPECT_THAT(plan().asked, IsEmpty());
   remote(Remote::Kind::writer, false, 1);
   EXPECT_THAT(plan().asked, SizeIs(1));
 }
 
-TEST_F(ServicePlans, NeverTakeABridgesOwnForSomebody) {
+TEST_F(ServicePlans, IgnoreTheEndpointsOfBridges) {
   server(std::string(bridge_node));
   client(std::string(bridge_node) + "_1");
   remote_server(1);
@@ -122,7 +122,7 @@ TEST_F(ServicePlans, NeverTakeABridgesOwnForSomebody) {
   EXPECT_THAT(nothing.unbridged, IsEmpty());
 }
 
-TEST_F(ServicePlans, DoWhatTheRulesSay) {
+TEST_F(ServicePlans, FollowTheRules) {
   client("client");
   remote_server(2);
   rules_ = {{.topic = "/ns/*", .direction = Direction::outward, .line = 3}};
@@ -133,7 +133,7 @@ TEST_F(ServicePlans, DoWhatTheRulesSay) {
                                     "the rule \"/ns/*\" in line 3", true}));
 }
 
-TEST_F(ServicePlans, SayWhichTypeTheServiceHasThereAndThatATypeIsUnknown) {
+TEST_F(ServicePlans, SayWhichTypeTheServiceHasInDdsAndThatATypeIsUnknown) {
   client("client");
   remote_server(1, "Trigger");
   ASSERT_THAT(plan().unbridged, SizeIs(1));

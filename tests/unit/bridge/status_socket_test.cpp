@@ -1,9 +1,9 @@
 // SPDX-License-Identifier: Apache-2.0
 //
-// Goal: the bridge makes its status socket only where no other user can replace it, and neither uses nor changes
-// what another user put there first.
-// Method: directories and files of that kind, some of another user; what StatusSocket says of them, and that they
-// are as they were. What it gives to who connects is in integration_bridge_ctl.
+// Goal: the bridge makes its status socket only where no other user can replace it, and neither
+// uses nor changes a file that another user put there first. Method: directories and files of such
+// kinds, some of another user; what StatusSocket says about them, and that they are unchanged.
+// integration_bridge_ctl tests the answers to clients.
 
 #include <bridge/program/status_socket.hpp>
 
@@ -25,7 +25,7 @@ constexpr uid_t other_uid = 65534;
 
 class StatusSocketPlace : public testing::Test {
  protected:
-  /// What is wrong with the place; empty: nothing.
+  /// Returns what is wrong with the place; empty if nothing is.
   std::string refusal() const {
     const auto taken = StatusSocket::take(path_);
     if (taken) return "";
@@ -44,7 +44,7 @@ std::string content_of(const std::string& path) {
   return text;
 }
 
-TEST_F(StatusSocketPlace, IsOneBridgesAlone) {
+TEST_F(StatusSocketPlace, BelongsToOneBridge) {
   const auto first = StatusSocket::take(path_);
   ASSERT_TRUE(first) << first.error().why;
   const auto second = StatusSocket::take(path_);
@@ -65,12 +65,12 @@ TEST_F(StatusSocketPlace, IsRefusedWhereTheLockIsALink) {
   EXPECT_FALSE(std::filesystem::exists(directory_.path("not there")));
 }
 
-TEST_F(StatusSocketPlace, IsRefusedWhereTheLockIsAnotherUsers) {
+TEST_F(StatusSocketPlace, IsRefusedWhereTheLockBelongsToAnotherUser) {
   if (::geteuid() != 0) GTEST_SKIP() << "needs root";
   std::ofstream(lock_) << "another's";
   ASSERT_EQ(::chown(lock_.c_str(), other_uid, other_uid), 0);
   EXPECT_EQ(refusal(), lock_ + ": it is not a file of this user");
-  // In a directory of everybody's the kernel may refuse before (fs.protected_regular).
+  // In a world-writable sticky directory the kernel may refuse first (fs.protected_regular).
   ASSERT_EQ(::chmod(directory_.path().c_str(), 01777), 0);
   const std::string refused = refusal();
   EXPECT_TRUE(refused == lock_ + ": it is not a file of this user" ||
@@ -95,7 +95,7 @@ TEST_F(StatusSocketPlace, IsRefusedWhereOthersMayRemoveNames) {
     EXPECT_TRUE(is_empty());
   }
   ASSERT_EQ(::chmod(directory_.path().c_str(), 01777), 0);
-  EXPECT_EQ(refusal(), "") << "a sticky directory keeps names for their owners";
+  EXPECT_EQ(refusal(), "") << "in a sticky directory only the owner can remove a name";
 }
 
 TEST_F(StatusSocketPlace, IsRefusedWhereThereIsNoDirectory) {
@@ -109,7 +109,7 @@ TEST_F(StatusSocketPlace, IsRefusedWhereThereIsNoDirectory) {
   EXPECT_EQ(taken.error().why, "cannot use " + nowhere + ": it is not a directory");
 }
 
-TEST_F(StatusSocketPlace, ALinkInPlaceOfTheSocketIsReplacedAndNotFollowed) {
+TEST_F(StatusSocketPlace, ALinkInPlaceOfTheSocketIsReplacedNotFollowed) {
   const std::string precious = directory_.path("precious");
   std::ofstream(precious) << "1234567";
   ASSERT_EQ(::chmod(precious.c_str(), 0600), 0);

@@ -1,7 +1,7 @@
 // SPDX-License-Identifier: Apache-2.0
 //
-// Goal: a server has no more requests at once than it has room for answers, however long it answers none. Method: time as a
-// value, completions as pointers.
+// Goal: a server has no more requests pending than it has room for answers, however long it does
+// not answer. Method: time as a value, completions as pointers.
 
 #include <bridge/services/under_way.hpp>
 
@@ -15,14 +15,14 @@ namespace {
 
 class RequestsUnderWay : public testing::Test {
  protected:
-  /// As many as there is room for now.
+  /// Sends as many requests as there is room for now. Returns their count.
   std::size_t send() {
     std::size_t count = 0;
     for (; count <= UnderWay::unanswered_max && under_way_.has_room(now_); ++count) {
       const auto completion = std::make_shared<int>();
       completions_[++newest_] = completion;
       if (const auto oldest = under_way_.add(newest_, completion, now_)) {
-        EXPECT_EQ(*oldest, completions_.begin()->first) << "there is an older one";
+        EXPECT_EQ(*oldest, completions_.begin()->first) << "an older request exists";
         completions_.erase(*oldest);
         ++forgotten_;
       }
@@ -35,7 +35,7 @@ class RequestsUnderWay : public testing::Test {
   const std::size_t at_once_ = UnderWay::at_once_max();
   UnderWay under_way_;
   UnderWay::Time now_{std::chrono::hours(1)};
-  std::map<std::int64_t, std::shared_ptr<int>> completions_;  // of those unanswered
+  std::map<std::int64_t, std::shared_ptr<int>> completions_;  // of unanswered requests
   std::int64_t newest_ = 0;
   std::size_t forgotten_ = 0;
 };
@@ -49,7 +49,7 @@ TEST_F(RequestsUnderWay, AreReplacedAsTheyAreAnswered) {
   EXPECT_EQ(send(), 0u);
 }
 
-TEST_F(RequestsUnderWay, BecomeMoreAfterEachSecondOfTheLastOne) {
+TEST_F(RequestsUnderWay, GetNewRoomASecondAfterTheLastOne) {
   for (std::size_t second = 1; second <= 5; ++second) {
     EXPECT_EQ(send(), at_once_);
     now_ += UnderWay::patience - std::chrono::milliseconds(1);
@@ -59,13 +59,13 @@ TEST_F(RequestsUnderWay, BecomeMoreAfterEachSecondOfTheLastOne) {
   }
   EXPECT_EQ(send(), at_once_);
   answer(1);
-  EXPECT_EQ(send(), 0u) << "one that was not waited for makes no room";
+  EXPECT_EQ(send(), 0u) << "the answer to an overdue request makes no room";
   completions_.clear();
   EXPECT_EQ(send(), at_once_);
   EXPECT_EQ(send(), 0u);
 }
 
-TEST_F(RequestsUnderWay, OfTooManyUnansweredGoOnAtThatPaceAndForgetTheOldest) {
+TEST_F(RequestsUnderWay, BeyondTheLimitContinueAtThatPaceAndForgetTheOldest) {
   while (completions_.size() < UnderWay::unanswered_max) {
     ASSERT_EQ(send(), at_once_);
     pass_time();
@@ -79,7 +79,7 @@ TEST_F(RequestsUnderWay, OfTooManyUnansweredGoOnAtThatPaceAndForgetTheOldest) {
   }
 }
 
-TEST_F(RequestsUnderWay, AreNotForgottenAsLongAsOthersAreAnswered) {
+TEST_F(RequestsUnderWay, AreNotForgottenWhileOthersAreAnswered) {
   ASSERT_EQ(send(), at_once_);
   while (newest_ < static_cast<std::int64_t>(5 * UnderWay::unanswered_max)) {
     answer(newest_);

@@ -15,30 +15,30 @@ ReaderKey inlet(std::size_t depth) {
   return {{{"/chatter", "std_msgs/msg/String"}, {}}, depth, false};
 }
 
-TEST(Way, TakesWhatComesByItsInletAlone) {
+TEST(Way, TakesMessagesOnlyFromItsDdsReader) {
   Way way(inlet(1));
   EXPECT_TRUE(way.takes(inlet(1), 10));
-  EXPECT_TRUE(way.takes(inlet(1), 10)) << "two messages may have one time";
+  EXPECT_TRUE(way.takes(inlet(1), 10)) << "two messages may have the same time";
   EXPECT_FALSE(way.takes(inlet(2), 20));
-  EXPECT_FALSE(way.tidy(start)) << "nothing is to be ended";
+  EXPECT_FALSE(way.tidy(start)) << "no DDS reader is to be ended";
 }
 
-TEST(Way, GoesOverWithoutAMessageTwiceOrOutOfOrder) {
+TEST(Way, SwitchesReadersWithoutDuplicatesOrReordering) {
   Way way(inlet(1));
   ASSERT_TRUE(way.takes(inlet(1), 10));
   way.go_over(inlet(5), start + 1s);
   ASSERT_EQ(way.former(), inlet(1));
-  // The new inlet repeats a history, while the former one goes on.
+  // The new DDS reader repeats a history, while the former one continues.
   EXPECT_FALSE(way.takes(inlet(5), 5));
   EXPECT_TRUE(way.takes(inlet(1), 20));
   EXPECT_FALSE(way.takes(inlet(5), 10));
-  EXPECT_FALSE(way.takes(inlet(5), 20)) << "it came by the former one";
-  EXPECT_FALSE(way.former()) << "the new one has caught up";
+  EXPECT_FALSE(way.takes(inlet(5), 20)) << "the former reader already delivered it";
+  EXPECT_FALSE(way.former()) << "the new reader has caught up";
   EXPECT_FALSE(way.takes(inlet(1), 30));
   EXPECT_TRUE(way.takes(inlet(5), 30));
 }
 
-TEST(Way, GoesOnByTheFormerInletOnlyForAWhile) {
+TEST(Way, UsesTheFormerDdsReaderOnlyForAWhile) {
   Way way(inlet(1));
   ASSERT_TRUE(way.takes(inlet(1), 10));
   way.go_over(inlet(5), start + 1s);
@@ -46,12 +46,12 @@ TEST(Way, GoesOnByTheFormerInletOnlyForAWhile) {
   EXPECT_EQ(way.tidy(start + 1s), start + 1s + linger);
   EXPECT_FALSE(way.former());
   EXPECT_FALSE(way.takes(inlet(1), 20));
-  EXPECT_FALSE(way.takes(inlet(5), 5)) << "still older than what has come";
+  EXPECT_FALSE(way.takes(inlet(5), 5)) << "still older than the last message taken";
   EXPECT_FALSE(way.tidy(start + 1s + linger));
   EXPECT_TRUE(way.takes(inlet(5), 5)) << "the writer's clock was set back";
 }
 
-TEST(Way, GoesBackToTheInletThatItCameFrom) {
+TEST(Way, CanSwitchBackToTheFormerDdsReader) {
   Way way(inlet(1));
   ASSERT_TRUE(way.takes(inlet(1), 10));
   way.go_over(inlet(5), start + 1s);
@@ -61,18 +61,18 @@ TEST(Way, GoesBackToTheInletThatItCameFrom) {
   EXPECT_FALSE(way.takes(inlet(5), 30));
 }
 
-TEST(Way, WaitsForWhatFollowsWhenItsInletIsMadeAnew) {
+TEST(Way, SkipsRepeatedHistoryWhenItsDdsReaderIsRecreated) {
   Way way(inlet(1));
   ASSERT_TRUE(way.takes(inlet(1), 10));
   way.end_inlets({inlet(2)}, start + 1s);
-  EXPECT_TRUE(way.takes(inlet(1), 10)) << "another one";
+  EXPECT_TRUE(way.takes(inlet(1), 10)) << "another reader ended";
   way.end_inlets({inlet(1)}, start + 1s);
-  EXPECT_FALSE(way.takes(inlet(1), 5)) << "the new one repeats the history";
+  EXPECT_FALSE(way.takes(inlet(1), 5)) << "the new reader repeats the history";
   EXPECT_FALSE(way.takes(inlet(1), 10));
   EXPECT_TRUE(way.takes(inlet(1), 20));
 }
 
-TEST(Way, BeginsWithWhatAnotherInletHasRead) {
+TEST(Way, CanBeginWithMessagesOfAnotherDdsReader) {
   Way way(inlet(5));
   way.begin_with(inlet(1), start + 1s);
   EXPECT_TRUE(way.takes(inlet(1), 10));

@@ -1,7 +1,7 @@
 // SPDX-License-Identifier: Apache-2.0
 //
-// Goal: of the arena a process has what is free and knows what is not, and why. Method: pages of this
-// test in a range that was free a moment before.
+// Goal: a process gets the free part of its arena, and knows which part is blocked and by what.
+// Method: pages of this test in a range that was free a moment before.
 
 #include <client/heap/arena.hpp>
 
@@ -20,7 +20,7 @@ namespace {
 constexpr std::uint64_t granule = abi::window_granule_bytes;
 constexpr std::uint64_t arena_bytes = 64 * granule;
 
-/// A base with room for the arena, on a granule.
+/// Returns a granule-aligned base with room for the arena.
 std::uint64_t free_base() {
   const Mapping room = Mapping::reserve(0, arena_bytes + granule).value();
   return (reinterpret_cast<std::uint64_t>(room.base()) + granule - 1) / granule * granule;
@@ -44,7 +44,7 @@ class Page {
   void* at_;
 };
 
-TEST(Arena, IsReservedWholeWhereNothingIsInTheWay) {
+TEST(Arena, IsReservedWholeWhereAllIsFree) {
   const std::uint64_t base = free_base();
   const auto arena = Arena::reserve(base, arena_bytes);
   ASSERT_TRUE(arena);
@@ -57,10 +57,10 @@ TEST(Arena, IsReservedWholeWhereNothingIsInTheWay) {
   EXPECT_FALSE(arena->contains(base, ~std::uint64_t{0}));
   void* const taken = ::mmap(reinterpret_cast<void*>(base), 4096, PROT_READ,
                              MAP_PRIVATE | MAP_ANONYMOUS | MAP_FIXED_NOREPLACE, -1, 0);
-  EXPECT_EQ(taken, MAP_FAILED) << "nobody gets these addresses by chance";
+  EXPECT_EQ(taken, MAP_FAILED) << "no other mapping gets these addresses by chance";
 }
 
-TEST(Arena, KeepsOutOfTheWayAndSaysOfWhat) {
+TEST(Arena, AvoidsForeignMappingsAndNamesThem) {
   const std::uint64_t base = free_base();
   const Page first(base), second(base + 5 * granule + 4096), third(base + 6 * granule),
       last(base + arena_bytes - 4096);
@@ -70,7 +70,7 @@ TEST(Arena, KeepsOutOfTheWayAndSaysOfWhat) {
   EXPECT_EQ(arena->blocked()[0].base, base);
   EXPECT_EQ(arena->blocked()[0].bytes, granule);
   EXPECT_EQ(arena->blocked()[1].base, base + 5 * granule);
-  EXPECT_EQ(arena->blocked()[1].bytes, 2 * granule) << "two that touch are one";
+  EXPECT_EQ(arena->blocked()[1].bytes, 2 * granule) << "two adjacent ones are merged";
   EXPECT_EQ(arena->blocked()[2].base, base + arena_bytes - granule);
   EXPECT_NE(arena->blocked()[1].what.find("r--p 00000000 00:00 0"), std::string::npos);
   EXPECT_FALSE(arena->has(base, granule));
@@ -80,7 +80,7 @@ TEST(Arena, KeepsOutOfTheWayAndSaysOfWhat) {
   EXPECT_TRUE(arena->has(base + 7 * granule, arena_bytes - 8 * granule));
 }
 
-TEST(Arena, WhatIsMoreThanCanBeToldGoesUpToTheEnd) {
+TEST(Arena, BlockedRangesBeyondTheMaximumAreMergedUpToTheEnd) {
   const std::uint64_t base = free_base();
   std::vector<Page> pages;
   for (std::uint64_t i = 0; i < abi::blocked_count_max + 2; ++i)

@@ -1,7 +1,7 @@
 // SPDX-License-Identifier: Apache-2.0
 //
-// Goal: ROS arguments mean what they mean to ROS 2, and wrong ones are named.
-// Method: command lines as tables; the rules are those of the static remapping article of ROS 2.
+// Goal: ROS arguments mean the same as in ROS 2, and errors name the wrong argument. Method:
+// command lines as tables; the rules are those of ROS 2's static remapping article.
 
 #include <client/node/arguments.hpp>
 
@@ -33,7 +33,7 @@ std::string error_of(const Line& line) {
   return parsed ? "(no error)" : text_of(parsed.error());
 }
 
-/// What the node /space/node makes of `name`.
+/// Returns the name that the node /space/node uses for `name`.
 std::string remapped(const Line& rules, const std::string& name,
                      RemapRule::Kind kind = RemapRule::Kind::topic) {
   const auto result = remap(rules_of(rules), kind, name, "node", "/space");
@@ -53,7 +53,7 @@ TEST(Arguments, OnlyWhatFollowsRosArgsIsForRos) {
   EXPECT_TRUE(parse_arguments({"--ros-args", "--", "--"}));
 }
 
-TEST(Arguments, OfLaunchFilesDoNoHarm) {
+TEST(Arguments, FromLaunchFilesAreAccepted) {
   const auto parsed = parse_arguments({"--ros-args", "--params-file", "/some/file.yaml", "-p",
                                        "rate:=10", "--log-level", "info", "-e", "/enclave",
                                        "--disable-rosout-logs", "-r", "a:=b"});
@@ -113,7 +113,7 @@ TEST(Arguments, RemapTopicsByTheirFullNamesAndTheFirstRuleWins) {
   EXPECT_EQ(remapped({"rosservice://a:=b"}, "/space/a"), "/space/a");
 }
 
-TEST(Arguments, RemapServicesByTheRulesThatAreNotForTopicsAlone) {
+TEST(Arguments, RemapServicesByAllRulesExceptThoseForTopics) {
   constexpr auto service = RemapRule::Kind::service;
   EXPECT_EQ(remapped({"a:=b"}, "/space/a", service), "/space/b");
   EXPECT_EQ(remapped({"rosservice://a:=b"}, "/space/a", service), "/space/b");

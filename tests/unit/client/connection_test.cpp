@@ -1,9 +1,8 @@
 // SPDX-License-Identifier: Apache-2.0
 //
-// Goal: whoever waits for the daemon's answer gets one, whatever happens to the answer and to the
-// connection.
-// Method: the connection of a client over socket pairs; this test answers as the daemon and is its
-// control thread.
+// Goal: every request to the daemon ends with an answer or an error, whatever happens to the
+// answer and the connection. Method: a client's connection over socket pairs; this test plays the
+// daemon and the client's control thread.
 
 #include <client/endpoint/departure.hpp>
 #include <client/session/connection.hpp>
@@ -64,7 +63,7 @@ class Daemon {
 void nobody() noexcept {}
 Result<void> accept_all(Incoming&) { return {}; }
 
-/// A request in a thread of its own.
+/// A request in its own thread.
 struct Asker {
   Asker(Connection& connection, wire::Opcode opcode, Connection::OnAnswer on_answer = accept_all,
         Connection::OnAnswer on_late = nullptr)
@@ -75,7 +74,7 @@ struct Asker {
   std::thread thread;
 };
 
-TEST(Connection, AnAnswerThatMemoryIsMissingForFailsItsRequest) {
+TEST(Connection, AnAnswerWithoutMemoryForItFailsItsRequest) {
   Connection connection(nobody, "/socket");
   Daemon daemon(connection);
   daemon.connect();
@@ -90,7 +89,7 @@ TEST(Connection, AnAnswerThatMemoryIsMissingForFailsItsRequest) {
   EXPECT_EQ(asks.result.error().os_errno, ENOMEM);
 }
 
-TEST(Connection, AnAnswerThatNobodyCanUseIsTreatedLikeOneThatComesLate) {
+TEST(Connection, AnUnusableAnswerIsTreatedLikeALateOne) {
   Connection connection(nobody, "/socket");
   Daemon daemon(connection);
   daemon.connect();
@@ -103,12 +102,12 @@ TEST(Connection, AnAnswerThatNobodyCanUseIsTreatedLikeOneThatComesLate) {
   ASSERT_TRUE(asked);
   daemon.answer(asked->request);
   asks.thread.join();
-  EXPECT_EQ(late, 1) << "the daemon has made something that has to leave again";
+  EXPECT_EQ(late, 1) << "the client must undo what the daemon created";
   ASSERT_FALSE(asks.result);
   EXPECT_EQ(asks.result.error().os_errno, ENOMEM);
 }
 
-TEST(Connection, WhatWasNotAnsweredIsAskedAgainInItsOrder) {
+TEST(Connection, UnansweredRequestsAreSentAgainInOrder) {
   Connection connection(nobody, "/socket");
   Daemon daemon(connection);
   daemon.connect();
@@ -148,7 +147,7 @@ TEST(Connection, WhatWasNotAnsweredIsAskedAgainInItsOrder) {
   EXPECT_EQ(later_answers, 2);
 }
 
-TEST(Connection, AnAnswerThatComesTooLateIsNotGivenToWhoHasGone) {
+TEST(Connection, ALateAnswerDoesNotReachACallerThatHasGivenUp) {
   Connection connection(nobody, "/socket");
   Daemon daemon(connection);
   daemon.connect();
@@ -169,7 +168,7 @@ TEST(Connection, AnAnswerThatComesTooLateIsNotGivenToWhoHasGone) {
   EXPECT_EQ(late, 1);
 }
 
-TEST(Connection, WhatIsRefusedForGoodIsRefusedToEverybody) {
+TEST(Connection, AFinalRefusalFailsAllRequests) {
   Connection connection(nobody, "/socket");
   Daemon daemon(connection);
   daemon.connect();
@@ -191,7 +190,7 @@ TEST(Connection, WhatIsRefusedForGoodIsRefusedToEverybody) {
   EXPECT_STREQ(detail_of(refused.error()), "a reason");
 }
 
-TEST(Connection, WhatTheSocketDoesNotTakeIsSentLaterInOrder) {
+TEST(Connection, PacketsThatTheSocketRefusesAreSentLaterInOrder) {
   static int wakes;
   wakes = 0;
   Connection connection([]() noexcept { ++wakes; }, "/socket");
@@ -242,7 +241,7 @@ TEST(Reconnection, PausesLongerAndLongerUntilAConnectionLasts) {
   EXPECT_FALSE(reconnection.is_due(now + std::chrono::hours(1)));
 }
 
-TEST(Reconnection, ARefusalThatCanBeMendedIsAskedAboutSeldomUntilItIs) {
+TEST(Reconnection, ATemporaryRefusalIsRetriedRarelyUntilItIsLifted) {
   using State = Reconnection::State;
   Reconnection reconnection;
   auto now = Reconnection::Clock::time_point{} + std::chrono::hours(1);
@@ -262,7 +261,7 @@ TEST(Reconnection, ARefusalThatCanBeMendedIsAskedAboutSeldomUntilItIs) {
   EXPECT_TRUE(reconnection.is_due(now + Reconnection::lasting + Reconnection::pause_first));
 }
 
-TEST(Departure, IsSaidOnceWhenItIsWanted) {
+TEST(Departure, IsReportedOnceOnRequest) {
   Departure departure;
   EXPECT_FALSE(departure.is_due());
   departure.want();
@@ -275,7 +274,7 @@ TEST(Departure, IsSaidOnceWhenItIsWanted) {
   Departure other;
   other.want();
   other.known();
-  EXPECT_FALSE(other.is_due()) << "what the daemon knows already need not be said";
+  EXPECT_FALSE(other.is_due()) << "a departure that the daemon knows is not reported";
 }
 
 }  // namespace

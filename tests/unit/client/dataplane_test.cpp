@@ -1,91 +1,16 @@
 // SPDX-License-Identifier: Apache-2.0
 //
-// Goal: whatever a peer writes, the data plane stays inside its own arrays, ends its loops, hands
-// out nothing outside the announced window, and an honest pair beside the liar loses nothing. History
-// is no news, whenever it is brought. Also: the table of recovery decisions, row by row. Method: seeded
-// random garbage in the publisher's queue while an honest subscription takes; seeded garbage in a
-// subscription's lines while an honest publisher publishes to it and to an honest one; a publisher that
-// commits between any two loads of a subscription.
+// Goal: whatever a peer writes, the data plane stays inside its own arrays, ends its loops,
+// returns no message outside the announced window, and an honest endpoint beside the liar loses
+// nothing. History never counts as news. Also: the table of recovery decisions, row by row.
+// Method: seeded random garbage in the publisher's queue while an honest subscription takes;
+// seeded garbage in a subscription's lines while an honest publisher publishes to it and to an
+// honest one; a publisher that commits between any two loads of a subscription.
 
-#include <dataplane/publisher_core.hpp>
-#include <dataplane/subscription_core.hpp>
-#include <journal/board_steps.hpp>
-#include <journal/recovery.hpp>
-#include <tests/support/aligned_region.hpp>
-
-#include <gtest/gtest.h>
-
-#include <cstdint>
-#include <cstdio>
-#include <functional>
-#include <iterator>
-#include <memory>
-#include <random>
-#include <set>
-#include <string>
-#include <tuple>
-#include <vector>
+#include <tests/unit/client/dataplane_pair.hpp>
 
 namespace agnocast::dataplane {
 namespace {
-
-using M = SharedMemory;
-
-constexpr std::uint64_t extent = abi::page_bytes;
-constexpr std::uint64_t generation = 9;
-
-using Region = test::AlignedRegion;
-
-/// A window of 1 MiB that exists only as numbers.
-struct NumberWindow {
-  std::uint64_t base = 0x100000;
-  std::uint64_t bytes = 1 << 20;
-  void open() const {}
-  bool contains(std::uint64_t address, std::uint64_t size) const {
-    return address >= base && size <= bytes && address - base <= bytes - size;
-  }
-  region::Place place_of(std::uint64_t address, std::uint64_t size) const {
-    return contains(address, size) ? region::Place::readable : region::Place::outside;
-  }
-};
-
-struct Pair {
-  Region board{abi::topic_bytes}, publisher, subscriber[2];
-  abi::Qos offered{4, false, true, false, false};
-  abi::Qos requested{8, false, true, false, false};
-
-  static std::uint64_t first() { return abi::first_sequence_of(generation); }
-  region::TopicWords<M> topic() { return {board.base(), 0}; }
-  region::PublisherWords<M> words() { return {publisher.base(), extent}; }
-  region::LinkWords<M> line(std::uint64_t s) { return {subscriber[s].base(), extent, 0}; }
-  LinkCore<M> link(std::uint64_t s) {
-    return LinkCore<M>(
-        {topic(), words(), line(s), 0, generation, first(), offered, requested, 0, 8, s});
-  }
-  Pair() {
-    words().head().store(abi::pack_entry(first(), 0));
-    journal::BoardSteps<M>(topic()).add_publisher(0, generation, {offered, 0, extent, 64, first()});
-  }
-};
-
-std::uint64_t nasty(std::mt19937_64& random) {
-  switch (random() % 8) {
-    case 0:
-      return 0;
-    case 1:
-      return ~std::uint64_t{0};
-    case 2:
-      return abi::retired_mark | random();
-    case 3:
-      return abi::pack_entry(Pair::first() + random() % 5000, random() % 0x10000);
-    case 4:
-      return Pair::first() + random() % 5000;
-    case 5:
-      return std::uint64_t{1} << random() % 64;
-    default:
-      return random();
-  }
-}
 
 TEST(Dataplane, TakesOnlyFromTheAnnouncedWindowWhateverThePublisherWrites) {
   std::uint64_t taken = 0, malformed = 0;
@@ -130,7 +55,7 @@ TEST(Dataplane, TakesOnlyFromTheAnnouncedWindowWhateverThePublisherWrites) {
             break;
         }
       }
-      if (random() % 2 == 0) {  // an entry that is right but for where it points
+      if (random() % 2 == 0) {  // an entry that is right except for its address
         const std::uint64_t sequence = link.cursor();
         const std::uint64_t slot = random() % 64;
         pair.words().slot_address(slot).store(random() % 2 == 0 ? nasty(random)
@@ -153,17 +78,9 @@ TEST(Dataplane, TakesOnlyFromTheAnnouncedWindowWhateverThePublisherWrites) {
   }
   std::printf("a lying publisher: %llu taken, %llu refused as malformed\n",
               static_cast<unsigned long long>(taken), static_cast<unsigned long long>(malformed));
-  EXPECT_GT(taken, 100u) << "the garbage was never good enough to be taken";
+  EXPECT_GT(taken, 100u) << "too little of the garbage was valid enough to be taken";
   EXPECT_GT(malformed, 10u);
 }
-
-struct Freed {
-  std::set<std::uint64_t> live;
-  void ring(std::uint64_t, std::uint64_t) {}
-  void freed(std::uint64_t, std::uint64_t address) {
-    EXPECT_EQ(live.erase(address), 1u) << "freed what was not allocated";
-  }
-};
 
 TEST(Dataplane, AnHonestSubscriptionLosesNothingBesideALyingOne) {
   for (std::uint64_t seed = 1; seed <= 100; ++seed) {
@@ -208,8 +125,8 @@ TEST(Dataplane, AnHonestSubscriptionLosesNothingBesideALyingOne) {
       if (random() % 3 == 0) {
         while (const auto found = honest.take(window)) {
           ASSERT_EQ(found->address, window.base + next * 16)
-              << "the honest subscription got another message";
-          ASSERT_TRUE(environment.live.count(found->address)) << "a freed message was handed out";
+              << "the honest subscription got a wrong message";
+          ASSERT_TRUE(environment.live.count(found->address)) << "take() returned a freed message";
           ++next;
           honest.release(found->slot);
         }
@@ -225,181 +142,10 @@ TEST(Dataplane, AnHonestSubscriptionLosesNothingBesideALyingOne) {
   }
 }
 
-/// A publisher of three slots with one reader, that publishes numbers.
-struct Withdrawing : Pair {
-  explicit Withdrawing(std::uint64_t quota = 2, abi::Qos qos = {1, false, true, false, false})
-      : core(std::make_unique<PublisherCore<M>>(
-            PublisherCore<M>::Identity{topic(), words(), 0, generation, first(), qos, 3, 0})) {
-    offered.depth = requested.depth = 1;
-    journal::BoardSteps<M>(topic()).add_publisher(0, generation, {offered, 0, extent, 3, first()});
-    join(1, quota);
-  }
-  void join(std::uint64_t subscription_generation, std::uint64_t quota) {
-    journal::BoardSteps<M>(topic()).add_subscription(0, subscription_generation,
-                                                     {requested, 1, extent, quota, 0});
-  }
-  void attach(std::uint64_t subscription_generation) {
-    core->attach(0, subscription_generation, subscriber[0].base(), extent,
-                 offsetof(abi::ClientRegionHeader, executor), 0, environment);
-    core->pass(environment);
-  }
-  bool publish() {
-    const std::uint64_t address = window.base + ++number * 16;
-    environment.live.insert(address);
-    const bool done =
-        core->publish({address, 16, number, 100}, environment) == PublishOutcome::published;
-    if (!done) environment.live.erase(address);
-    return done;
-  }
-  Freed environment;
-  NumberWindow window;
-  std::unique_ptr<PublisherCore<M>> core;
-  std::uint64_t number = 0;
-};
-
-TEST(DataplaneWithdrawing, KeepsWhatIsHeldUntilItIsLetGoOfAndGivesNothingMore) {
-  Withdrawing pair;
-  pair.attach(1);
-  LinkCore<M> reader = pair.link(0);
-  ASSERT_TRUE(reader.link(true));
-  ASSERT_TRUE(pair.publish());
-  const auto held = reader.take(pair.window);
-  ASSERT_TRUE(held);
-  const PublisherCore<M>::MemberId ids[] = {{0, 1}, {0, 1}};
-  EXPECT_EQ(pair.core->kept_bytes(ids), 100u) << "once";
-  ASSERT_TRUE(pair.publish());
-  EXPECT_EQ(pair.core->kept_bytes(ids), 200u) << "one is held, one unread";
-  ASSERT_TRUE(pair.core->withdraw(0, 1, abi::Withdrawal::over_share));
-  for (int i = 0; i < 8; ++i) ASSERT_TRUE(pair.publish());
-  EXPECT_TRUE(pair.environment.live.count(held->address));
-  EXPECT_FALSE(reader.take(pair.window));
-  EXPECT_FALSE(reader.has_news()) << "an executor would turn in circles";
-  EXPECT_EQ(reader.unread(), 0u);
-  EXPECT_EQ(pair.core->withdrawal(0, 1), abi::Withdrawal::over_share);
-  EXPECT_FALSE(pair.core->is_disregarded(0));
-  reader.release(held->slot);
-  pair.core->pass(pair.environment);
-  EXPECT_TRUE(pair.core->is_disregarded(0));
-  EXPECT_FALSE(pair.environment.live.count(held->address));
-}
-
-// A map for late joiners stays without the one who looks at it.
-TEST(DataplaneWithdrawing, DoesNotCountTheHistoryAmongWhatAReaderKeeps) {
-  Withdrawing pair(2, {1, true, true, false, false});
-  pair.attach(1);
-  LinkCore<M> reader = pair.link(0);
-  ASSERT_TRUE(reader.link(true));
-  ASSERT_TRUE(pair.publish());
-  const PublisherCore<M>::MemberId ids[] = {{0, 1}};
-  EXPECT_EQ(pair.core->kept_bytes(ids), 0u) << "unread";
-  ASSERT_TRUE(reader.take(pair.window));
-  EXPECT_EQ(pair.core->kept_bytes(ids), 0u) << "held";
-  ASSERT_TRUE(pair.publish());
-  EXPECT_EQ(pair.core->kept_bytes(ids), 100u) << "the map before";
-  pair.core->keep_no_history();
-  EXPECT_EQ(pair.core->kept_bytes(ids), 200u);
-}
-
-TEST(DataplaneWithdrawing, DisregardsWhoDoesNotLetGo) {
-  Withdrawing pair;
-  pair.attach(1);
-  LinkCore<M> reader = pair.link(0);
-  ASSERT_TRUE(reader.link(true));
-  for (int i = 0; i < 2; ++i) {
-    ASSERT_TRUE(pair.publish());
-    ASSERT_TRUE(reader.take(pair.window));
-  }
-  ASSERT_TRUE(pair.publish());
-  ASSERT_FALSE(pair.publish()) << "all slots are held or the newest";
-  ASSERT_TRUE(pair.core->withdraw(0, 1, abi::Withdrawal::over_share));
-  ASSERT_FALSE(pair.core->is_disregarded(0));
-  pair.core->disregard(0, 1);
-  for (int i = 0; i < 8; ++i) EXPECT_TRUE(pair.publish());
-}
-
-TEST(DataplaneWithdrawing, BelievesNoHoldOfWhatCameLater) {
-  Withdrawing pair(3);
-  pair.attach(1);
-  LinkCore<M> reader = pair.link(0);
-  ASSERT_TRUE(reader.link(true));
-  ASSERT_TRUE(pair.publish());
-  const auto held = reader.take(pair.window);
-  ASSERT_TRUE(held);
-  ASSERT_TRUE(pair.core->withdraw(0, 1, abi::Withdrawal::over_share));
-  pair.line(0).hold(0).store(7);
-  for (int i = 0; i < 8; ++i) ASSERT_TRUE(pair.publish());
-  EXPECT_TRUE(pair.environment.live.count(held->address));
-}
-
-TEST(DataplaneWithdrawing, BoundsWhatIsKeptForWhoIsNeverMapped) {
-  Withdrawing pair;
-  pair.core->pass(pair.environment);
-  for (int i = 0; i < 3; ++i) ASSERT_TRUE(pair.publish());
-  ASSERT_FALSE(pair.publish()) << "it may hold anything";
-  std::uint64_t unmapped = 0;
-  pair.core->for_each_unmapped([&](std::uint64_t index, std::uint64_t of) {
-    EXPECT_EQ(index, 0u);
-    EXPECT_EQ(of, 1u);
-    ++unmapped;
-  });
-  EXPECT_EQ(unmapped, 1u);
-  ASSERT_TRUE(pair.core->withdraw(0, 1, abi::Withdrawal::not_attached));
-  pair.core->disregard(0, 1);
-  for (int i = 0; i < 8; ++i) ASSERT_TRUE(pair.publish());
-  // Mapped at last, and served again.
-  LinkCore<M> reader = pair.link(0);
-  ASSERT_TRUE(reader.link(false));
-  ASSERT_TRUE(pair.publish());
-  EXPECT_FALSE(reader.take(pair.window));
-  EXPECT_FALSE(pair.core->serve_again(0, 1, pair.environment)) << "not mapped yet";
-  pair.attach(1);
-  ASSERT_TRUE(pair.core->serve_again(0, 1, pair.environment));
-  ASSERT_TRUE(pair.publish());
-  const auto taken = reader.take(pair.window);
-  ASSERT_TRUE(taken);
-  for (int i = 0; i < 8; ++i) ASSERT_TRUE(pair.publish());
-  EXPECT_TRUE(pair.environment.live.count(taken->address));
-}
-
-TEST(DataplaneWithdrawing, ServesTheNextOneInItsPlace) {
-  Withdrawing pair;
-  pair.attach(1);
-  ASSERT_TRUE(pair.core->withdraw(0, 1, abi::Withdrawal::over_share));
-  pair.core->detach(0, 1);
-  pair.join(2, 2);
-  pair.attach(2);
-  LinkCore<M> next = pair.link(0);
-  ASSERT_TRUE(next.link(false));
-  ASSERT_TRUE(pair.publish());
-  EXPECT_TRUE(next.take(pair.window));
-}
-
-TEST(DataplaneWithdrawing, TellsWhoHoldsMoreThanItsQuota) {
-  Withdrawing pair(1);
-  pair.attach(1);
-  LinkCore<M> reader = pair.link(0);
-  ASSERT_TRUE(reader.link(true));
-  pair.line(0).hold(0).store(~std::uint64_t{0});
-  for (int i = 0; i < 8; ++i) ASSERT_TRUE(pair.publish());
-  EXPECT_EQ(pair.core->withdrawal(0, 1), abi::Withdrawal::over_quota);
-  EXPECT_FALSE(reader.take(pair.window));
-}
-
-TEST(DataplaneWithdrawing, GivesNoSlotBeyondTheQuota) {
-  Withdrawing pair(2);
-  pair.attach(1);
-  LinkCore<M> reader = pair.link(0);
-  ASSERT_TRUE(reader.link(true));
-  pair.line(0).hold(0).store(7);
-  for (int i = 0; i < 8; ++i)
-    ASSERT_TRUE(pair.publish()) << "all slots are held, one above the quota";
-  EXPECT_EQ(pair.core->withdrawal(0, 1), abi::Withdrawal::over_quota);
-}
-
-/// Shared memory whose publisher does something ahead of each load of whoever reads it by this policy.
+/// Shared memory that runs a function before each load of a thread that reads by this policy.
 struct Interrupted : SharedMemory {
   static inline std::function<void()> before_load;
-  static inline const abi::SharedWord* loaded = nullptr;  // the one that is about to be
+  static inline const abi::SharedWord* loaded = nullptr;  // the word to be loaded
   struct Word {
     abi::SharedWord& word;
     std::uint64_t load(std::memory_order order) const {
@@ -420,7 +166,7 @@ struct Interrupted : SharedMemory {
   }
 };
 
-/// A publisher of 200 slots with one reader, linked, that is interrupted ahead of each of its loads.
+/// A publisher of 200 slots with one linked reader, which is interrupted before each of its loads.
 struct InterruptedPublisher : Pair {
   explicit InterruptedPublisher(std::uint64_t quota) {
     offered.depth = requested.depth = 150;
@@ -448,7 +194,7 @@ struct InterruptedPublisher : Pair {
   std::uint64_t number = 0;
 };
 
-TEST(Dataplane, HistoryThatIsBroughtWhileSomebodyLooksIsNoNews) {
+TEST(Dataplane, HistoryThatArrivesDuringALookIsNoNews) {
   constexpr std::uint64_t history = 60;
   for (const std::uint64_t depth : {1u, 100u}) {
     SCOPED_TRACE("depth " + std::to_string(depth));
@@ -498,8 +244,8 @@ TEST(Dataplane, HistoryThatIsBroughtWhileSomebodyLooksIsNoNews) {
   }
 }
 
-// A look at its holds goes over several words, and it does not stand still meanwhile.
-TEST(Dataplane, AReaderAtItsQuotaIsNotTakenForOneAboveIt) {
+// A scan reads the reader's holds in several words, while the reader continues.
+TEST(Dataplane, AReaderAtItsQuotaIsNotMistakenForOneAboveIt) {
   constexpr std::uint64_t quota = 3;
   std::uint64_t taken = 0;
   for (std::uint64_t seed = 1; seed <= 20; ++seed) {
@@ -509,7 +255,7 @@ TEST(Dataplane, AReaderAtItsQuotaIsNotTakenForOneAboveIt) {
     LinkCore<M>& reader = *publisher.reader;
     std::vector<std::uint64_t> held;
     bool is_busy = false;
-    // The next one lies in another word, so that a look comes after what goes, and ahead of what comes.
+    // Skipping messages puts the next hold into another word: a scan may see old and new hold.
     Interrupted::before_load = [&] {
       is_busy = reader.unread() >= (is_busy ? 10u : 140u);
       if (!is_busy || random() % 2 == 0) return;
@@ -531,16 +277,17 @@ TEST(Dataplane, AReaderAtItsQuotaIsNotTakenForOneAboveIt) {
       ASSERT_EQ(publisher.core->withdrawal(0, 1), abi::Withdrawal::none) << "message " << message;
     }
   }
-  EXPECT_GT(taken, 1000u) << "the publisher has seen nothing move";
+  EXPECT_GT(taken, 1000u) << "the publisher saw too few changes";
 }
 
-// The closest that an honest reader comes to it: it has one bit more than its quota in two looks of a pass.
-TEST(Dataplane, ABitThatATakeUndoesIsNotTakenForAHold) {
+// The worst case of an honest reader: one bit more than its quota in two looks of a scan.
+TEST(Dataplane, ABitThatATakeUndoesIsNotMistakenForAHold) {
   InterruptedPublisher publisher(2);
   for (int message = 1; message <= 140; ++message)
     ASSERT_EQ(publisher.publish(), PublishOutcome::published);
-  // What is set when a word is loaded, a look at three words a line: messages a and b of the first word, c of the second,
-  // d of the third. A take had begun ahead of the pass, for what was in the place of c before.
+  // The hold words as loaded, one look at three words per line: messages a and b of the first
+  // word, c of the second, d of the third. A take, begun before the scan, aims at the earlier
+  // message in the slot of c.
   constexpr std::uint64_t a = 2, b = 4, c = 8, d = 16;
   const std::uint64_t history[][3] = {
       {a | b, c, 0},  // a is released; the late take sets the bit of c
@@ -559,11 +306,11 @@ TEST(Dataplane, ABitThatATakeUndoesIsNotTakenForAHold) {
   };
   publisher.core->pass(publisher.environment);
   EXPECT_EQ(publisher.core->withdrawal(0, 1), abi::Withdrawal::none);
-  EXPECT_GT(visits, 3u) << "it had no doubt";
+  EXPECT_GT(visits, 3u) << "the publisher did not look twice";
 }
 
-// However late, they take only what is there; who comes too late looks again.
-TEST(Dataplane, TakesOfOneLookAreTakesThatWereSlow) {
+// However late, they return only live messages; a take that comes too late looks again.
+TEST(Dataplane, TakesAfterOneLookBehaveLikeSlowTakes) {
   for (std::uint64_t meanwhile = 0; meanwhile < 20; ++meanwhile) {
     SCOPED_TRACE("published between the second take and the third: " + std::to_string(meanwhile));
     Pair pair;  // the subscription has room for 8
@@ -591,14 +338,15 @@ TEST(Dataplane, TakesOfOneLookAreTakesThatWereSlow) {
     const auto take = [&](LinkCore<M>& from) {
       const auto found = from.take(window, head);
       if (!found) return false;
-      EXPECT_TRUE(environment.live.count(found->address)) << "it was freed";
+      EXPECT_TRUE(environment.live.count(found->address)) << "take() returned a freed message";
       EXPECT_TRUE(taken.empty() || *taken.rbegin() < found->sequence) << "out of order";
       taken.insert(found->sequence);
       return true;
     };
     EXPECT_TRUE(take(link) && take(link));
     publish(meanwhile);
-    while (link.has_news(head)) EXPECT_TRUE(take(link)) << "there is news of the look";
+    while (link.has_news(head))
+      EXPECT_TRUE(take(link)) << "take() must return the news of that look";
     const bool is_overrun = 3 + meanwhile > 8;
     EXPECT_EQ(taken.size(), is_overrun ? 2u + 8 : 5u);
     EXPECT_EQ(link.lost(), is_overrun ? 3 + meanwhile - 8 : 0);
@@ -609,7 +357,7 @@ TEST(Dataplane, TakesOfOneLookAreTakesThatWereSlow) {
   }
 }
 
-TEST(Dataplane, HoldsEverySlotOfAFullQueueAndSaysWhenThereIsNone) {
+TEST(Dataplane, EverySlotOfAFullQueueCanBeHeldThenPublishFails) {
   // Publisher index 7: its link line and its far hold words are not the first ones.
   constexpr std::uint64_t index = 7;
   Pair pair;
@@ -650,9 +398,9 @@ TEST(Dataplane, HoldsEverySlotOfAFullQueueAndSaysWhenThereIsNone) {
     const auto taken = link.take(window);
     ASSERT_TRUE(taken);
     ASSERT_EQ(taken->address, address);
-    ASSERT_TRUE(held.insert(taken->slot).second) << "a held slot was given out again";
+    ASSERT_TRUE(held.insert(taken->slot).second) << "a held slot was reused";
   }
-  EXPECT_EQ(held.size(), abi::slot_count_max) << "every slot can be held, the far ones too";
+  EXPECT_EQ(held.size(), abi::slot_count_max) << "every slot can be held, including the far ones";
   EXPECT_EQ(environment.live.size(), abi::slot_count_max);
   for (const std::uint64_t slot : held) link.release(slot);
   publisher->pass(environment);
@@ -683,24 +431,25 @@ struct LazyPublisher : Pair {
   std::uint64_t number = 0;
 };
 
-// Nobody reads, so a whole pass frees everything.
-TEST(Dataplane, LeavesOutPassesOfSmallMessagesAlone) {
+// No subscription reads, so a full scan frees everything.
+TEST(Dataplane, DefersScansOnlyForSmallMessages) {
   LazyPublisher publisher(64);
   for (std::uint64_t i = 1; i <= LazyPublisher::lazy_limit; ++i) {
     ASSERT_EQ(publisher.publish(64), PublishOutcome::published);
     EXPECT_EQ(publisher.environment.live.size(), i);
   }
   ASSERT_EQ(publisher.publish(64), PublishOutcome::published);
-  EXPECT_TRUE(publisher.environment.live.empty()) << "the pass that is not left out";
+  EXPECT_TRUE(publisher.environment.live.empty()) << "this publish must scan";
   ASSERT_EQ(publisher.publish(PublisherCore<M>::kept_back_max), PublishOutcome::published);
   EXPECT_EQ(publisher.environment.live.size(), 1u);
   ASSERT_EQ(publisher.publish(64), PublishOutcome::published);
-  EXPECT_TRUE(publisher.environment.live.empty()) << "together they are too large to be kept back";
+  EXPECT_TRUE(publisher.environment.live.empty())
+      << "together they are too large to defer the scan";
   ASSERT_EQ(publisher.publish(PublisherCore<M>::kept_back_max + 1), PublishOutcome::published);
   EXPECT_TRUE(publisher.environment.live.empty());
 }
 
-TEST(Dataplane, LeavesThePassOfALargeMessageToSomebodyElseOnce) {
+TEST(Dataplane, LeavesTheScanForALargeMessageToAnotherThreadOnce) {
   struct HandsOver : Freed {
     bool passes_soon() const noexcept { return is_coming; }
     bool is_coming = true;
@@ -716,19 +465,19 @@ TEST(Dataplane, LeavesThePassOfALargeMessageToSomebodyElseOnce) {
   ASSERT_EQ(publish(), PublishOutcome::published);
   EXPECT_EQ(environment.live.size(), 1u);
   ASSERT_EQ(publish(), PublishOutcome::published);
-  EXPECT_TRUE(environment.live.empty()) << "nobody has come in between";
+  EXPECT_TRUE(environment.live.empty()) << "no other scan came in between";
   ASSERT_EQ(publish(), PublishOutcome::published);
   EXPECT_EQ(environment.live.size(), 1u);
   publisher.core->pass(environment);
-  EXPECT_TRUE(environment.live.empty()) << "the one that it was left to";
+  EXPECT_TRUE(environment.live.empty()) << "the scan of the other thread";
   ASSERT_EQ(publish(), PublishOutcome::published);
-  EXPECT_EQ(environment.live.size(), 1u) << "and the next may be left again";
+  EXPECT_EQ(environment.live.size(), 1u) << "the next scan may be left again";
   environment.is_coming = false;
   ASSERT_EQ(publish(), PublishOutcome::published);
   EXPECT_TRUE(environment.live.empty());
 }
 
-TEST(Dataplane, LazyPassesRefuseNothingWhereSlotsAreFew) {
+TEST(Dataplane, DeferredScansRefuseNothingWhereSlotsAreFew) {
   constexpr std::uint64_t depth = 8;
   LazyPublisher publisher(depth + 2);
   Region reader(std::uint64_t{1} << 20);
@@ -751,8 +500,8 @@ TEST(Dataplane, LazyPassesRefuseNothingWhereSlotsAreFew) {
   for (int i = 0; i < 1000; ++i) ASSERT_EQ(publisher.publish(64), PublishOutcome::published) << i;
 }
 
-// A pass looks at no more slots than the publisher has, which may become more.
-TEST(Dataplane, UsesTheSlotsThatThePublisherHasAndThoseThatItGetsLater) {
+// A scan looks at no more slots than the publisher has; their number may grow.
+TEST(Dataplane, UsesThePublishersSlotsIncludingLaterOnes) {
   constexpr std::uint64_t few = 65, many = 200;
   Pair pair;
   Region queue(std::uint64_t{1} << 18);
@@ -785,7 +534,7 @@ TEST(Dataplane, UsesTheSlotsThatThePublisherHasAndThoseThatItGetsLater) {
   EXPECT_TRUE(publisher->has_reclaimable());
   publisher->pass(environment);
   publisher->pass(environment);
-  EXPECT_EQ(publisher->allocated_count(), 0u) << "those that it got later are freed as well";
+  EXPECT_EQ(publisher->allocated_count(), 0u) << "slots that it got later are freed too";
   EXPECT_TRUE(environment.live.empty());
 }
 

@@ -1,8 +1,8 @@
 // SPDX-License-Identifier: Apache-2.0
 //
-// Goal: peers of other users cause no more descriptors than their share, whatever comes and goes; the last few
-// numbers are nobody's.
-// Method: the share of this very process, under limits that the test sets.
+// Goal: peers of other users cause no more descriptors than their share, however often they come
+// and go; no peer gets the last few descriptor numbers. Method: the share of this process, under
+// limits that the test sets.
 
 #include <base/map_count.hpp>
 #include <base/memfd.hpp>
@@ -56,12 +56,12 @@ TEST_F(Share, IsAQuarterForOneUserAndHalfForAll) {
   EXPECT_FALSE(share_.take({1, false}, 1));
   EXPECT_EQ(take_all({2, false}, parts), limit / 4);
   EXPECT_EQ(take_all({3, false}, parts), 0u) << "half of all is taken";
-  // Nobody counts processes of one's own user.
+  // Descriptors for peers of the same user are not counted.
   EXPECT_TRUE(share_.take({4, true}, 2));
   EXPECT_EQ(take_all({4, true}, parts), 2 * limit - limit / 2);
 }
 
-TEST_F(Share, IsOfMappingsToo) {
+TEST_F(Share, AlsoLimitsMappings) {
   const std::uint64_t quarter = read_map_count_max() / 4, region_bytes = 16 * abi::page_bytes;
   MappingShare& mappings = MappingShare::instance();
   const UniqueFd region = make_memfd("region", region_bytes).value();
@@ -78,15 +78,16 @@ TEST_F(Share, IsOfMappingsToo) {
   ASSERT_TRUE(most);
   const auto peer = peer_of({1, false});
   ASSERT_TRUE(peer->open(abi::page_bytes, abi::page_bytes, UniqueFd()));
-  EXPECT_TRUE(peer->open(abi::page_bytes, abi::page_bytes, UniqueFd())) << "once";
+  EXPECT_TRUE(peer->open(abi::page_bytes, abi::page_bytes, UniqueFd()))
+      << "the same part needs no second mapping";
   EXPECT_FALSE(peer->open(3 * abi::page_bytes, abi::page_bytes, UniqueFd()));
   EXPECT_FALSE(can_open_one({1, false}));
-  EXPECT_TRUE(can_open_one({1, true})) << "the own user's number in another namespace";
+  EXPECT_TRUE(can_open_one({1, true})) << "the same user with this uid has no limit";
   const Part other = mappings.take({2, false}, quarter);
   EXPECT_FALSE(can_open_one({3, false})) << "half of all is taken";
   EXPECT_TRUE(can_open_one({3, true}));
   most = {};
-  EXPECT_TRUE(can_open_one({1, false})) << "what is unmapped comes back";
+  EXPECT_TRUE(can_open_one({1, false})) << "unmapping returns the share";
 }
 
 TEST_F(Share, IsTakenWholeOrNotAtAll) {
@@ -96,20 +97,20 @@ TEST_F(Share, IsTakenWholeOrNotAtAll) {
   EXPECT_TRUE(share_.take({1, false}, 1));
 }
 
-TEST_F(Share, ComesBackWithItsUser) {
+TEST_F(Share, ReturnsWhenItsUserCloses) {
   std::vector<Part> parts;
   ASSERT_EQ(take_all({1, false}, parts), limit / 4);
-  EXPECT_FALSE(share_.has_more()) << "nobody has left";
+  EXPECT_FALSE(share_.has_more()) << "no peer has closed";
   parts.pop_back();
-  EXPECT_FALSE(share_.has_more()) << "not for one";
+  EXPECT_FALSE(share_.has_more()) << "one descriptor is too few to report";
   parts.resize(parts.size() / 2);
   EXPECT_TRUE(share_.has_more());
-  EXPECT_FALSE(share_.has_more()) << "once";
+  EXPECT_FALSE(share_.has_more()) << "it is reported once";
   take_all({1, false}, parts);
   EXPECT_EQ(parts.size(), limit / 4);
 }
 
-TEST_F(Share, LeavesTheLastNumbersAlone) {
+TEST_F(Share, KeepsTheLastDescriptorNumbersFree) {
   std::vector<UniqueFd> taken;
   for (UniqueFd fd(::dup(0)); fd; fd.reset(::dup(0))) taken.push_back(std::move(fd));
   ASSERT_FALSE(can_open(1));
@@ -119,7 +120,7 @@ TEST_F(Share, LeavesTheLastNumbersAlone) {
   EXPECT_FALSE(share_.has_more());
   taken.pop_back();
   EXPECT_TRUE(share_.take({1, true}, 1));
-  EXPECT_FALSE(share_.has_more()) << "too few for who takes the next ones";
+  EXPECT_FALSE(share_.has_more()) << "too few for the next peer";
   taken.resize(taken.size() - DescriptorShare::left_free);
   EXPECT_TRUE(share_.has_more());
 }

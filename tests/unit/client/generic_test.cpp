@@ -1,8 +1,9 @@
 // SPDX-License-Identifier: Apache-2.0
 //
-// Goal: a message type is found by its name wherever it may be, is the type that the compiler knows,
-// and is copied as the compiler would copy it; a name that is none never becomes a path.
-// Method: every message type of interfaces/ beside its C++ type; a program that links no message
+// Goal: a message type is found by its name in every place, equals the type that the compiler
+// knows, and is copied as the compiler would copy it; an invalid name never becomes a path.
+// Method: every message type of interfaces/ beside its C++ type; a program without message
+// packages, in chosen environments.
 // package, run with environments of the test's choice.
 
 #include <agnocast/generic.hpp>
@@ -32,7 +33,7 @@ using testing::AllOf;
 using testing::HasSubstr;
 using testing::StartsWith;
 
-TEST(Generic, EveryTypeIsTheOneThatTheCompilerKnows) {
+TEST(Generic, EveryTypeEqualsTheOneThatTheCompilerKnows) {
   int count = 0;
   test::for_every_message([&](auto* null, const std::string& name) {
     using T = std::remove_pointer_t<decltype(null)>;
@@ -51,8 +52,8 @@ TEST(Generic, EveryTypeIsTheOneThatTheCompilerKnows) {
   EXPECT_GE(count, 250);
 }
 
-TEST(Generic, ACopyByTheTableIsTheCopyOfTheCompiler) {
-  // Without NaN, so that the types' own == can judge.
+TEST(Generic, ACopyByTheTableEqualsTheCompilersCopy) {
+  // Without NaN, so that the types' own == works.
   test::RandomMessages random(7, {.has_nan = false, .has_any_text = true});
   test::for_every_message([&](auto* null, const std::string& name) {
     using T = std::remove_pointer_t<decltype(null)>;
@@ -69,17 +70,18 @@ TEST(Generic, ACopyByTheTableIsTheCopyOfTheCompiler) {
           << name << ": are_same overlooks a member";
     }
     const OwnedGenericMessage fresh = type.make();
-    EXPECT_EQ(*reinterpret_cast<const T*>(fresh.get()), T()) << name << ": with its defaults";
+    EXPECT_EQ(*reinterpret_cast<const T*>(fresh.get()), T())
+        << name << ": does not have its defaults";
   });
 }
 
-TEST(Generic, TheKindMsgNeedNotBeSaid) {
+TEST(Generic, TheKindMsgMayBeOmitted) {
   EXPECT_EQ(&find_message_type("sensor_msgs/PointCloud2").members(),
             &find_message_type("sensor_msgs/msg/PointCloud2").members());
   EXPECT_THROW(find_message_type("sensor_msgs/SetCameraInfo_Request"), Error);
 }
 
-TEST(Generic, WhatIsNoNameIsRefusedBeforeAnythingIsSearched) {
+TEST(Generic, AnInvalidNameIsRefusedBeforeAnySearch) {
   for (const char* const name : {"",
                                  "/",
                                  "//",
@@ -113,7 +115,7 @@ TEST(Generic, WhatIsNoNameIsRefusedBeforeAnythingIsSearched) {
             "sensor_msgs/msg/PointCloud2");
 }
 
-TEST(Generic, ATypeThatIsNotInItsLibraryIsSaid) {
+TEST(Generic, ATypeMissingInItsLibraryIsReported) {
   const auto found = try_find_message_type("std_msgs/msg/Strin");
   ASSERT_FALSE(found);
   EXPECT_EQ(found.error().code, Errc::type_not_found);
@@ -127,13 +129,13 @@ TEST(Generic, AForkedChildOfAProcessWithoutEndpointsMayLookForTypes) {
   EXPECT_EQ(child.wait(), 0);
 }
 
-// --- where it is found: in a process of its own
+// --- where a type is found: in a separate process
 
 struct Answer {
   int status;
   std::string text;
 };
-/// With these variables and no others.
+/// Runs the finder with these variables and no others.
 Answer find(const std::vector<std::string>& variables, const std::string& arguments) {
   std::string command = "env -i ";
   for (const std::string& variable : variables) command += "'" + variable + "' ";
@@ -153,7 +155,7 @@ std::string environment(const char* name) {
 constexpr const char* library = "libsensor_msgs__rosidl_typesupport_introspection_cpp.so";
 constexpr const char* found = "PointCloud2, 9 members\n";
 
-/// lib/ of every prefix, in which an overlay has no more than its own libraries.
+/// Returns lib/ of every prefix: in an overlay, each has only its own libraries.
 std::string directories() {
   std::string text;
   std::string prefixes = environment("AMENT_PREFIX_PATH");
@@ -165,10 +167,10 @@ std::string directories() {
   return text;
 }
 
-TEST(Generic, TypesAreFoundAlongEachPathAlone) {
+TEST(Generic, TypesAreFoundAlongEachKindOfPath) {
   if (directories().empty()) GTEST_SKIP() << "AMENT_PREFIX_PATH is not set";
   EXPECT_EQ(find({environment("AMENT_PREFIX_PATH")}, "sensor_msgs/msg/PointCloud2").text, found)
-      << "with the libraries that this one needs";
+      << "together with the libraries that this one needs";
   EXPECT_EQ(find({}, "sensor_msgs/msg/PointCloud2" + directories()).text, found);
   if (std::getenv("LD_LIBRARY_PATH") != nullptr) {
     EXPECT_EQ(find({environment("LD_LIBRARY_PATH")}, "sensor_msgs/msg/PointCloud2").text, found);
@@ -180,7 +182,7 @@ TEST(Generic, TypesAreFoundAlongEachPathAlone) {
                               library + " in /here, /nowhere/lib, nor where the loader looks\n");
 }
 
-TEST(Generic, TheFirstLibraryCountsAlsoIfItIsBroken) {
+TEST(Generic, TheFirstLibraryCountsEvenIfItIsBroken) {
   if (directories().empty()) GTEST_SKIP() << "AMENT_PREFIX_PATH is not set";
   const test::TemporaryDirectory directory;
   std::ofstream(directory.path(library)) << "no library";
@@ -191,7 +193,7 @@ TEST(Generic, TheFirstLibraryCountsAlsoIfItIsBroken) {
                                  HasSubstr(directory.path() + "/" + library + ": ")));
 }
 
-TEST(Generic, ALibraryWhoseNeedIsNowhereIsRefusedByName) {
+TEST(Generic, AMissingDependencyOfALibraryIsNamed) {
   if (directories().empty()) GTEST_SKIP() << "AMENT_PREFIX_PATH is not set";
   const test::TemporaryDirectory directory;
   std::string where;

@@ -1,8 +1,8 @@
 // SPDX-License-Identifier: Apache-2.0
 //
-// Goal: the frontier of a heap that grows is stored in every client region that follows it, in none that has
-// been left, and whoever allocates waits for no other thread. Method: a hook of this test, which does what the test says
-// at the worst moments.
+// Goal: the frontier of a growing heap is stored in every client region that follows it and in
+// none that has left, and an allocating thread waits for no other thread. Method: a hook of this
+// test, which intervenes at the worst moments.
 
 #include <client/heap/heap.hpp>
 
@@ -64,7 +64,7 @@ struct Region {
   std::byte* const page;
 };
 
-// The next store into a page that is closed waits here.
+// The next store into a closed page waits here.
 std::atomic<bool> is_stopped{false}, may_go_on{false};
 void wait_at_closed_page(int, siginfo_t* info, void*) {
   is_stopped = true;
@@ -84,7 +84,7 @@ bool soon(Condition condition) {
 class HeapRegions : public testing::Test {
  protected:
   static void SetUpTestSuite() {
-    static Region* const first = new Region;  // of the first membership, followed for ever
+    static Region* const first = new Region;  // region of the first session, always followed
     auto heap = Heap::find();
     ASSERT_TRUE(heap) << heap.error().what;
     ASSERT_TRUE(
@@ -93,7 +93,7 @@ class HeapRegions : public testing::Test {
   }
 };
 
-TEST_F(HeapRegions, WhatFollowsHasTheFrontierFromTheFirstMomentOn) {
+TEST_F(HeapRegions, ARegionHasTheFrontierAsSoonAsItFollows) {
   grow_to(100);
   const Region region;
   ASSERT_TRUE(Heap::follow(region.page));
@@ -105,28 +105,29 @@ TEST_F(HeapRegions, WhatFollowsHasTheFrontierFromTheFirstMomentOn) {
   EXPECT_EQ(region.frontier(), 200u);
 }
 
-TEST_F(HeapRegions, WhoAllocatesDoesNotWaitForWhoFollows) {
+TEST_F(HeapRegions, AnAllocationDoesNotWaitForFollow) {
   grow_to(1000);
   const Region region;
   std::atomic<bool> grown{false};
   std::thread allocates;
   while_follow_looks = [&] {
-    // As if follow() had been preempted here for ever by whoever allocates.
+    // As if the allocating thread preempted follow() here for ever.
     allocates = std::thread([&] {
       grow_to(2000);
       grown = true;
     });
-    EXPECT_TRUE(soon([&] { return grown.load(); })) << "it waits for a thread that cannot run";
+    EXPECT_TRUE(soon([&] { return grown.load(); }))
+        << "the allocation waits for a thread that cannot run";
   };
   const bool followed = Heap::follow(region.page);
   while_follow_looks = nullptr;
   allocates.join();
   ASSERT_TRUE(followed);
-  EXPECT_EQ(region.frontier(), 2000u) << "an older one came later";
+  EXPECT_EQ(region.frontier(), 2000u) << "an older frontier overwrote a newer one";
   Heap::leave_region(region.page);
 }
 
-TEST_F(HeapRegions, WhatIsLeftIsTouchedByNoGrowthThatIsUnderWay) {
+TEST_F(HeapRegions, LeaveRegionWaitsForAGrowthUnderWay) {
   const Region region;
   ASSERT_TRUE(Heap::follow(region.page));
   struct sigaction action {
@@ -142,16 +143,16 @@ TEST_F(HeapRegions, WhatIsLeftIsTouchedByNoGrowthThatIsUnderWay) {
     Heap::leave_region(region.page);
     left = true;
   });
-  ::usleep(100'000);  // long enough for who does not wait
+  ::usleep(100'000);  // long enough for a leave that does not wait
   EXPECT_FALSE(left);
   may_go_on = true;
   allocates.join();
   leaves.join();
   ASSERT_EQ(::sigaction(SIGSEGV, &before, nullptr), 0);
-  EXPECT_EQ(region.frontier(), 5000u) << "or this test shows nothing";
+  EXPECT_EQ(region.frontier(), 5000u) << "the growth did not write: this test shows nothing";
 }
 
-TEST_F(HeapRegions, NoFrontierIsMissedByWhoeverComesAndGoes) {
+TEST_F(HeapRegions, RegionsThatComeAndGoMissNoFrontier) {
   std::atomic<bool> stop{false};
   std::thread allocates([&] {
     for (std::uint64_t bytes = 10'000; !stop; ++bytes) grow_to(bytes);

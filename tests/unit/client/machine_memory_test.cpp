@@ -25,13 +25,13 @@ struct MachineMemory : testing::Test {
                             static_cast<std::uint64_t>(::sysconf(_SC_PAGESIZE));
 };
 
-TEST_F(MachineMemory, IsTheMachinesWithoutAGroup) {
+TEST_F(MachineMemory, IsTheMachinesMemoryWithoutACgroup) {
   EXPECT_EQ(found(), all);
   write("/proc/self/cgroup", "12:memory:/former\n");
   EXPECT_EQ(found(), all);
 }
 
-TEST_F(MachineMemory, IsTheLeastOfTheGroupsAroundTheProcess) {
+TEST_F(MachineMemory, IsTheSmallestLimitOfTheSurroundingCgroups) {
   write("/proc/self/cgroup", "1:name=systemd:/other\n0::/a/b\n");
   write("/sys/fs/cgroup/a/b/memory.max", "max\n");
   EXPECT_EQ(found(), all);
@@ -41,17 +41,17 @@ TEST_F(MachineMemory, IsTheLeastOfTheGroupsAroundTheProcess) {
   EXPECT_EQ(found(), 1048576u);
   write("/sys/fs/cgroup/other/memory.max", "4096\n");
   EXPECT_EQ(found(), 1048576u);
-  write("/sys/fs/cgroup/memory.max", "524288\n");  // the root of a container
+  write("/sys/fs/cgroup/memory.max", "524288\n");  // the root cgroup of a container
   EXPECT_EQ(found(), 524288u);
 }
 
-TEST_F(MachineMemory, IsWhatTheRootOfAContainerSays) {
+TEST_F(MachineMemory, IsTheLimitOfAContainersRootCgroup) {
   write("/proc/self/cgroup", "0::/\n");
   write("/sys/fs/cgroup/memory.max", "524288\n");
   EXPECT_EQ(found(), 524288u);
 }
 
-TEST_F(MachineMemory, IsNotWhatNobodyCanRead) {
+TEST_F(MachineMemory, IgnoresUnreadableLimits) {
   write("/proc/self/cgroup", "0::without a slash\n");
   write("/sys/fs/cgroup/memory.max", "many\n");
   EXPECT_EQ(found(), all);

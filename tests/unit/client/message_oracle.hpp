@@ -1,7 +1,7 @@
 // SPDX-License-Identifier: Apache-2.0
 //
-// Says which memory of a message is foreign, by other means than the library: it walks the C++ members by name, written
-// out by hand, and asks each allocation for the tag that operator new left in front of it.
+// Lists the foreign memory of a message by other means than the library: it walks the C++ members
+// by name, written by hand, and reads the tag that operator new left in front of each allocation.
 #pragma once
 
 #include "tests/support/tagging_heap.hpp"
@@ -46,7 +46,7 @@ class Oracle {
 
   template <class C>
   void see(const std::basic_string<C>& text, const Path& path) {
-    // Capacity, not address: what is longer than fits into an empty string is outside.
+    // Capacity, not address: text longer than an empty string's capacity lies outside the object.
     if (text.capacity() > std::basic_string<C>().capacity()) allocation(text.data(), (text.size() + 1) * sizeof(C), path);
   }
   void see(const std::vector<bool>& bits, const Path& path) { bool_words(&bits, bits.size(), path); }

@@ -1,8 +1,8 @@
 // SPDX-License-Identifier: Apache-2.0
 //
-// Goal: a message is readable only if everything that it may point to is: all windows of its group,
-// announced, mapped up to what is in use. Method: windows of memfds in a reservation of this test,
-// which writes the owner's header as an owner would, honest or not.
+// Goal: a message is readable only if everything it may point to is: all windows of its window set
+// are announced and mapped up to the frontier. Method: windows of memfds in a reservation of this
+// test, which writes the owner's header as an owner would, honest or not.
 
 #include <base/kept_fd.hpp>
 #include <base/mapping.hpp>
@@ -36,7 +36,7 @@ class PeerHeapTest : public testing::Test {
   abi::WindowEntry& shown(std::uint64_t window) {
     return reinterpret_cast<abi::ClientRegionHeader*>(header_.base())->window[window];
   }
-  /// As the owner does before anything lies there.
+  /// As the owner does before it allocates there.
   void show(std::uint64_t window, std::uint64_t frontier) {
     shown(window).length.store(window_bytes);
     shown(window).frontier.store(frontier);
@@ -60,7 +60,7 @@ class PeerHeapTest : public testing::Test {
   Unannounced others_ = Unannounced::awaited;
 };
 
-TEST_F(PeerHeapTest, TakesBehindOneHeadLookOnceUnlessSomethingIsAwaited) {
+TEST_F(PeerHeapTest, TakesBehindOneHeadLookOnceUnlessAWindowIsAwaited) {
   std::uint64_t head = 1;
   HeapLook look(heap_, Unannounced::awaited, head);
   const auto place_at = [&](std::uint64_t address) {
@@ -73,21 +73,22 @@ TEST_F(PeerHeapTest, TakesBehindOneHeadLookOnceUnlessSomethingIsAwaited) {
   show(0, 2 * abi::page_bytes);
   EXPECT_EQ(place_at(base_of(0) + abi::page_bytes - 64), Place::readable);
   head = 2;
-  EXPECT_EQ(place_at(base_of(0) + abi::page_bytes), Place::readable) << "it has looked again";
+  EXPECT_EQ(place_at(base_of(0) + abi::page_bytes), Place::readable)
+      << "the take must have looked again";
   show(1, abi::page_bytes);
-  EXPECT_EQ(place_at(base_of(0)), Place::readable) << "what is behind that head is elsewhere";
+  EXPECT_EQ(place_at(base_of(0)), Place::readable) << "messages behind that head lie elsewhere";
   head = 3;
   EXPECT_EQ(place_at(base_of(0)), Place::awaited);
   EXPECT_EQ(place_at(base_of(1)), Place::awaited);
   add(1, 0);
-  EXPECT_EQ(place_at(base_of(1)), Place::readable) << "though the head is the same";
-  EXPECT_EQ(place_at(base_of(0)), Place::readable) << "of the other window";
+  EXPECT_EQ(place_at(base_of(1)), Place::readable) << "although the head is the same";
+  EXPECT_EQ(place_at(base_of(0)), Place::readable) << "in the other window";
 }
 
-TEST_F(PeerHeapTest, AWindowThatIsAnnouncedBehindALookIsSeenAtTheSameHead) {
+TEST_F(PeerHeapTest, AWindowAnnouncedAfterALookIsSeenAtTheSameHead) {
   const std::uint64_t head = 1;
   HeapLook look(heap_, Unannounced::awaited, head);
-  show(0, abi::page_bytes);  // a group by itself, and one of two windows
+  show(0, abi::page_bytes);  // one window set of one window, and one of two
   show(1, abi::page_bytes);
   show(2, abi::page_bytes);
   add(0, 0);
@@ -95,12 +96,12 @@ TEST_F(PeerHeapTest, AWindowThatIsAnnouncedBehindALookIsSeenAtTheSameHead) {
   look.open();
   ASSERT_EQ(look.place_of(base_of(0), 64), Place::readable);
   add(2, 1);
-  // As a take does, which counts the windows before it looks: it must not miss the one that it waits for.
+  // A take counts the windows before it looks: it must not miss the window that it waits for.
   look.open();
   EXPECT_EQ(look.place_of(base_of(1), 64), Place::readable);
 }
 
-TEST_F(PeerHeapTest, BehindTheEndOfTheFileNothingIsOpenedWhateverItsOwnerSays) {
+TEST_F(PeerHeapTest, NothingBehindTheEndOfTheFileIsOpenedWhateverTheOwnerWrites) {
   UniqueFd file = make_memfd("window", 2 * abi::page_bytes, Length::may_grow).value();
   const int owner = file.get();
   UniqueFd reader = reopen_read_only(owner).value();
@@ -111,16 +112,16 @@ TEST_F(PeerHeapTest, BehindTheEndOfTheFileNothingIsOpenedWhateverItsOwnerSays) {
   EXPECT_EQ(place_of(0, 2 * abi::page_bytes), Place::outside);
   ASSERT_TRUE(lengthen(owner, 4 * abi::page_bytes - 8));
   EXPECT_EQ(place_of(0, 2 * abi::page_bytes), Place::readable);
-  EXPECT_EQ(place_of(0, 3 * abi::page_bytes), Place::outside) << "whole pages";
+  EXPECT_EQ(place_of(0, 3 * abi::page_bytes), Place::outside) << "only whole pages are opened";
   ASSERT_TRUE(lengthen(owner, window_bytes));
   EXPECT_EQ(place_of(0, window_bytes - 64), Place::readable);
   const auto* const last = reinterpret_cast<const volatile unsigned char*>(base_of(0)) +
                            (window_bytes - 1);
   const unsigned value = *last;
-  EXPECT_EQ(value, 0u) << "and what is open can be touched";
+  EXPECT_EQ(value, 0u) << "open memory can be read";
 }
 
-TEST_F(PeerHeapTest, WhatIsInUseOfAWindowCanBeRead) {
+TEST_F(PeerHeapTest, AWindowIsReadableUpToItsFrontier) {
   show(0, abi::page_bytes);
   add(0, 0);
   EXPECT_EQ(place_of(0), Place::readable);
@@ -137,10 +138,10 @@ TEST_F(PeerHeapTest, WhatIsInUseOfAWindowCanBeRead) {
   EXPECT_EQ(*reinterpret_cast<const char*>(base_of(0) + window_bytes - 1), 0);
 }
 
-// What publish asks about a message that it is given.
-TEST_F(PeerHeapTest, AnAddressAloneTellsTheOpenWindowsOfItsGroup) {
+// publish() asks this about a message of its caller.
+TEST_F(PeerHeapTest, AnAddressGivesTheOpenWindowsOfItsSet) {
   AddressUsers& users = AddressUsers::instance();
-  show(0, abi::page_bytes);  // a group by itself, and one of two windows
+  show(0, abi::page_bytes);  // one window set of one window, and one of two
   show(1, 2 * abi::page_bytes);
   show(2, 3 * abi::page_bytes);
   add(0, 0);
@@ -167,7 +168,7 @@ TEST_F(PeerHeapTest, AnAddressAloneTellsTheOpenWindowsOfItsGroup) {
   users.leave(base_of(4));
 }
 
-TEST_F(PeerHeapTest, AMessageIsAwaitedThatMayPointIntoAWindowThatWasNotAnnouncedYet) {
+TEST_F(PeerHeapTest, AMessageThatMayPointIntoAnUnannouncedWindowIsAwaited) {
   show(0, abi::page_bytes);
   add(0, 0);
   show(1, abi::page_bytes);
@@ -175,12 +176,12 @@ TEST_F(PeerHeapTest, AMessageIsAwaitedThatMayPointIntoAWindowThatWasNotAnnounced
   EXPECT_EQ(place_of(0), Place::awaited) << "its members may lie in window 1";
   add(1, 0);
   EXPECT_EQ(heap_.place_of(base_of(0), 64, 1, Unannounced::awaited), Place::awaited)
-      << "added, and not opened yet";
+      << "added, but not opened yet";
   EXPECT_EQ(place_of(0), Place::readable);
   EXPECT_EQ(place_of(1), Place::readable);
 }
 
-TEST_F(PeerHeapTest, NothingIsAwaitedOfAPublisherThatIsGone) {
+TEST_F(PeerHeapTest, NothingIsAwaitedFromAGonePublisher) {
   show(0, abi::page_bytes);
   add(0, 0);
   show(1, abi::page_bytes);
@@ -189,7 +190,7 @@ TEST_F(PeerHeapTest, NothingIsAwaitedOfAPublisherThatIsGone) {
   EXPECT_EQ(place_of(1), Place::outside);
 }
 
-TEST_F(PeerHeapTest, WhatMayPointWhereNobodyAnnouncesAnyMoreIsNotRead) {
+TEST_F(PeerHeapTest, AMessageThatMayPointIntoALostWindowIsNotRead) {
   show(0, abi::page_bytes);
   add(0, 0);
   others_ = Unannounced::lost;
@@ -199,7 +200,7 @@ TEST_F(PeerHeapTest, WhatMayPointWhereNobodyAnnouncesAnyMoreIsNotRead) {
   EXPECT_EQ(place_of(1), Place::unreachable);
 }
 
-TEST_F(PeerHeapTest, OfAGroupWithAClosedWindowNothingIsRead) {
+TEST_F(PeerHeapTest, NothingInAWindowSetWithAClosedWindowIsRead) {
   show(0, abi::page_bytes);
   show(1, abi::page_bytes);
   add(0, 0);
@@ -209,7 +210,7 @@ TEST_F(PeerHeapTest, OfAGroupWithAClosedWindowNothingIsRead) {
   EXPECT_EQ(heap_.window_count(), 2u);
 }
 
-TEST_F(PeerHeapTest, AnotherGroupIsReadBesideOneWithAClosedWindow) {
+TEST_F(PeerHeapTest, OtherWindowSetsAreReadBesideOneWithAClosedWindow) {
   show(0, abi::page_bytes);
   ASSERT_TRUE(heap_.add_blocked(announced(0, 0)));
   EXPECT_EQ(place_of(0), Place::unreachable);
@@ -222,11 +223,11 @@ TEST_F(PeerHeapTest, AnotherGroupIsReadBesideOneWithAClosedWindow) {
   EXPECT_EQ(place_of(1), Place::readable);
   EXPECT_EQ(place_of(2), Place::readable);
   show(3, abi::page_bytes);
-  EXPECT_EQ(place_of(0), Place::unreachable) << "its group is complete: nothing is awaited";
+  EXPECT_EQ(place_of(0), Place::unreachable) << "its window set is complete: nothing is awaited";
   EXPECT_EQ(place_of(2), Place::awaited);
 }
 
-TEST_F(PeerHeapTest, WhatTheSystemRefusesToMapClosesTheGroup) {
+TEST_F(PeerHeapTest, AFailedMappingClosesTheWindowSet) {
   show(0, abi::page_bytes);
   add(0, 0);
   show(1, abi::page_bytes);
@@ -236,8 +237,8 @@ TEST_F(PeerHeapTest, WhatTheSystemRefusesToMapClosesTheGroup) {
   EXPECT_EQ(place_of(0), Place::unreachable);
 }
 
-// A program may close what it did not open, and open something of its own under the number.
-TEST_F(PeerHeapTest, WhatHasTakenTheNumberOfAWindowIsNotMapped) {
+// A program may close descriptors that it did not open, and reuse the number for its own.
+TEST_F(PeerHeapTest, AFileThatTookAWindowsDescriptorNumberIsNotMapped) {
   UniqueFd file = keep(make_memfd("window", window_bytes).value());
   const int number = file.get();
   show(0, abi::page_bytes);
@@ -249,13 +250,14 @@ TEST_F(PeerHeapTest, WhatHasTakenTheNumberOfAWindowIsNotMapped) {
   EXPECT_EQ(place_of(0), Place::unreachable);
 }
 
-TEST_F(PeerHeapTest, RefusesAnnouncementsThatCannotBe) {
-  EXPECT_FALSE(heap_.add_blocked(announced(1, 0))) << "the first comes first";
-  EXPECT_FALSE(heap_.add_blocked(announced(0, 1))) << "a group begins before its windows";
+TEST_F(PeerHeapTest, RefusesImpossibleAnnouncements) {
+  EXPECT_FALSE(heap_.add_blocked(announced(1, 0))) << "window 0 must come first";
+  EXPECT_FALSE(heap_.add_blocked(announced(0, 1)))
+      << "the first window of a set has no higher index than the others";
   EXPECT_FALSE(heap_.add_blocked({0, 4097, window_bytes, 0}));
   EXPECT_FALSE(heap_.add_blocked({0, ~std::uint64_t{0} / 4096 * 4096, window_bytes, 0}));
   ASSERT_TRUE(heap_.add_blocked(announced(0, 0)));
-  EXPECT_TRUE(heap_.add_blocked(announced(0, 0))) << "told again";
+  EXPECT_TRUE(heap_.add_blocked(announced(0, 0))) << "a repeated announcement is accepted";
   EXPECT_EQ(heap_.window_count(), 1u);
 }
 

@@ -21,13 +21,13 @@ struct ReaderSharesTest : testing::Test {
   ReaderShares::Clock::time_point now{1h};
   ReaderShares::Room room{0, false, heap, 8 * heap};
 
-  // A look before finds that the heap cannot grow.
+  // An earlier look finds that the heap cannot grow.
   ReaderSharesTest() {
     look({});
     now += 1s;
   }
 
-  /// By uid, of whom to withdraw. No message is kept by two.
+  /// Returns the users to withdraw from, by uid. No message is kept by two users.
   Shares look(const Users& users) {
     std::uint64_t together = 0;
     for (const auto& user : users) together += user.bytes;
@@ -35,7 +35,7 @@ struct ReaderSharesTest : testing::Test {
     for (const auto& one : shares.look(now, room, together, users)) above[one.uid] = one.share;
     return above;
   }
-  /// A look a second for so long, in a heap that refuses each time.
+  /// Looks once a second for so long, in a heap that refuses each time.
   Shares full_for(int seconds, const Users& users) {
     Shares whom;
     for (int i = 0; i < seconds && whom.empty(); ++i, now += 1s) {
@@ -46,37 +46,38 @@ struct ReaderSharesTest : testing::Test {
   }
 };
 
-TEST_F(ReaderSharesTest, LeavesEverybodyAloneWhileThereIsRoom) {
+TEST_F(ReaderSharesTest, WithdrawsNoReaderWhileThereIsRoom) {
   for (int i = 0; i < 60; ++i, now += 1s) EXPECT_EQ(look({{1, 900}}), Shares{});
 }
 
-TEST_F(ReaderSharesTest, WithdrawsFromWhoKeepsAQuarterOfAFullHeap) {
+TEST_F(ReaderSharesTest, WithdrawsFromAUserThatKeepsAQuarterOfAFullHeap) {
   EXPECT_EQ(full_for(60, {{1, 250}}), Shares{});
-  EXPECT_EQ(full_for(5, {{1, 251}, {2, 100}}), Shares{}) << "it has a few seconds";
+  EXPECT_EQ(full_for(5, {{1, 251}, {2, 100}}), Shares{}) << "the user has a few seconds";
   EXPECT_EQ(full_for(1, {{1, 251}, {2, 100}}), (Shares{{1, 250}}));
 }
 
-// Its next window is on its way, or comes with the next refusal.
-TEST_F(ReaderSharesTest, LeavesEverybodyAloneWhileTheHeapMayGrow) {
+// Its next window is under way, or comes with the next refusal.
+TEST_F(ReaderSharesTest, WithdrawsNoReaderWhileTheHeapMayGrow) {
   room.may_grow = true;
   EXPECT_EQ(full_for(60, {{1, 500}}), Shares{});
   room.may_grow = false;
-  EXPECT_EQ(full_for(1, {{1, 500}}), Shares{}) << "refused before it was known that it cannot";
+  EXPECT_EQ(full_for(1, {{1, 500}}), Shares{})
+      << "refused before the heap was known to be unable to grow";
   for (int i = 0; i < 60; ++i, now += 1s) EXPECT_EQ(look({{1, 500}}), Shares{});
   EXPECT_EQ(full_for(5, {{1, 500}}), Shares{});
   EXPECT_EQ(full_for(1, {{1, 500}}), (Shares{{1, 250}}));
 }
 
-TEST_F(ReaderSharesTest, WithdrawsInOneLookFromAllWhoKeepMoreThanTheirPartOfHalf) {
+TEST_F(ReaderSharesTest, WithdrawsInOneLookFromAllUsersAboveTheirPartOfHalf) {
   EXPECT_EQ(full_for(60, {{1, 160}, {2, 171}, {3, 169}}), Shares{});
   EXPECT_EQ(full_for(60, {{1, 170}, {2, 171}, {3, 169}}), (Shares{{1, 166}, {2, 166}, {3, 166}}));
 }
 
-TEST_F(ReaderSharesTest, LeavesToOthersWhatSomeDoNotNeed) {
+TEST_F(ReaderSharesTest, LetsOthersUseWhatSomeUsersDoNotNeed) {
   EXPECT_EQ(full_for(60, {{1, 100}, {2, 250}, {3, 1}, {4, 240}}), (Shares{{2, 199}, {4, 199}}));
 }
 
-TEST_F(ReaderSharesTest, CountsOnceWhatSeveralKeep) {
+TEST_F(ReaderSharesTest, CountsOnceMessagesThatSeveralUsersKeep) {
   const Users users{{1, 200}, {2, 200}, {3, 200}};
   for (int i = 0; i < 60; ++i, now += 1s) {
     ++room.refused;
@@ -84,18 +85,18 @@ TEST_F(ReaderSharesTest, CountsOnceWhatSeveralKeep) {
   }
 }
 
-TEST_F(ReaderSharesTest, WaitsForThoseThatTryRarely) {
+TEST_F(ReaderSharesTest, WaitsForPublishersThatTryRarely) {
   const Users users{{1, 500}};
   ++room.refused;
   EXPECT_EQ(look(users), Shares{});
   for (int i = 0; i < 60; ++i, now += 1s)
-    EXPECT_EQ(look(users), Shares{}) << "nothing was refused since";
+    EXPECT_EQ(look(users), Shares{}) << "no allocation was refused since";
   ++room.refused;
   EXPECT_EQ(look(users), (Shares{{1, 250}}));
 }
 
-// The system would end a process before such a heap refuses anything.
-TEST_F(ReaderSharesTest, DoesNotWaitForARefusalWhereOthersKeepHalfOfWhatTheHeapMayBecome) {
+// The system would kill a process before such a heap refuses an allocation.
+TEST_F(ReaderSharesTest, DoesNotWaitForARefusalWhenReadersKeepHalfOfTheHeapsMaximum) {
   room.may_become = 800;
   for (int i = 0; i < 60; ++i, now += 1s) EXPECT_EQ(look({{1, 200}, {2, 200}}), Shares{});
   const Users users{{1, 201}, {2, 200}, {3, 10}};
@@ -103,7 +104,7 @@ TEST_F(ReaderSharesTest, DoesNotWaitForARefusalWhereOthersKeepHalfOfWhatTheHeapM
   EXPECT_EQ(look(users), (Shares{{1, 195}, {2, 195}}));
 }
 
-TEST_F(ReaderSharesTest, WithdrawsFromAUserThatLetsGoForAMomentAgainAndAgain) {
+TEST_F(ReaderSharesTest, WithdrawsFromAUserThatReleasesBrieflyAgainAndAgain) {
   Shares whom;
   for (int second = 0; second < 60 && whom.empty(); ++second, now += 1s) {
     const bool lets_go = second % 5 == 4;
@@ -113,7 +114,7 @@ TEST_F(ReaderSharesTest, WithdrawsFromAUserThatLetsGoForAMomentAgainAndAgain) {
   EXPECT_EQ(whom, (Shares{{1, 250}}));
 }
 
-TEST_F(ReaderSharesTest, WithdrawsFromAUserWhoseReadersLeaveForAMomentAgainAndAgain) {
+TEST_F(ReaderSharesTest, WithdrawsFromAUserWhoseReadersLeaveBrieflyAgainAndAgain) {
   EXPECT_EQ(full_for(4, {{1, 500}}), Shares{});
   shares.nobody_reads(now);
   now += 1s;
@@ -129,14 +130,14 @@ TEST_F(ReaderSharesTest, GivesEachUserItsOwnPatience) {
   EXPECT_EQ(full_for(1, {{2, 400}}), (Shares{{2, 250}}));
 }
 
-TEST_F(ReaderSharesTest, ForgivesAUserThatIsSeldomAbove) {
+TEST_F(ReaderSharesTest, ForgivesAUserThatIsRarelyAbove) {
   for (int second = 0; second < 3600; ++second, now += 1s) {
     ++room.refused;
     EXPECT_EQ(look({{1, second % 20 == 0 ? 500u : 5u}}), Shares{}) << second;
   }
 }
 
-TEST_F(ReaderSharesTest, BeginsAnewWhenNothingWasRefusedForAMinute) {
+TEST_F(ReaderSharesTest, StartsAgainAfterAMinuteWithoutRefusal) {
   const Users users{{1, 500}};
   ++room.refused;
   for (int i = 0; i < 62; ++i, now += 1s) EXPECT_EQ(look(users), Shares{});
@@ -144,7 +145,7 @@ TEST_F(ReaderSharesTest, BeginsAnewWhenNothingWasRefusedForAMinute) {
   EXPECT_EQ(full_for(1, users), (Shares{{1, 250}}));
 }
 
-TEST_F(ReaderSharesTest, KeepsNewcomersOfThoseUsersOutForAWhile) {
+TEST_F(ReaderSharesTest, KeepsNewReadersOfTheseUsersOutForAWhile) {
   ASSERT_EQ(full_for(60, {{1, 300}, {2, 300}}).size(), 2u);
   for (const std::uint32_t uid : {1u, 2u}) {
     EXPECT_TRUE(shares.is_out({uid, false}, now));
@@ -154,8 +155,8 @@ TEST_F(ReaderSharesTest, KeepsNewcomersOfThoseUsersOutForAWhile) {
   EXPECT_FALSE(shares.is_out({3, false}, now));
 }
 
-// Each fills the heap alone as often as it is let in.
-TEST_F(ReaderSharesTest, IsSeldomFullHoweverManyTakeTurns) {
+// Each user fills the heap alone as often as it is admitted.
+TEST_F(ReaderSharesTest, KeepsTheHeapRarelyFullHoweverManyUsersAlternate) {
   constexpr std::uint32_t users = 12;
   int full = 0;
   for (int second = 0; second < 4 * 3600; ++second, now += 1s) {
@@ -169,7 +170,7 @@ TEST_F(ReaderSharesTest, IsSeldomFullHoweverManyTakeTurns) {
     ++room.refused;
     (void)look({{uid, 900}});
   }
-  // Of four hours: seven bans, 60 s to an hour, and then one an hour, after six seconds each.
+  // In four hours: seven bans from 60 s to an hour, then one an hour, each after six seconds.
   EXPECT_LE(full, static_cast<int>(users) * 10 * 6);
   EXPECT_GE(full, static_cast<int>(users) * 6);
 }

@@ -1,7 +1,8 @@
 // SPDX-License-Identifier: Apache-2.0
 //
-// Goal: what cannot be a message is refused by the compiler, in plain words. Method: CMakeLists.txt compiles this file once
-// for every CASE and looks for the sentence; without CASE it must compile. Keep in step with the list there.
+// Goal: the compiler refuses types that cannot be messages, in plain words. Method: CMakeLists.txt
+// compiles this file once for every CASE and looks for the sentence; without CASE it must compile.
+// Keep in step with the list there.
 
 #include <agnocast/message_type.hpp>
 #include <agnocast/publisher.hpp>
@@ -115,7 +116,7 @@ struct UnionMember {
   };
 };
 struct ErrorCode {
-  std::error_code code;  // has a pointer to its category
+  std::error_code code;  // points to its category
 };
 struct ListMember {
   int count;
@@ -141,7 +142,7 @@ template <class T>
 struct Box {
   T value;
 };
-// What looks like some of the above, and is not.
+// Types that resemble some of the above, but are allowed.
 struct Tree {
   std::vector<Tree> children;
   std::string name;
@@ -166,7 +167,7 @@ struct Everything {
   Constant constant;
   WithConstructor hidden;
 };
-// Trivially copyable, and nothing to write for it.
+// Trivially copyable, and usable without a MessageTraits.
 struct Empty {};
 struct Base {
   std::int64_t id;
@@ -180,7 +181,7 @@ struct Seen : Base {
   std::array<std::complex<float>, 2> pair;
   std::bitset<100> bits;
   std::byte bytes[8];
-  WithConstructor named;  // by its own MessageTraits
+  WithConstructor named;  // with its own MessageTraits
   std::optional<WithConstructor> perhaps;
   Inner grid[2][2];
   Number number;
@@ -189,7 +190,7 @@ struct Seen : Base {
   bool yes : 1, no : 2;
   const int constant;
 };
-// A MessageTraits of the message is a word for its members as well.
+// A MessageTraits of the message also covers its members.
 struct PrivateByName {
   int a;
   PrivatePointer p;
@@ -250,7 +251,7 @@ struct MessageTraits<refused::Good> {
   struct MessageTraits<refused::type> {                   \
     static constexpr const char* name = "refused/" #type; \
   };
-AGNOCAST_TEST_NAMED(ViewMember)  // which is no excuse
+AGNOCAST_TEST_NAMED(ViewMember)  // a name does not allow it
 AGNOCAST_TEST_NAMED(ConstantReferenceMember)
 AGNOCAST_TEST_NAMED(FunctionMember)
 AGNOCAST_TEST_NAMED(SharedMember)

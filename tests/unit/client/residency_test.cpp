@@ -1,225 +1,17 @@
 // SPDX-License-Identifier: Apache-2.0
 //
-// Goal: publish never lets out a message with a byte in it that readers do not have, names what is wrong, and repairs it.
-// Method: operator new of this program plays the heap hook (tests/support/tagging_heap.hpp). Messages are built with every
-// single allocation in turn outside the arena, then with random ones; an oracle that knows the origin of each allocation
-// says what must be found. --seed=N repeats one random run, --runs=N makes more of them.
+// Goal: publish sends no message with a byte that readers cannot see, names the foreign memory,
+// and repairs it. Method: this program's operator new plays the heap hook
+// (tests/support/tagging_heap.hpp). Messages are built with each single allocation in turn outside
+// the arena, then with random ones; an oracle that knows the origin of each allocation gives the
+// expected result. --seed=N repeats one random run, --runs=N makes more of them.
 
-#include "client/api/message_plan.hpp"
-#include "tests/support/tagging_heap.hpp"
-#include "tests/unit/client/message_oracle.hpp"
-
-#include <agnocast/residency.hpp>
-#include <agnocast/rosidl.hpp>
-
-#include <gmock/gmock.h>
-
-#include <geometry_msgs/msg/point.hpp>
-#include <std_msgs/msg/string.hpp>
-
-#include <cstdlib>
-#include <memory>
-#include <new>
-#include <numeric>
-#include <optional>
-#include <random>
-#include <stdexcept>
-#include <string>
-#include <type_traits>
-#include <utility>
-#include <vector>
+#include "tests/unit/client/random_filler.hpp"
+#include "tests/unit/client/residency_messages.hpp"
 
 namespace agnocast {
 namespace test {
-struct Map;
-struct Opaque;
-struct Thrower;
-}  // namespace test
-
-template <>
-struct MessageTraits<test::Map> {
-  static constexpr const char* name = "test/Map";
-  static void for_each_pointer(const test::Map& map, PointerVisitor& visit) noexcept;
-};
-template <>
-struct MessageTraits<test::Opaque> {
-  static constexpr const char* name = "test/Opaque";
-};
-template <>
-struct MessageTraits<test::Thrower> {
-  static constexpr const char* name = "test/Thrower";
-};
-
-namespace test {
-
-using agnocast_test_msgs::msg::Everything;
-using agnocast_test_msgs::msg::Forest;
-using agnocast_test_msgs::msg::Inner;
-using sensor_msgs::msg::PointCloud2;
-using testing::ElementsAre;
-using testing::Not;
-
-// Longer than any string object holds in itself, also as UTF-16.
-const std::string long_text(40, 'x');
-const std::u16string long_wide(40, u'x');
-// libc++ and libstdc++ hold at least these in the object.
-const std::string short_text = "short";
-
-struct Map {
-  std::string name;
-  std::vector<std::uint16_t> cells;
-  std::vector<bool> known;
-};
-
-struct Opaque {
-  std::vector<int> numbers;
-};
-
-struct Thrower {
-  enum class What { nothing, bad_alloc, other };
-  What what = What::nothing;
-  std::string text = long_text;
-  Thrower() = default;
-  Thrower(const Thrower& other) : what(other.what), text(other.text) {
-    if (what == What::bad_alloc) throw std::bad_alloc();
-    if (what == What::other) throw std::runtime_error("no copies today");
-  }
-  Thrower& operator=(const Thrower&) = delete;
-};
-
-}  // namespace test
-
-void MessageTraits<test::Map>::for_each_pointer(const test::Map& map, PointerVisitor& visit) noexcept {
-  visit("name", map.name);
-  visit("cells", map.cells);
-  visit("known", map.known);
-}
-
-namespace test {
 namespace {
-
-template <class T>
-const MessageType& type_of() {
-  static const Result<MessageType> type = message_type_of<T>();
-  if (!type) {
-    ADD_FAILURE() << type.error().what;
-    std::abort();
-  }
-  return *type;
-}
-
-template <class Make>
-auto in_shared_heap(Make&& make) {
-  const SharedHeap heap = shared_heap();
-  SharedScope scope(heap);
-  return make();
-}
-
-template <class T>
-Residency check(const T* message) {
-  return check_residency(type_of<T>(), message, windows());
-}
-
-std::string path_of(const Residency& found) { return found.first_path.data(); }
-
-// Compares the library with the oracle; returns the oracle's list.
-template <class T>
-std::vector<ForeignRange> expect_agreement(const T* message) {
-  type_of<T>();  // made on first use, with allocations of its own
-  const std::vector<ForeignRange> expected = Oracle::foreign_ranges(message);
-  const HeapCounters before = heap_counters();
-  const Residency found = check(message);
-  EXPECT_EQ(heap_counters().allocations, before.allocations) << "the check allocated memory";
-  EXPECT_EQ(found.foreign_count, expected.size());
-  std::uint64_t bytes = 0;
-  for (const ForeignRange& range : expected) bytes += range.bytes;
-  EXPECT_EQ(found.foreign_bytes, bytes);
-  EXPECT_EQ(found.unseen_count, 0U);
-  EXPECT_EQ(path_of(found), expected.empty() ? "" : expected.front().path);
-  EXPECT_EQ(found.is_resident(), expected.empty());
-  return expected;
-}
-
-PointCloud2* make_cloud() {
-  auto message = std::make_unique<PointCloud2>();
-  message->header.frame_id = long_text;
-  message->fields.resize(3);
-  for (auto& field : message->fields) field.name = long_text;
-  message->data.assign(1000, 7);
-  return message.release();
-}
-
-template <class E>
-void fill_inner(E& inner) {
-  inner.label = long_text;
-  inner.notes = {long_text, short_text};
-  inner.blob.assign(100, 1);
-  inner.wide = long_wide;
-  inner.flags.assign(100, true);
-}
-
-Everything* make_everything() {
-  auto message = std::make_unique<Everything>();
-  message->flags.assign(70, true);
-  message->bounded_flags.resize(65, true);
-  message->text = long_text;
-  message->bounded_text = long_text;
-  for (auto& text : message->fixed_texts) text = long_text;
-  message->texts = {long_text, short_text, long_text};
-  message->bounded_texts.resize(2, long_text);
-  message->texts_of_bounded.resize(1, long_text);
-  message->wide = long_wide;
-  for (auto& text : message->fixed_wides) text = long_wide;
-  message->wides = {long_wide, u"short"};
-  message->numbers.assign(10, 1.5);
-  message->bounded_numbers.resize(5, 3);
-  fill_inner(message->inner);
-  for (auto& inner : message->fixed_inners) fill_inner(inner);
-  message->inners.resize(2);
-  for (auto& inner : message->inners) fill_inner(inner);
-  message->bounded_inners.resize(1);
-  fill_inner(message->bounded_inners[0]);
-  message->nothings.resize(3);
-  message->flats.resize(2);
-  return message.release();
-}
-
-Forest* make_forest() {
-  auto message = std::make_unique<Forest>();
-  message->trees.resize(2);
-  for (auto& tree : message->trees) {
-    for (auto* branch : {&tree.trunk, &tree.boughs[0], &tree.boughs[1]}) {
-      branch->name = long_text;
-      branch->leaves.resize(2);
-      for (auto& leaf : branch->leaves) {
-        leaf.name = long_text;
-        leaf.data.assign(9, 1);
-      }
-    }
-  }
-  return message.release();
-}
-
-// Makes the message again and again with one more of its allocations diverted to libc. Returns the paths that were found
-// alone, in the order of the allocations; growing sequences leave some diverted allocations unused.
-template <class Make>
-std::vector<std::string> divert_each_allocation(Make&& make) {
-  std::vector<std::string> paths;
-  const std::uint64_t before = heap_counters().shared_allocations;
-  std::unique_ptr<std::remove_pointer_t<decltype(make())>> whole(in_shared_heap(make));
-  const std::uint64_t count = heap_counters().shared_allocations - before;
-  EXPECT_TRUE(expect_agreement(whole.get()).empty());
-  for (std::uint64_t n = 1; n <= count; ++n) {
-    SCOPED_TRACE("allocation " + std::to_string(n));
-    divert_shared_allocation(n);
-    decltype(whole) message(in_shared_heap(make));
-    divert_shared_allocation(0);
-    const std::vector<ForeignRange> found = expect_agreement(message.get());
-    EXPECT_LE(found.size(), 1U);
-    if (!found.empty()) paths.push_back(found.front().path);
-  }
-  return paths;
-}
 
 TEST(WindowSet, KeepsOrderAndRefusesOverlapEmptinessAndANinth) {
   WindowSet set;
@@ -265,22 +57,46 @@ TEST(WindowSet, ContainsIsExactToTheByte) {
 
 TEST(Residency, FindsEachForeignAllocationOfAPointCloudByItsPath) {
   EXPECT_THAT(divert_each_allocation(make_cloud),
-              ElementsAre("(message)", "header.frame_id", "fields", "fields[0].name", "fields[1].name", "fields[2].name",
-                          "data"));
+              ElementsAre("(message)", "header.frame_id", "fields", "fields[0].name",
+                          "fields[1].name", "fields[2].name", "data"));
 }
 
 TEST(Residency, FindsEachForeignAllocationOfEveryMemberKindByItsPath) {
-  std::vector<std::string> expected{"(message)", "flags", "bounded_flags", "text", "bounded_text", "fixed_texts[0]",
-                                    "fixed_texts[1]", "fixed_texts[2]", "texts", "texts[0]", "texts[2]", "bounded_texts",
-                                    "bounded_texts[0]", "bounded_texts[1]", "texts_of_bounded", "texts_of_bounded[0]",
-                                    "wide", "fixed_wides[0]", "fixed_wides[1]", "wides", "wides[0]", "numbers",
-                                    "bounded_numbers", "inners", "bounded_inners", "nothings", "flats"};
-  for (const char* inner : {"inner", "fixed_inners[0]", "fixed_inners[1]", "inners[0]", "inners[1]", "bounded_inners[0]"}) {
+  std::vector<std::string> expected{"(message)",
+                                    "flags",
+                                    "bounded_flags",
+                                    "text",
+                                    "bounded_text",
+                                    "fixed_texts[0]",
+                                    "fixed_texts[1]",
+                                    "fixed_texts[2]",
+                                    "texts",
+                                    "texts[0]",
+                                    "texts[2]",
+                                    "bounded_texts",
+                                    "bounded_texts[0]",
+                                    "bounded_texts[1]",
+                                    "texts_of_bounded",
+                                    "texts_of_bounded[0]",
+                                    "wide",
+                                    "fixed_wides[0]",
+                                    "fixed_wides[1]",
+                                    "wides",
+                                    "wides[0]",
+                                    "numbers",
+                                    "bounded_numbers",
+                                    "inners",
+                                    "bounded_inners",
+                                    "nothings",
+                                    "flats"};
+  for (const char* inner : {"inner", "fixed_inners[0]", "fixed_inners[1]", "inners[0]", "inners[1]",
+                            "bounded_inners[0]"}) {
     for (const char* member : {"label", "notes", "notes[0]", "blob", "wide", "flags"}) {
       expected.push_back(std::string(inner) + "." + member);
     }
   }
-  EXPECT_THAT(divert_each_allocation(make_everything), testing::UnorderedElementsAreArray(expected));
+  EXPECT_THAT(divert_each_allocation(make_everything),
+              testing::UnorderedElementsAreArray(expected));
 }
 
 TEST(Residency, FindsEachForeignAllocationThroughFourLevels) {
@@ -293,7 +109,7 @@ TEST(Residency, FindsEachForeignAllocationThroughFourLevels) {
 
 TEST(Residency, CountsEveryForeignRangeAndNamesTheFirst) {
   const std::unique_ptr<Everything> message(make_everything());
-  EXPECT_GT(expect_agreement(message.get()).size(), 60U) << "all of it was made outside";
+  EXPECT_GT(expect_agreement(message.get()).size(), 60U) << "all of it was allocated outside";
   EXPECT_EQ(path_of(check(message.get())), "(message)");
   EXPECT_EQ(check(message.get()).first_address, message.get());
 }
@@ -316,16 +132,19 @@ TEST(Residency, AFilledMessageIsResidentHoweverItWasFilled) {
 }
 
 TEST(Residency, AShortTextIsResidentWithTheObjectThatHoldsIt) {
-  std::unique_ptr<std_msgs::msg::String> shared(in_shared_heap([] { return new std_msgs::msg::String; }));
+  std::unique_ptr<std_msgs::msg::String> shared(
+      in_shared_heap([] { return new std_msgs::msg::String; }));
   shared->data = short_text;
   EXPECT_TRUE(expect_agreement(shared.get()).empty());
   const std::unique_ptr<std_msgs::msg::String> foreign(new std_msgs::msg::String);
   foreign->data = short_text;
-  EXPECT_EQ(check(foreign.get()).foreign_bytes, sizeof(std_msgs::msg::String)) << "the text does not count twice";
+  EXPECT_EQ(check(foreign.get()).foreign_bytes, sizeof(std_msgs::msg::String))
+      << "the text must not count twice";
 }
 
 TEST(Residency, AnEmptyTextInForeignMemoryIsForeignBecauseItsTerminatorIsRead) {
-  std::unique_ptr<std_msgs::msg::String> message(in_shared_heap([] { return new std_msgs::msg::String; }));
+  std::unique_ptr<std_msgs::msg::String> message(
+      in_shared_heap([] { return new std_msgs::msg::String; }));
   message->data = long_text;
   message->data.clear();
   ASSERT_GE(message->data.capacity(), long_text.size());
@@ -362,7 +181,8 @@ TEST(Residency, MessagesMaySpreadOverSeveralWindows) {
   const auto data = reinterpret_cast<std::uintptr_t>(message->data.data());
   WindowSet set;
   ASSERT_TRUE(set.add(data, windows()[0].end));
-  EXPECT_EQ(check_residency(type_of<PointCloud2>(), message.get(), set).foreign_count, 6U) << "all but data";
+  EXPECT_EQ(check_residency(type_of<PointCloud2>(), message.get(), set).foreign_count, 6U)
+      << "all but data";
   ASSERT_TRUE(set.add(windows()[0].begin, data));
   EXPECT_TRUE(check_residency(type_of<PointCloud2>(), message.get(), set).is_resident());
 }
@@ -373,12 +193,14 @@ TEST(Residency, APathThatDoesNotFitIsShortened) {
   for (detail::PlanStep& step : plan.steps) step.path = path.c_str();
   const MessageType type{std::unique_ptr<const detail::MessagePlan, detail::DestroyPlan>(
       new detail::MessagePlan(std::move(plan)))};
-  std::unique_ptr<std_msgs::msg::String> message(in_shared_heap([] { return new std_msgs::msg::String; }));
+  std::unique_ptr<std_msgs::msg::String> message(
+      in_shared_heap([] { return new std_msgs::msg::String; }));
   message->data = long_text;
-  EXPECT_EQ(path_of(check_residency(type, message.get(), windows())), path.substr(0, Residency::path_bytes_max - 1));
+  EXPECT_EQ(path_of(check_residency(type, message.get(), windows())),
+            path.substr(0, Residency::path_bytes_max - 1));
 }
 
-// Bits whose storage is not where their iterator says.
+// Bits whose storage is not where their iterator points.
 struct LyingBits {
   std::vector<bool> bits;
   std::vector<bool> others;
@@ -403,16 +225,20 @@ TEST(BitsReader, HoldsForTheStandardLibraryAndNotForImpostors) {
   EXPECT_FALSE(detail::bits_reader_holds<SilentBits>());
 }
 
-// What happens where the reader does not hold, as with libc++.
+// The fallback where the reader does not hold, as with libc++.
 TEST(BitsReader, WithoutItBitsAreUnseenAndAlwaysAdopted) {
   detail::MessagePlan plan(type_of<Inner>().plan());
   plan.bits_are_seen = false;
   const MessageType type{std::unique_ptr<const detail::MessagePlan, detail::DestroyPlan>(
       new detail::MessagePlan(std::move(plan)))};
   std::unique_ptr<Inner> message(in_shared_heap([] { return new Inner; }));
-  EXPECT_TRUE(check_residency(type, message.get(), windows()).is_resident()) << "no bits, nothing unseen";
+  EXPECT_TRUE(check_residency(type, message.get(), windows()).is_resident())
+      << "without bits nothing is unseen";
 
-  in_shared_heap([&] { message->flags.assign(100, true); return 0; });
+  in_shared_heap([&] {
+    message->flags.assign(100, true);
+    return 0;
+  });
   const Residency found = check_residency(type, message.get(), windows());
   EXPECT_FALSE(found.is_resident());
   EXPECT_EQ(found.foreign_count, 0U);
@@ -427,7 +253,7 @@ TEST(BitsReader, WithoutItBitsAreUnseenAndAlwaysAdopted) {
   EXPECT_NE(message.get(), original);
   EXPECT_EQ(message->flags, std::vector<bool>(100, true));
 
-  // Not visible to the check, so only the count of spilled allocations can tell.
+  // The check cannot see it; only the count of spilled allocations shows it.
   limit_shared_heap(sizeof(Inner) + 32);
   const Result<Adoption> refused = make_resident(message, type, shared_heap());
   unlimit_shared_heap();
@@ -459,7 +285,7 @@ TEST(Adoption, ReportsExactlyTheBytesOfAMovedInVector) {
   const std::int64_t live = heap_counters().live;
   const Result<Adoption> adopted = make_resident(message, type_of<PointCloud2>(), shared_heap());
   ASSERT_TRUE(adopted.has_value()) << adopted.error().what;
-  EXPECT_EQ(adopted->adopted_bytes, 12345U) << "elements, not capacity, and nothing of what was resident";
+  EXPECT_EQ(adopted->adopted_bytes, 12345U) << "elements, not capacity, and no resident memory";
   EXPECT_TRUE(Oracle::foreign_ranges(message.get()).empty());
   EXPECT_EQ(message->data, expected);
   EXPECT_EQ(message->fields[2].name, long_text);
@@ -467,14 +293,16 @@ TEST(Adoption, ReportsExactlyTheBytesOfAMovedInVector) {
 }
 
 TEST(Adoption, CountsTextsWithTheirTerminator) {
-  std::unique_ptr<std_msgs::msg::String> message(in_shared_heap([] { return new std_msgs::msg::String; }));
+  std::unique_ptr<std_msgs::msg::String> message(
+      in_shared_heap([] { return new std_msgs::msg::String; }));
   message->data = long_text;
-  const Result<Adoption> adopted = make_resident(message, type_of<std_msgs::msg::String>(), shared_heap());
+  const Result<Adoption> adopted =
+      make_resident(message, type_of<std_msgs::msg::String>(), shared_heap());
   ASSERT_TRUE(adopted.has_value());
   EXPECT_EQ(adopted->adopted_bytes, long_text.size() + 1);
 }
 
-TEST(Adoption, TakesAMessageThatWasMadeEntirelyOutside) {
+TEST(Adoption, AdoptsAMessageThatWasMadeEntirelyOutside) {
   std::unique_ptr<Everything> message(make_everything());
   const Everything copy(*message);
   std::uint64_t bytes = 0;
@@ -486,7 +314,8 @@ TEST(Adoption, TakesAMessageThatWasMadeEntirelyOutside) {
   EXPECT_EQ(*message, copy);
 }
 
-// Room for n bytes more, for every n that is too little by whole allocations: the message must stay as it was.
+// Room for n more bytes, for every n too small by whole allocations: the message must stay as it
+// was.
 TEST(Adoption, ReportsAnExhaustedHeapAndKeepsTheMessageAtEveryPointOfExhaustion) {
   std::unique_ptr<PointCloud2> message(make_cloud());
   const PointCloud2* before = message.get();
@@ -530,7 +359,8 @@ TEST(Adoption, TurnsExceptionsOfTheCopyConstructorIntoErrorsAndKeepsTheMessage) 
 }
 
 TEST(Adoption, CopiesAnOpaqueMessageEvenIfItIsInTheSharedHeap) {
-  std::unique_ptr<Opaque> message(in_shared_heap([] { return new Opaque{std::vector<int>(10, 5)}; }));
+  std::unique_ptr<Opaque> message(
+      in_shared_heap([] { return new Opaque{std::vector<int>(10, 5)}; }));
   EXPECT_EQ(type_of<Opaque>().kind(), MessageType::Kind::opaque);
   const Residency found = check(message.get());
   EXPECT_EQ(found.unseen_count, 1U);
@@ -540,11 +370,11 @@ TEST(Adoption, CopiesAnOpaqueMessageEvenIfItIsInTheSharedHeap) {
   message->numbers = std::vector<int>(20, 6);
   const Result<Adoption> adopted = make_resident(message, type_of<Opaque>(), shared_heap());
   ASSERT_TRUE(adopted.has_value());
-  EXPECT_EQ(adopted->adopted_bytes, sizeof(Opaque)) << "the object; the rest is unknown";
+  EXPECT_EQ(adopted->adopted_bytes, sizeof(Opaque)) << "only the object: the rest is unknown";
   EXPECT_EQ(origin_of(message->numbers.data()), Origin::shared);
   EXPECT_EQ(message->numbers, std::vector<int>(20, 6));
 
-  // A loan that is open around it may have spilled before; that says nothing about the copy.
+  // An enclosing open loan may have spilled before; that says nothing about the copy.
   limit_shared_heap(0);
   const SharedHeap heap = shared_heap();
   SharedScope loan(heap);
@@ -553,7 +383,7 @@ TEST(Adoption, CopiesAnOpaqueMessageEvenIfItIsInTheSharedHeap) {
   unlimit_shared_heap();
   EXPECT_TRUE(make_resident(message, type_of<Opaque>(), shared_heap()).has_value());
   EXPECT_EQ(loan.close(), 1U);
-  EXPECT_EQ(loan.close(), 0U) << "only once";
+  EXPECT_EQ(loan.close(), 0U) << "the count is reported only once";
 
   limit_shared_heap(64);  // the object fits, its vector does not
   const Result<Adoption> refused = make_resident(message, type_of<Opaque>(), shared_heap());
@@ -562,7 +392,7 @@ TEST(Adoption, CopiesAnOpaqueMessageEvenIfItIsInTheSharedHeap) {
   EXPECT_EQ(refused.error().code, Errc::heap_exhausted);
 }
 
-TEST(Adoption, AsksTheVisitorOfATraitForWhatItShows) {
+TEST(Adoption, ChecksTheMembersThatATraitsVisitorShows) {
   std::unique_ptr<Map> message(in_shared_heap([] {
     return new Map{long_text, std::vector<std::uint16_t>(100, 1), std::vector<bool>(100, true)};
   }));
@@ -584,118 +414,15 @@ TEST(Adoption, AsksTheVisitorOfATraitForWhatItShows) {
   EXPECT_EQ(check(message.get()).foreign_bytes, 101U);
 }
 
-TEST(Adoption, LooksAtNothingButTheObjectOfAFlatMessage) {
+TEST(Adoption, ChecksOnlyTheObjectOfAFlatMessage) {
   std::unique_ptr<geometry_msgs::msg::Point> described(new geometry_msgs::msg::Point);
   EXPECT_EQ(check(described.get()).foreign_bytes, sizeof(geometry_msgs::msg::Point));
-  const Result<Adoption> adopted = make_resident(described, type_of<geometry_msgs::msg::Point>(), shared_heap());
+  const Result<Adoption> adopted =
+      make_resident(described, type_of<geometry_msgs::msg::Point>(), shared_heap());
   ASSERT_TRUE(adopted.has_value());
   EXPECT_EQ(adopted->adopted_bytes, sizeof(geometry_msgs::msg::Point));
   EXPECT_TRUE(check(described.get()).is_resident());
 }
-
-// Builds random messages with random allocations outside; half of all scalars stay default.
-class RandomFiller {
- public:
-  explicit RandomFiller(std::uint64_t seed) : random_(seed), foreign_chance_(number(4)) {}
-
-  template <class T>
-  T* make() {
-    T* message = somewhere([] { return new T; });
-    std::unique_ptr<T> owner(message);
-    fill(*message);
-    return owner.release();
-  }
-
-  std::size_t number(std::size_t bound) { return std::uniform_int_distribution<std::size_t>(0, bound)(random_); }
-
- private:
-  // Each message has its own share of foreign allocations, from none to most, so that all-resident ones occur.
-  template <class Do>
-  auto somewhere(Do&& what) {
-    const SharedHeap heap = shared_heap();
-    std::optional<SharedScope> scope;
-    if (number(4) >= foreign_chance_) scope.emplace(heap);
-    return what();
-  }
-
-  template <class C>
-  void fill_text(std::basic_string<C>& text, std::size_t length_max) {
-    const std::size_t length = number(length_max);
-    somewhere([&] {
-      switch (number(3)) {
-        case 0: text.assign(length, C('a')); break;
-        case 1: text = std::basic_string<C>(length, C('b')); break;
-        case 2: text.reserve(length); break;
-        default:
-          for (std::size_t i = 0; i < length; ++i) text.push_back(C('c'));
-      }
-      return 0;
-    });
-    if (number(5) == 0) text.clear();
-  }
-  void fill(std::string& text) { fill_text(text, 40); }
-  void fill(std::u16string& text) { fill_text(text, 40); }
-  template <class E>
-  std::enable_if_t<std::is_arithmetic_v<E>> fill(E&) {}
-  template <class E, std::size_t N>
-  void fill(std::array<E, N>& elements) {
-    for (E& element : elements) fill(element);
-  }
-  void fill(std::vector<bool>& bits) {
-    const std::size_t size = number(200);
-    somewhere([&] { bits.resize(size, true); return 0; });
-    if (number(5) == 0) bits.clear();
-  }
-  template <std::size_t N>
-  void fill(rosidl_runtime_cpp::BoundedVector<bool, N>& bits) {
-    const std::size_t size = number(N);
-    somewhere([&] { bits.resize(size, true); return 0; });
-  }
-  template <class E>
-  void fill(std::vector<E>& elements) {
-    const std::size_t size = number(4);
-    somewhere([&] {
-      switch (number(3)) {
-        case 0: elements = std::vector<E>(size); break;
-        case 1: elements.resize(size); break;
-        case 2: elements.reserve(size + 3); break;
-        default:
-          for (std::size_t i = 0; i < size; ++i) elements.push_back(E());
-      }
-      return 0;
-    });
-    for (E& element : elements) fill(element);
-    // Growth after the elements were filled moves them with their memory into another buffer.
-    if (number(3) == 0) somewhere([&] { elements.resize(elements.capacity() + 1); return 0; });
-    if (number(8) == 0) elements.clear();
-  }
-  template <class E, std::size_t N>
-  void fill(rosidl_runtime_cpp::BoundedVector<E, N>& elements) {
-    const std::size_t size = number(N);
-    somewhere([&] { elements.resize(size); return 0; });
-    for (E& element : elements) fill(element);
-  }
-  void fill(std_msgs::msg::Header& m) { fill(m.frame_id); }
-  void fill(sensor_msgs::msg::PointField& m) { fill(m.name); }
-  void fill(PointCloud2& m) { fill(m.header); fill(m.fields); fill(m.data); }
-  void fill(agnocast_test_msgs::msg::Leaf& m) { fill(m.name); fill(m.data); }
-  void fill(agnocast_test_msgs::msg::Branch& m) { fill(m.leaves); fill(m.name); }
-  void fill(agnocast_test_msgs::msg::Tree& m) { fill(m.trunk); fill(m.boughs); }
-  void fill(Forest& m) { fill(m.trees); }
-  void fill(agnocast_test_msgs::msg::Empty&) {}
-  void fill(agnocast_test_msgs::msg::Flat&) {}
-  void fill(Inner& m) { fill(m.label); fill(m.notes); fill(m.blob); fill(m.wide); fill(m.flags); }
-  void fill(Everything& m) {
-    fill(m.flags); fill(m.bounded_flags); fill(m.text);
-    fill_text(m.bounded_text, 40);
-    fill(m.fixed_texts); fill(m.texts); fill(m.bounded_texts); fill(m.texts_of_bounded);
-    fill(m.wide); fill(m.fixed_wides); fill(m.wides); fill(m.numbers); fill(m.bounded_numbers);
-    fill(m.inner); fill(m.fixed_inners); fill(m.inners); fill(m.bounded_inners); fill(m.nothings); fill(m.flats);
-  }
-
-  std::mt19937_64 random_;
-  std::size_t foreign_chance_;  // of 5
-};
 
 struct RandomRuns {
   std::uint64_t first_seed = 1;
@@ -729,13 +456,13 @@ TEST(Residency, AgreesWithTheOracleOnRandomMessages) {
   for (std::uint64_t i = 0; i < random_runs.count; ++i) {
     const std::uint64_t seed = random_runs.first_seed + i;
     SCOPED_TRACE("--runs=1 --seed=" + std::to_string(seed));
-    // After SCOPED_TRACE, whose first use keeps memory.
+    // After SCOPED_TRACE, whose first use allocates.
     const std::int64_t live = heap_counters().live;
     RandomFiller filler(seed);
     one_random_message<PointCloud2>(filler, tally);
     one_random_message<Forest>(filler, tally);
     one_random_message<Everything>(filler, tally);
-    ASSERT_EQ(heap_counters().live, live) << "something leaked";
+    ASSERT_EQ(heap_counters().live, live) << "memory leaked";
     if (HasFailure()) {
       ADD_FAILURE() << "first failing run: --runs=1 --seed=" << seed;
       break;
@@ -743,7 +470,8 @@ TEST(Residency, AgreesWithTheOracleOnRandomMessages) {
   }
   std::printf("seeds %llu to %llu: %d messages resident, %d not\n",
               static_cast<unsigned long long>(random_runs.first_seed),
-              static_cast<unsigned long long>(random_runs.first_seed + random_runs.count - 1), tally.resident, tally.foreign);
+              static_cast<unsigned long long>(random_runs.first_seed + random_runs.count - 1),
+              tally.resident, tally.foreign);
   if (random_runs.count >= 100) {
     EXPECT_GT(tally.resident, 50);
     EXPECT_GT(tally.foreign, 50);
@@ -758,8 +486,10 @@ int main(int argc, char** argv) {
   testing::InitGoogleMock(&argc, argv);
   for (int i = 1; i < argc; ++i) {
     const std::string argument = argv[i];
-    if (argument.rfind("--seed=", 0) == 0) agnocast::test::random_runs.first_seed = std::stoull(argument.substr(7));
-    if (argument.rfind("--runs=", 0) == 0) agnocast::test::random_runs.count = std::stoull(argument.substr(7));
+    if (argument.rfind("--seed=", 0) == 0)
+      agnocast::test::random_runs.first_seed = std::stoull(argument.substr(7));
+    if (argument.rfind("--runs=", 0) == 0)
+      agnocast::test::random_runs.count = std::stoull(argument.substr(7));
   }
   return RUN_ALL_TESTS();
 }

@@ -1,8 +1,8 @@
 // SPDX-License-Identifier: Apache-2.0
 //
-// Goal: a sleep is ended by whoever wakes it, in however many memberships it has a place, also in none; and a
-// child of fork that destroys its copy changes nothing. Method: real epoll sets and forks, a page as the
-// client region, bells as the daemon makes them.
+// Goal: a wake-up ends the sleep of a wait set with any number of sessions, including none; and a
+// child of fork that destroys its copy changes nothing. Method: real epoll sets and forks, a page
+// as the client region, doorbells as the daemon makes them.
 
 #include <client/process/sleeper.hpp>
 
@@ -23,7 +23,7 @@
 namespace agnocast {
 namespace {
 
-/// One membership: a client region, and whoever rings.
+/// One session: a client region, and the publishers that ring.
 struct Member {
   Member()
       : region(static_cast<std::byte*>(::mmap(nullptr, abi::page_bytes, PROT_READ | PROT_WRITE,
@@ -73,13 +73,13 @@ TEST_F(SleeperTest, IsWokenWithoutAnyPlace) {
   EXPECT_FALSE(set_.has_news());
   sleeper_->wake();
   EXPECT_TRUE(set_.has_news());
-  EXPECT_FALSE(set_.has_news()) << "once";
+  EXPECT_FALSE(set_.has_news()) << "one wake-up wakes once";
   sleeper_->remove_from(set_.fd.get());
   sleeper_->wake();
   EXPECT_FALSE(set_.has_news());
 }
 
-TEST_F(SleeperTest, IsWokenByAPlaceThatComesOrGoesAlsoTheLast) {
+TEST_F(SleeperTest, IsWokenByAPlaceThatComesOrGoesIncludingTheLast) {
   const Member first, second;
   ASSERT_TRUE(sleeper_->add_to(set_.fd.get(), 1, 2));
   ASSERT_TRUE(sleeper_->add(&first, first.place));
@@ -95,11 +95,11 @@ TEST_F(SleeperTest, IsWokenByAPlaceThatComesOrGoesAlsoTheLast) {
     sleeper_->remove(member);
     EXPECT_TRUE(set_.has_news());
     member->ring();
-    EXPECT_FALSE(set_.has_news()) << "it is not in the set any more";
+    EXPECT_FALSE(set_.has_news()) << "the doorbell is not in the set any more";
   }
 }
 
-TEST_F(SleeperTest, EverySetHasEveryBell) {
+TEST_F(SleeperTest, EverySetHasEveryDoorbell) {
   const Member member;
   const Set other;
   ASSERT_TRUE(sleeper_->add(&member, member.place));
@@ -113,7 +113,7 @@ TEST_F(SleeperTest, EverySetHasEveryBell) {
   EXPECT_TRUE(set_.has_news() && other.has_news());
 }
 
-TEST_F(SleeperTest, AChildThatDestroysItsCopyLeavesTheParentAsleepAndWithItsBells) {
+TEST_F(SleeperTest, AChildThatDestroysItsCopyLeavesTheParentAsleepWithItsDoorbells) {
   const Member member;
   ASSERT_TRUE(sleeper_->add(&member, member.place));
   ASSERT_TRUE(sleeper_->add_to(set_.fd.get(), 1, 2));
@@ -135,7 +135,7 @@ TEST_F(SleeperTest, AChildThatDestroysItsCopyLeavesTheParentAsleepAndWithItsBell
   EXPECT_FALSE(member.is_armed());
 }
 
-TEST_F(SleeperTest, WhatCannotBeMadeIsSaid) {
+TEST_F(SleeperTest, AFailureToMakeAWaitSetIsReported) {
   rlimit before{};
   ASSERT_EQ(::getrlimit(RLIMIT_NOFILE, &before), 0);
   const rlimit none{0, before.rlim_max};

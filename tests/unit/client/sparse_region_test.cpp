@@ -1,7 +1,7 @@
 // SPDX-License-Identifier: Apache-2.0
 //
-// Goal: a claimed region says that its process lives, as long as it does and no longer, and nobody else can
-// say it. Method: memfds as the daemon makes them, real processes, real SIGKILL.
+// Goal: a claimed region shows that its process lives, exactly as long as it does, and no other
+// process can show that. Method: memfds as the daemon makes them, real processes, real SIGKILL.
 
 #include <client/heap/sparse_region.hpp>
 
@@ -27,7 +27,7 @@ namespace {
 
 constexpr std::uint64_t region_bytes = std::uint64_t{1} << 20;
 
-/// One process has it to write, others to read.
+/// One process may write it, others read it.
 struct Region {
   UniqueFd writer = make_memfd("region", region_bytes).value();
 
@@ -47,7 +47,7 @@ class SparseRegionClaim : public testing::Test {
   static void SetUpTestSuite() { ASSERT_TRUE(recognise_forked_children()); }
 };
 
-/// What a child has found out, for its parent.
+/// What a child reports to its parent.
 struct Answer {
   std::atomic<int> word{0};
   static Answer& make() {
@@ -61,7 +61,7 @@ struct Answer {
   }
 };
 
-TEST_F(SparseRegionClaim, IsSeenByReadersUntilTheRegionIsLetGoOf) {
+TEST_F(SparseRegionClaim, IsSeenByReadersUntilTheRegionIsUnmapped) {
   const Region region;
   const SparseRegion reader = region.read();
   EXPECT_FALSE(reader.is_claimed());
@@ -73,11 +73,11 @@ TEST_F(SparseRegionClaim, IsSeenByReadersUntilTheRegionIsLetGoOf) {
   owned = {};
   EXPECT_TRUE(reader.is_claimed());
   moved = {};
-  EXPECT_FALSE(reader.is_claimed()) << "the daemon has its descriptor still";
+  EXPECT_FALSE(reader.is_claimed()) << "although the daemon still has its descriptor";
 }
 
-// A program may close what it did not open, and open something of its own under the number.
-TEST(SparseRegionParts, OfWhatHasTakenTheNumberOfTheRegionAreNotMapped) {
+// A program may close descriptors that it did not open, and reuse the number for its own.
+TEST(SparseRegionParts, OfAFileThatTookTheRegionsDescriptorNumberAreNotMapped) {
   UniqueFd file = keep(make_memfd("region", region_bytes).value());
   const int number = file.get();
   SparseRegion region =
@@ -90,7 +90,7 @@ TEST(SparseRegionParts, OfWhatHasTakenTheNumberOfTheRegionAreNotMapped) {
   EXPECT_EQ(refused.error().os_errno, EBADF);
 }
 
-TEST_F(SparseRegionClaim, EndsWithItsProcessAlthoughAChildOfItLives) {
+TEST_F(SparseRegionClaim, EndsWithItsProcessEvenIfAChildOfItLives) {
   Region region;
   const SparseRegion reader = region.read();
   Answer& grandchild = Answer::make();
@@ -100,21 +100,22 @@ TEST_F(SparseRegionClaim, EndsWithItsProcessAlthoughAChildOfItLives) {
           SparseRegion::make(std::move(region.writer), region_bytes, Mapping::Access::read_write)
               .value());
       if (!owned.open(0, abi::page_bytes) || !owned.claim()) return 1;
-      // It says so itself: when fork has returned in it, it has let go of the lock.
+      // The grandchild reports it: when fork has returned there, it has closed the lock.
       if (::fork() == 0) grandchild.word.store(::getpid());
       return test::sleep_for_ever();
     });
-    region.writer.reset();  // a daemon whose store is lost has none
+    region.writer.reset();  // a daemon whose store is lost has no descriptor
     grandchild.wait();
     EXPECT_TRUE(reader.is_claimed());
   }
-  // Its end is when its parent can reap it; the grandchild lives.
+  // The owner has ended when its parent can reap it; the grandchild lives.
   EXPECT_FALSE(reader.is_claimed());
-  EXPECT_EQ(::kill(grandchild.word.load(), 0), 0) << "or this test shows nothing";
+  EXPECT_EQ(::kill(grandchild.word.load(), 0), 0)
+      << "the grandchild is gone: this test shows nothing";
   ::kill(grandchild.word.load(), SIGKILL);
 }
 
-TEST_F(SparseRegionClaim, CannotBeFeignedByAReader) {
+TEST_F(SparseRegionClaim, CannotBeForgedByAReader) {
   const Region region;
   const SparseRegion reader = region.read();
   const UniqueFd liar = reopen_read_only(region.writer.get()).value();
@@ -126,7 +127,7 @@ TEST_F(SparseRegionClaim, CannotBeFeignedByAReader) {
   EXPECT_NE(::fcntl(liar.get(), F_OFD_SETLK, &lock), 0);
 }
 
-TEST_F(SparseRegionClaim, IsRefusedWhereItCannotBeSaid) {
+TEST_F(SparseRegionClaim, IsRefusedWhereItCannotBeShown) {
   const Region region;
   const UniqueFd other = reopen_read_only(region.writer.get()).value();
   struct flock lock {};
@@ -145,7 +146,7 @@ TEST_F(SparseRegionClaim, LeavesADescriptorOfTheSameNumberToLaterChildren) {
     SparseRegion owned = region.owned();
     ASSERT_TRUE(owned.claim());
   }
-  std::vector<UniqueFd> all;  // one of them has the number
+  std::vector<UniqueFd> all;  // one of them gets the number
   for (int i = 0; i < 16; ++i) all.emplace_back(::open("/dev/null", O_RDONLY | O_CLOEXEC));
   test::Child child([&] {
     for (const UniqueFd& fd : all) {

@@ -1,6 +1,6 @@
 // SPDX-License-Identifier: Apache-2.0
 //
-// Looks for one message type in directories and says what was found: a process that links no message
+// Looks for one message type in directories and prints the result: a process that links no message
 // package, and whose environment a test chooses.
 //
 //   type_finder NAME [DIRECTORY…]
@@ -19,7 +19,7 @@ int main(int argc, char** argv) {
     std::printf("%s\n", agnocast::text_of(type.error()).c_str());
     return 1;
   }
-  const auto made = type->make();  // its code can be run
+  const auto made = type->make();  // checks that its code can run
   std::printf("%s, %u members\n", type->members().message_name_, type->members().member_count_);
   return 0;
 }

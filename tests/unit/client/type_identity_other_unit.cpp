@@ -1,6 +1,6 @@
 // SPDX-License-Identifier: Apache-2.0
 //
-// The other translation unit of type_identity_test.cpp. Its switches are set in CMakeLists.txt.
+// The other translation unit of type_identity_test.cpp. CMakeLists.txt sets its switches.
 
 #include "tests/unit/client/type_identity_types.hpp"
 

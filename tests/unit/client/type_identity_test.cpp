@@ -1,9 +1,9 @@
 // SPDX-License-Identifier: Apache-2.0
 //
-// Goal: two processes share a type exactly if one can read what the other wrote, and types that cannot be shared are
-// refused with a sentence. Method: change one thing of a real introspection table at a time and compare hashes; compare
-// translation units and processes that must agree; describe an imitation of rosidl::Buffer. What is refused by the compiler
-// is in refused_types.cpp.
+// Goal: two processes share a type exactly if one can read what the other wrote, and types that
+// cannot be shared are refused with a sentence. Method: change one part of a real introspection
+// table at a time and compare hashes; compare translation units and processes that must agree;
+// describe an imitation of rosidl::Buffer. refused_types.cpp covers what the compiler refuses.
 
 #include "tests/unit/client/type_identity_types.hpp"
 
@@ -31,7 +31,8 @@
 
 namespace buffer_test {
 
-// What rosidl::Buffer is, as far as it matters: a pointer to an object with virtual functions that owns the bytes.
+// The essence of rosidl::Buffer: a pointer to an object with virtual functions that owns the
+// bytes.
 class Backend {
  public:
   virtual ~Backend() = default;
@@ -54,7 +55,7 @@ class Buffer {
  private:
   std::unique_ptr<Backend> backend_;
 };
-// The same with the vector inside: its table of functions comes first.
+// The same with the vector inside: its table of virtual functions comes first.
 class InlineBuffer : public Backend {
  public:
   std::vector<std::uint8_t>& bytes() override { return bytes_; }
@@ -175,7 +176,7 @@ TEST(LayoutHash, IsFnv1aWithItsPublishedTestValues) {
   EXPECT_EQ(fnv("foobar"), 0x85944171f73967e8U);
 }
 
-TEST(LayoutHash, EncodingTellsNeighbouringTextsApart) {
+TEST(LayoutHash, EncodingDistinguishesNeighbouringTexts) {
   EXPECT_NE(LayoutHash().add("ab").add("c").value(), LayoutHash().add("a").add("bc").value());
   EXPECT_NE(LayoutHash().add("").add("a").value(), LayoutHash().add("a").add("").value());
   EXPECT_NE(LayoutHash().add(1).add(0).value(), LayoutHash().add(0).add(1).value());
@@ -223,7 +224,7 @@ TEST(TypeIdentity, IsEqualInAUnitWithAnotherLanguageVersionAndOptimisation) {
   EXPECT_EQ(here.pose_name, there.pose_name);
 }
 
-// Runs this program once more, at other addresses.
+// Runs this program again, at other addresses.
 TEST(TypeIdentity, IsEqualInAnotherProcess) {
   std::FILE* child = popen("/proc/$PPID/exe --print-hashes", "r");
   ASSERT_NE(child, nullptr);
@@ -238,9 +239,9 @@ TEST(TypeIdentity, IsEqualInAnotherProcess) {
   EXPECT_EQ(here.everything, there.everything);
 }
 
-// A copy of the tables of Forest (Forest › Tree › Branch › Leaf) that can be changed. The library probes tables before it
-// hashes them, so changes of layout need a sample message that agrees: construct() makes none, and the sequences of the
-// changed tables are imitated.
+// A copy of the tables of Forest (Forest › Tree › Branch › Leaf) that can be changed. The library
+// probes tables before it hashes them, so changes of layout need a sample message that agrees:
+// construct() makes none, and the sequences of the changed tables are imitated.
 class Tables {
  public:
   Tables() {
@@ -268,7 +269,7 @@ class Tables {
   std::uint64_t build = agnocast::detail::build_hash;
   agnocast::detail::MessageTable message{"a::msg", "B", 256, 6};
   agnocast::detail::MessageTable nested{"c::msg", "D", 16, 2};
-  // Two floats, nested once plainly and once as a sequence.
+  // Two doubles, nested once directly and once as a sequence.
   std::vector<Field> nested_fields{
       {"p", Element::primitive, Array::none, ros::ROS_TYPE_DOUBLE, false, 8, 0, 0, 0, nullptr, nullptr, nullptr, nullptr},
       {"q", Element::primitive, Array::none, ros::ROS_TYPE_DOUBLE, false, 8, 8, 0, 0, nullptr, nullptr, nullptr, nullptr}};
@@ -286,7 +287,7 @@ class Tables {
   std::vector<Field> fields = std::vector<Field>(6);
 
  private:
-  // A vector of two elements without memory of its own: three pointers into `storage`.
+  // A vector of two elements without its own memory: three pointers into `storage`.
   static std::size_t size(const void*) { return 2; }
   template <std::size_t Stride>
   static const void* get(const void*, std::size_t index) {
@@ -342,7 +343,8 @@ TEST(TypeIdentity, EveryChangeOfTheTableChangesTheHash) {
     change(tables);
     const Result<MessageType> type = tables.describe();
     ASSERT_TRUE(type.has_value()) << what << ": " << type.error().what;
-    EXPECT_TRUE(hashes.insert(type->layout_hash()).second) << what << " gives a hash that is there already";
+    EXPECT_TRUE(hashes.insert(type->layout_hash()).second)
+        << what << " gives a hash that another change already gave";
     Tables same;
     change(same);
     EXPECT_EQ(same.describe()->layout_hash(), type->layout_hash()) << what;
@@ -382,7 +384,7 @@ TEST(TypeRefusal, ASequenceThatIsAPolymorphicBufferIsRefusedWithASentence) {
 struct MarkedMember {
   bool is_rosidl_buffer_;
 };
-TEST(TypeRefusal, TheGeneratorsMarkIsBelieved) {
+TEST(TypeRefusal, TheGeneratorsMarkIsTrusted) {
   EXPECT_TRUE(agnocast::detail::BufferMark<MarkedMember>::of({true}));
   EXPECT_FALSE(agnocast::detail::BufferMark<MarkedMember>::of({false}));
   EXPECT_FALSE(agnocast::detail::BufferMark<int>::of(1));
@@ -391,7 +393,7 @@ TEST(TypeRefusal, TheGeneratorsMarkIsBelieved) {
   expect_refused(tables.describe(), "rosidl::Buffer");
 }
 
-TEST(TypeRefusal, AnotherStandardLibraryThanTheLibrarysIsRefused) {
+TEST(TypeRefusal, AStandardLibraryOtherThanTheLibrarysIsRefused) {
   Tables tables;
   tables.build ^= 1;
   expect_refused(tables.describe(), "different standard libraries");
@@ -413,7 +415,8 @@ TEST(TypeRefusal, TablesThatContradictThemselvesAreRefused) {
   refused("contradicts itself", [](Tables& t) { t.fields[3].resize = nullptr; });
   refused("not a std::vector", [](Tables& t) { t.fields[3].get = nullptr; });
   refused("not a std::vector", [](Tables& t) { t.fields[4].element_bytes = 8; });
-  // Something that has its elements where a vector has them, and is none: {elements, count, …} or without capacity.
+  // Types whose elements lie where a vector's do, but with {elements, count, …} or without
+  // capacity.
   refused("not a std::vector", [](Tables& t) {
     t.fields[3].resize = [](void* member, std::size_t) {
       Tables::resize_to<16>(member);
@@ -470,7 +473,7 @@ TEST(TypeRefusal, ExceptionsOfADefaultConstructorBecomeErrors) {
   EXPECT_EQ(describe([](const void*, void*) { throw 1; }).error().code, Errc::user_code_threw);
 }
 
-// The rules that the compiler enforces, as far as they can be asked without failing to compile.
+// The rules that the compiler enforces, as far as a test can query them and still compile.
 struct HiddenPointer {
   std::uint32_t id;
   const char* text;

@@ -1,6 +1,7 @@
 // SPDX-License-Identifier: Apache-2.0
 //
-// Types that two translation units with different compiler switches look at; see type_identity_test.cpp.
+// Types that two translation units with different compiler switches use; see
+// type_identity_test.cpp.
 #pragma once
 
 #include <agnocast/message_type.hpp>

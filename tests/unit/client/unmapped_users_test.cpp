@@ -23,7 +23,7 @@ struct UnmappedUsersTest : testing::Test {
   bool is_out(PeerOwner owner) const { return users.is_out(owner, now); }
 };
 
-TEST_F(UnmappedUsersTest, WaitsTenSecondsAndNotForOthersThen) {
+TEST_F(UnmappedUsersTest, WaitsTenSecondsPerUser) {
   look_for(10, one);
   EXPECT_FALSE(is_out(one));
   look_for(1, other);
@@ -32,8 +32,8 @@ TEST_F(UnmappedUsersTest, WaitsTenSecondsAndNotForOthersThen) {
   EXPECT_FALSE(is_out(other));
 }
 
-// Each subscription leaves in time, and for a moment there is none.
-TEST_F(UnmappedUsersTest, CountsTogetherWhatFollowsEachOther) {
+// Each subscription leaves in time, and briefly there is none.
+TEST_F(UnmappedUsersTest, AddsUpIntervalsThatFollowEachOther) {
   for (int times = 0; times < 3 && !is_out(one); ++times) {
     look_for(5, one);
     users.look(now);
@@ -42,7 +42,7 @@ TEST_F(UnmappedUsersTest, CountsTogetherWhatFollowsEachOther) {
   EXPECT_TRUE(is_out(one));
 }
 
-TEST_F(UnmappedUsersTest, ForgivesWhatIsRare) {
+TEST_F(UnmappedUsersTest, ForgivesRareIntervals) {
   for (int times = 0; times < 100; ++times) {
     look_for(5, one);
     EXPECT_FALSE(is_out(one)) << times;
@@ -50,7 +50,7 @@ TEST_F(UnmappedUsersTest, ForgivesWhatIsRare) {
   }
 }
 
-TEST_F(UnmappedUsersTest, BeginsAnewAfterABan) {
+TEST_F(UnmappedUsersTest, StartsAgainAfterABan) {
   look_for(8, one);
   users.ban(one, now);
   now += UserBans::first;
@@ -61,7 +61,7 @@ TEST_F(UnmappedUsersTest, BeginsAnewAfterABan) {
   EXPECT_TRUE(is_out(one));
 }
 
-TEST_F(UnmappedUsersTest, WaitsForTheProcessesOwnUser) {
+TEST_F(UnmappedUsersTest, AlwaysWaitsForTheProcessesOwnUser) {
   look_for(100, self);
   users.ban(self, now);
   EXPECT_FALSE(is_out(self));

@@ -22,7 +22,7 @@ TEST(UserBans, EndAfterAWhile) {
   EXPECT_FALSE(bans.has(somebody_else, now));
 }
 
-TEST(UserBans, AreLongerEachTimeUpToABound) {
+TEST(UserBans, GetLongerEachTimeUpToALimit) {
   UserBans bans;
   UserBans::Clock::time_point now{1h};
   for (std::chrono::seconds length = UserBans::first; length < 10 * UserBans::longest;
@@ -40,14 +40,14 @@ TEST(UserBans, AreForgottenAfterALongTime) {
   UserBans::Clock::time_point now{1h};
   bans.add(somebody, now);
   bans.add(somebody, now);
-  EXPECT_TRUE(bans.has(somebody, now + UserBans::first)) << "twice as long";
+  EXPECT_TRUE(bans.has(somebody, now + UserBans::first)) << "the second ban is twice as long";
   now += 2 * UserBans::first + UserBans::longest;
   bans.add(somebody, now);
   EXPECT_FALSE(bans.has(somebody, now + UserBans::first));
 }
 
-// The same number in another user namespace is another user.
-TEST(UserBans, AreNeverOfTheOwnUser) {
+// The same uid in another user namespace is another user.
+TEST(UserBans, NeverApplyToTheOwnUser) {
   UserBans bans;
   const UserBans::Clock::time_point now{1h};
   bans.add({7, true}, now);

@@ -1,8 +1,8 @@
 // SPDX-License-Identifier: Apache-2.0
 //
-// Goal: which socket, which domain and which form of output a command line means, whatever the order
-// of its words. Method: command lines against a table of commands of this test's own; that a new row
-// is all a command needs is shown by having one. The texts of errors are in ctl_test.cpp.
+// Goal: a command line selects the right socket, domain and output format in any order of its
+// words. Method: command lines against this test's own table of commands; having a new row shows
+// that a row is all a command needs. ctl_test.cpp checks the texts of errors.
 
 #include <ctl/cli/commands.hpp>
 #include <ctl/cli/console.hpp>
@@ -79,7 +79,7 @@ TEST(Arguments, ChooseTheRecords) {
   EXPECT_FALSE(parsed({"diary"}).has(o::follow));
   const Arguments all =
       parsed({"-n", "7", "--topic", "/points", "diary", "--process", "lidar", "--follow"});
-  EXPECT_EQ(all.command, &commands[4]) << "a value is no noun";
+  EXPECT_EQ(all.command, &commands[4]) << "the value of an option is not a noun";
   EXPECT_EQ(all.whole(o::records), 7u);
   EXPECT_EQ(all.text(o::of_topic), "/points");
   EXPECT_EQ(all.text(o::of_process), "lidar");
@@ -90,17 +90,18 @@ TEST(Arguments, ChooseTheRecords) {
   EXPECT_EQ(status_of({"alone", "-n", "1"}), Status::wrong_usage);
 }
 
-TEST(Arguments, AreAsManyWordsAsACommandTakes) {
+TEST(Arguments, MustBeAsManyAsTheCommandTakes) {
   EXPECT_EQ(parsed({"thing", "paint", "a", "b"}).subjects, (std::vector<std::string>{"a", "b"}));
   EXPECT_EQ(status_of({"thing", "paint"}), Status::wrong_usage);
   EXPECT_EQ(parsed({"thing", "give", "a"}).subject(1), "");
   EXPECT_EQ(parsed({"thing", "give", "a", "b"}).subject(1), "b");
-  EXPECT_EQ(parsed({"thing", "give", "a", "--", "-1"}).subject(1), "-1") << "no option behind --";
+  EXPECT_EQ(parsed({"thing", "give", "a", "--", "-1"}).subject(1), "-1")
+      << "words after -- are not options";
   EXPECT_EQ(status_of({"thing", "give", "a", "b", "c"}), Status::wrong_usage);
   EXPECT_EQ(status_of({"thing", "give", ""}), Status::wrong_usage);
 }
 
-TEST(Arguments, AreCheckedAgainstWhatTheirOptionSays) {
+TEST(Arguments, AreCheckedAgainstTheRulesOfTheirOption) {
   const auto paint = [](const std::string& option, const std::string& what) {
     return std::vector<std::string>{"thing", "paint", "a", option, what};
   };
@@ -135,7 +136,7 @@ TEST(Arguments, ChooseTheDomain) {
   EXPECT_TRUE(parsed({"things", "-a"}, around).all_domains);
   around.ros_domain_id = "x";
   EXPECT_EQ(status_of({"things"}, around), Status::wrong_usage);
-  EXPECT_EQ(status_of({"alone"}, around), Status::done) << "it needs none";
+  EXPECT_EQ(status_of({"alone"}, around), Status::done) << "the command needs no domain";
   EXPECT_EQ(status_of({"thing", "info", "x", "--all-domains"}), Status::wrong_usage);
 }
 
@@ -152,7 +153,7 @@ TEST(Arguments, ChooseTheFormOfTheOutput) {
   EXPECT_TRUE(parsed({"things", "-tvj"}).has(o::show_types));
 }
 
-TEST(Console, WritesNumbersForPeople) {
+TEST(Console, WritesReadableNumbers) {
   EXPECT_EQ(bytes_for_people(0), "0 B");
   EXPECT_EQ(bytes_for_people(1023), "1023 B");
   EXPECT_EQ(bytes_for_people(1536), "1.5 KiB");

@@ -1,8 +1,8 @@
 // SPDX-License-Identifier: Apache-2.0
 //
-// Goal: audit() finds what a daemon could have given out wrongly, which no client can bring about, and
-// reads nothing that is not there. Method: systems made by hand on plain memory: one that is sound,
-// then one mistake at a time.
+// Goal: audit() finds what a daemon could hand out wrongly, which no client can cause, and reads
+// nothing that does not exist. Method: hand-made systems in plain memory: a sound one, then one
+// mistake at a time.
 
 #include <ctl/snapshot/audit.hpp>
 
@@ -31,8 +31,8 @@ wire::Name name(const char* text) {
   return result;
 }
 
-/// Two processes with a window each; a publisher of the first, a subscription of the second that is
-/// linked to it.
+/// Two processes with a heap window each: a publisher of the first, and a subscription of the
+/// second that is linked to it.
 struct Made {
   Made() : board(abi::topic_offset(2) / 8) {
     system.board = reinterpret_cast<std::byte*>(board.data());
@@ -115,7 +115,7 @@ struct Made {
   region::PublisherWords<M> queue_words{};
 };
 
-TEST(Audit, FindsNothingWhereNothingIsWrong) {
+TEST(Audit, FindsNothingInASoundSystem) {
   Made made;
   const Audit seen = audit(made.system, region_bytes);
   for (const Finding& finding : seen.findings)
@@ -123,7 +123,7 @@ TEST(Audit, FindsNothingWhereNothingIsWrong) {
   EXPECT_EQ(seen.queues, 1u);
 }
 
-TEST(Audit, FindsWhatTheDaemonGaveOutWrongly) {
+TEST(Audit, FindsEachMistakeOfTheDaemon) {
   struct Case {
     Invariant invariant;
     std::function<void(Made&)> destroy;
@@ -173,8 +173,8 @@ TEST(Audit, FindsWhatTheDaemonGaveOutWrongly) {
   }
 }
 
-TEST(Audit, ReadsNothingThatIsNotThere) {
-  // Numbers as large as they may be, from a board that was never written: nothing is followed.
+TEST(Audit, FollowsNoImpossibleNumbers) {
+  // The largest possible numbers, on a board that was never written: none is followed.
   Made made;
   made.words().publisher_high().store(~std::uint64_t{0});
   made.words().subscription_high().store(~std::uint64_t{0});
@@ -188,10 +188,10 @@ TEST(Audit, ReadsNothingThatIsNotThere) {
   EXPECT_EQ(seen.queues, 0u);
 }
 
-TEST(Audit, LooksOnlyInPartAtAQueueThatNeverRests) {
+TEST(Audit, ChecksABusyQueueOnlyInPart) {
   Made made;
   made.queue_words.intent_op().store(abi::intent_publish);
-  made.queue_words.order(7).store(~std::uint64_t{0});  // wrong at rest only
+  made.queue_words.order(7).store(~std::uint64_t{0});  // wrong only at rest
   const Audit seen = audit(made.system, region_bytes);
   EXPECT_TRUE(seen.findings.empty());
   EXPECT_EQ(seen.in_motion.size(), 1u);
@@ -199,9 +199,9 @@ TEST(Audit, LooksOnlyInPartAtAQueueThatNeverRests) {
   EXPECT_EQ(audit(made.system, region_bytes).findings.size(), 1u);
 }
 
-TEST(Audit, AQueueInMotionKeepsOnlyWhatIsSeenAtRest) {
-  // Two faults of one publisher. That of the board is over at the second look, which cannot see the
-  // other one.
+TEST(Audit, ABusyQueueKeepsOnlyFindingsMadeAtRest) {
+  // Two faults of one publisher. The board's fault is gone at the second look, which cannot see
+  // the other fault.
   Made made;
   const std::uint64_t entry = made.queue_words.order(7).load();
   made.queue_words.order(7).store(~std::uint64_t{0});

@@ -1,7 +1,7 @@
 // SPDX-License-Identifier: Apache-2.0
 //
-// Goal: what completion offers fits where the cursor is, and manual pages say what help says. Method: the
-// real table of commands, names of this test's own; each word typed so far, one after the other.
+// Goal: completion offers what fits at the cursor, and manual pages agree with --help. Method: the
+// real table of commands, with names of this test; each typed word in turn.
 
 #include <agnocast/error.hpp>
 #include <ctl/cli/help.hpp>
@@ -43,8 +43,9 @@ TEST(Completion, OffersNounsThenVerbsThenNames) {
   EXPECT_THAT(offered({"topic", "h"}), ElementsAre("hz"));
   EXPECT_THAT(offered({"topic", "info", "/po"}), ElementsAre("/points", "/points_raw"));
   EXPECT_THAT(offered({"topic", "info", ""}), ElementsAre("/clock", "/points", "/points_raw"))
-      << "nothing that a shell would do something with";
-  EXPECT_THAT(offered({"topic", "info", "/points", ""}), IsEmpty()) << "it takes one";
+      << "completion must offer no text that a shell would interpret";
+  EXPECT_THAT(offered({"topic", "info", "/points", ""}), IsEmpty())
+      << "the command takes one topic";
   EXPECT_THAT(offered({"topic", "hz", "/clock", "/p"}), ElementsAre("/points", "/points_raw"));
   EXPECT_THAT(offered({"node", "info", ""}), ElementsAre("/lidar"));
   EXPECT_THAT(offered({"topics", ""}), IsEmpty());
@@ -59,7 +60,7 @@ TEST(Completion, OffersOptionsOfTheCommandAndTheirValues) {
   EXPECT_THAT(offered({"journal", "--topic", "/cl"}), ElementsAre("/clock"));
   EXPECT_THAT(offered({"monitor", "--process", ""}), ElementsAre("4711"));
   EXPECT_THAT(offered({"--socket", "/x", "topic", "ty"}), ElementsAre("type"));
-  EXPECT_THAT(offered({"topic", "hz", "-w", ""}), IsEmpty()) << "a number";
+  EXPECT_THAT(offered({"topic", "hz", "-w", ""}), IsEmpty()) << "a number has no completion";
   EXPECT_THAT(offered({"topic", "info", "--", "-"}), IsEmpty());
 }
 
@@ -71,7 +72,7 @@ TEST(Completion, OffersEveryCommand) {
   }
 }
 
-TEST(Manual, HasASectionForEachCommandWithWhatHelpSays) {
+TEST(Manual, HasASectionForEachCommandThatAgreesWithHelp) {
   const std::string page = manual_of(all_commands, "November 21, 2026");
   for (const Command& command : all_commands) {
     const std::size_t at = page.find(".Ss " + usage_of(command) + "\\&\n");

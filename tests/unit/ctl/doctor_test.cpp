@@ -1,7 +1,7 @@
 // SPDX-License-Identifier: Apache-2.0
 //
-// Goal: remedies are commands whatever the names in them hold, and of the reasons for which there is no daemon
-// exactly one is named. Method: the functions alone, and facts made up.
+// Goal: remedies are safe commands whatever names they contain, and the doctor names exactly one
+// reason why the daemon is out of reach. Method: the functions alone, with invented facts.
 
 #include <agnocast/error.hpp>
 #include <ctl/doctor/doctor_facts.hpp>
@@ -30,7 +30,7 @@ std::string said_by_shell(const std::string& word) {
   return said;
 }
 
-TEST(DoctorFill, MakesOneWordOfWhateverThereIs) {
+TEST(DoctorFill, QuotesAnyTextAsOneWord) {
   EXPECT_EQ(shell_word("/run/agnocast/agnocastd.sock"), "/run/agnocast/agnocastd.sock");
   EXPECT_EQ(shell_word(""), "''");
   for (const std::string& text :
@@ -49,14 +49,14 @@ TEST(DoctorFill, FillsWholeWordsOnceAndLeavesTheRest) {
             "kill -CONT 12 && start it");
   EXPECT_EQ(filled("unset AGNOCAST_SOCKET", {{"SOCKET", "x"}}, common), "unset AGNOCAST_SOCKET");
   EXPECT_EQ(filled("edit FILE", {{"PID", "12"}}, common), "edit /etc/PID")
-      << "values are not looked into";
+      << "placeholders in values are not replaced";
   EXPECT_EQ(filled("COMMAND", {}, common), "COMMAND");
   EXPECT_EQ(filled("", {}, common), "");
 }
 
-// Every way in which a daemon can be out of reach, put together from what can be seen of it, is named by
-// exactly one check; with a daemon there, none of them speaks.
-TEST(DoctorDoor, NamesOneReasonWhateverThereIs) {
+// Every way in which a daemon can be out of reach, combined from what can be seen of it, triggers
+// exactly one check; with a daemon present, none of them.
+TEST(DoctorDoor, NamesExactlyOneReasonInEverySituation) {
   using Kind = Door::Kind;
   std::uint64_t cases = 0;
   for (const Kind kind : {Kind::nothing, Kind::socket, Kind::other}) {
@@ -68,11 +68,11 @@ TEST(DoctorDoor, NamesOneReasonWhateverThereIs) {
               Errc::descriptors_withheld, Errc::daemon_untrusted, Errc::os_failure,
               Errc::internal}) {
           for (const unsigned bits : {0u, 1u, 2u, 3u, 4u, 5u, 6u, 7u}) {
-            // Nobody answers where there is nothing, or nothing that can be walked to.
+            // No answer comes where there is no socket, or where the path is closed.
             const bool can_answer = kind == Kind::socket && *closed == '\0';
             if (!can_answer && (error != 0 || code != Errc::daemon_not_running)) continue;
             if (*closed != '\0' && kind != Kind::nothing) continue;
-            // A code of the daemon's comes only when it was reached.
+            // An error code of the daemon comes only if it was reached.
             if (error != 0 && code != Errc::daemon_not_running) continue;
             Facts facts;
             facts.away = Problem{Status::failed, "what", "why", "hint", code};
@@ -111,7 +111,7 @@ TEST(DoctorDoor, NamesOneReasonWhateverThereIs) {
   EXPECT_GT(cases, 100u);
 }
 
-TEST(DoctorDoor, SaysStoppedAndNothingElseOfAStoppedDaemon) {
+TEST(DoctorDoor, ReportsAStoppedDaemonOnlyAsStopped) {
   Facts facts;
   facts.away.emplace(Problem{Status::not_reachable, {}, {}, {}, Errc::daemon_not_running});
   facts.door.kind = Door::Kind::socket;
@@ -123,7 +123,7 @@ TEST(DoctorDoor, SaysStoppedAndNothingElseOfAStoppedDaemon) {
   }
 }
 
-TEST(DoctorFacts, CommandsOfTheSystemsDaemonAreSystemds) {
+TEST(DoctorFacts, CommandsForTheSystemDaemonUseSystemd) {
   Facts facts;
   facts.door.path = system_socket;
   facts.door.is_systems = true;
@@ -152,7 +152,7 @@ const Check& bridge_check(std::string_view id) {
   throw std::out_of_range(std::string(id));
 }
 
-TEST(DoctorBridge, StartsTheUnitThatHasTheDomainAndNoSecondOneOfIt) {
+TEST(DoctorBridge, StartsTheUnitOfTheDomainAndNoSecondOne) {
   Facts facts;
   facts.door.is_systems = true;
   facts.unit_domain = 3;
@@ -165,7 +165,7 @@ TEST(DoctorBridge, StartsTheUnitThatHasTheDomainAndNoSecondOneOfIt) {
   EXPECT_EQ(found[1].words["BRIDGE"], "sudo systemctl enable --now agnocast-bridge@7");
   facts.idle_bridge_units = {"agnocast-bridge.service", "agnocast-bridge@7.service"};
   found = check.find(facts);
-  ASSERT_EQ(found.size(), 2u) << "of each unit once, not of its socket as well";
+  ASSERT_EQ(found.size(), 2u) << "each unit once, without its socket";
   EXPECT_EQ(found[0].words["BRIDGE"],
             "sudo systemctl restart agnocast-bridge.service || journalctl -u "
             "agnocast-bridge.service -n 20 --no-pager");
@@ -179,7 +179,7 @@ TEST(DoctorBridge, StartsTheUnitThatHasTheDomainAndNoSecondOneOfIt) {
             "agnocast-bridge");
 }
 
-TEST(DoctorBridge, KeepsWhatTheUnitsHaveWhenTheyGetTheLibrariesOfThisShell) {
+TEST(DoctorBridge, AddsTheLibrariesOfThisShellToThoseOfTheUnits) {
   const std::string prefix =
       std::string(::testing::TempDir()) + "doctor_test-" + std::to_string(::getpid());
   std::filesystem::create_directories(prefix + "/closed/lib");
@@ -211,7 +211,7 @@ TEST(DoctorBridge, KeepsWhatTheUnitsHaveWhenTheyGetTheLibrariesOfThisShell) {
   std::filesystem::remove_all(prefix);
 }
 
-TEST(DoctorBridge, PutsTheFileThatUnitsDoNotSeeWhereTheyDo) {
+TEST(DoctorBridge, MovesAFileThatUnitsCannotSeeToWhereTheyCan) {
   Facts facts;
   facts.hidden_cyclonedds_file = "/tmp/c.xml";
   const auto found = bridge_check("cyclonedds-uri").find(facts);

@@ -1,7 +1,7 @@
 // SPDX-License-Identifier: Apache-2.0
 //
-// Goal: a filter accepts what its expression says, and one that makes no sense for the type is refused
-// where it goes wrong. Method: expressions over one message.
+// Goal: a filter accepts the messages that its expression describes; an expression that does not
+// fit the type is refused with the position of the error. Method: expressions over one message.
 
 #include <ctl/messages/filter.hpp>
 #include <tests/unit/ctl/made_message.hpp>
@@ -32,7 +32,7 @@ test::Made<Everything> message() {
   return made;
 }
 
-TEST(Filter, AcceptsWhatItsExpressionSays) {
+TEST(Filter, AcceptsMessagesForWhichItsExpressionHolds) {
   const auto of = message();
   for (const char* const holds : {"true",
                                   "not false",
@@ -93,7 +93,7 @@ TEST(Filter, ComparesWholeNumbersOf64BitsExactly) {
   EXPECT_FALSE(accepts("m.data == 18446744073709551614"));
 }
 
-TEST(Filter, IsRefusedWhereItGoesWrong) {
+TEST(Filter, IsRefusedWithThePositionOfTheError) {
   const auto& members = test::Made<Everything>::type().members();
   for (const auto& [text, why] : std::initializer_list<std::pair<std::string, const char*>>{
            {"", "character 1 of \"\": a number, a text, a field or '(' is missing"},

@@ -1,8 +1,8 @@
 // SPDX-License-Identifier: Apache-2.0
 //
-// Goal: every record of the daemon's log becomes a sentence that says who and what, whatever is known
-// of it, and names of others cannot write into a terminal. Method: records made by hand; every type
-// there is; the sentences that matter word by word.
+// Goal: every record of the daemon's log becomes a sentence with its subject and event, however
+// little is known of it, and foreign names cannot write into a terminal. Method: hand-made
+// records; every record type; the important sentences word by word.
 
 #include <ctl/snapshot/journal.hpp>
 
@@ -51,7 +51,7 @@ JournalRecord told(JournalRecord result, const char* process, std::uint32_t pid)
 }
 std::string sentence(const JournalRecord& it) { return subject_of(it) + ": " + deed_of(it); }
 
-TEST(Journal, TellsDeathsAndRecoveries) {
+TEST(Journal, DescribesDeathsAndRecoveries) {
   const auto publisher = [](std::uint64_t cause) {
     return sentence(named(record(RecordType::leave_publisher, {{"index", 3}, {"cause", cause}}),
                           "/points", "lidar", 812));
@@ -81,7 +81,7 @@ TEST(Journal, TellsDeathsAndRecoveries) {
             "process 7 (lidar, pid 812): came back");
 }
 
-TEST(Journal, TellsWhoIsToldAndWhoHasLetGo) {
+TEST(Journal, DescribesNotificationsAndAcknowledgements) {
   const auto kind = [](wire::Kind it) { return static_cast<std::uint64_t>(it); };
   EXPECT_EQ(sentence(told(
                 named(record(RecordType::announced,
@@ -101,7 +101,7 @@ TEST(Journal, TellsWhoIsToldAndWhoHasLetGo) {
       "memory of process 7 (lidar, pid 812): viewer (pid 2) has unmapped it");
 }
 
-TEST(Journal, TellsWhoIsServedNoMoreAndWhy) {
+TEST(Journal, DescribesWithdrawnReadersAndTheReason) {
   const auto withdrawn = [](std::uint64_t why) {
     return told(
         named(record(RecordType::reader_withdrawn,
@@ -117,7 +117,7 @@ TEST(Journal, TellsWhoIsServedNoMoreAndWhy) {
             who + "no longer " + reader + ": its user kept too much of the heap");
   EXPECT_EQ(sentence(withdrawn(3)),
             who + "no longer " + reader + ": its process could not be mapped");
-  // The names are another's now; the pids are the record's own.
+  // The names belong to other processes now; the pids are those of the record.
   EXPECT_EQ(sentence(told(named(withdrawn(2), "", "", 820), "", 977)),
             "publisher 0 of topic 0 (forgotten) (pid 820): reports that it no longer serves "
             "subscription 2 (pid 977, uid 1001): "
@@ -149,14 +149,14 @@ TEST(Journal, HasASentenceForEveryRecord) {
     EXPECT_NE(deed_of(known), "unknown") << name;
     EXPECT_FALSE(subject_of(record(type, {})).empty()) << name;
     EXPECT_TRUE(sentences.insert(sentence(known)).second)
-        << name << " says the same as another: " << sentence(known);
+        << name << " has the sentence of another record: " << sentence(known);
   };
 #define AGNOCAST_CHECK_SENTENCE(name, number, arguments) check(#name, RecordType::name);
   AGNOCAST_RECORD_TABLE(AGNOCAST_CHECK_SENTENCE)
 #undef AGNOCAST_CHECK_SENTENCE
 }
 
-TEST(Journal, SaysWhatCannotBeRead) {
+TEST(Journal, ReportsUnreadableRecords) {
   JournalRecord damaged{};
   damaged.lsn = 4711;
   damaged.state = JournalState::damaged;
@@ -166,12 +166,12 @@ TEST(Journal, SaysWhatCannotBeRead) {
   EXPECT_EQ(sentence(strange), "record: damaged: not a valid record");
   EXPECT_EQ(sentence(record(RecordType::free_publisher, {{"topic", 3}, {"index", 1}})),
             "publisher 1 of topic 3 (forgotten) (forgotten): removed, its entry is free");
-  // A topic cannot be called so; the name of a process can.
+  // A topic cannot have this name; a process can.
   EXPECT_EQ(sentence(named(record(RecordType::rejoined, {{"client", 7}}), "", "\x1b[2J", 1)),
             "process 7 (\\x1b[2J, pid 1): came back");
 }
 
-TEST(Journal, ChoosesByTopicAndProcess) {
+TEST(Journal, FiltersByTopicAndProcess) {
   const JournalRecord it =
       told(named(record(RecordType::announced, {}), "/points", "lidar", 812), "viewer", 2);
   EXPECT_TRUE(passes(it, {}));

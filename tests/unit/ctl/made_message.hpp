@@ -1,6 +1,6 @@
 // SPDX-License-Identifier: Apache-2.0
 //
-// A message of a C++ type together with the table of that type.
+// A message of a C++ type together with its type's table.
 #pragma once
 
 #include <agnocast/generic.hpp>

@@ -1,8 +1,8 @@
 // SPDX-License-Identifier: Apache-2.0
 //
-// Goal: what is printed is read back as the same message, for every type; what is no message is
-// refused with its place. Method: random messages of every type of interfaces/, by the table; texts
-// written by hand.
+// Goal: a printed message is read back as the same message, for every type; other text is refused
+// with the place of the error. Method: random messages of every type of interfaces/, made from the
+// type's table; texts written by hand.
 
 #include <ctl/messages/message_read.hpp>
 #include <ctl/messages/message_text.hpp>
@@ -32,7 +32,7 @@ void expect_same(const std::string& text, const IntrospectedType& type, const vo
       << text;
 }
 
-TEST(MessageRead, EveryMessageIsReadBackAsItWas) {
+TEST(MessageRead, EveryPrintedMessageIsReadBack) {
   test::RandomMessages random(31, {.has_nan = true, .has_any_text = true});
   for (const char* const name : test::every_message_name) {
     const IntrospectedType type = find_message_type(name);
@@ -47,7 +47,7 @@ TEST(MessageRead, EveryMessageIsReadBackAsItWas) {
   }
 }
 
-TEST(MessageRead, WhatIsNotNamedHasItsDefault) {
+TEST(MessageRead, OmittedFieldsHaveTheirDefaults) {
   for (const char* const name : test::every_message_name) {
     const IntrospectedType type = find_message_type(name);
     expect_same("{}", type, type.make().get(), name);
@@ -59,7 +59,7 @@ TEST(MessageRead, JsonIsRead) {
   const auto read = read_messages(
       R"({"header": {"frame_id": "a\u00e4\ud83d\ude00"}, "data": [1, 2], "is_dense": true})",
       test::Made<PointCloud2>::type());
-  // YAML has no pairs of \u for one letter; everything else of JSON is YAML.
+  // YAML has no pairs of \u for one character; the rest of JSON is YAML.
   EXPECT_FALSE(read);
   const auto plain = read_messages(R"({"header": {"frame_id": "ab"}, "data": [1, 2]})",
                                    test::Made<PointCloud2>::type());
@@ -93,7 +93,7 @@ TEST(MessageRead, AutoAndNowAreTheTimeOfPublishing) {
   ASSERT_FALSE(quoted);
 }
 
-TEST(MessageRead, NumbersAreReadInTheirForms) {
+TEST(MessageRead, NumbersAreReadInAllForms) {
   using agnocast_test_msgs::msg::Everything;
   const auto read = read_messages(
       "{bounded_numbers: [0x10, -0x10, 0o17, 0b11, +5], numbers: [1, .5, 1., -.inf, .NaN, 1E3, "
@@ -110,7 +110,7 @@ TEST(MessageRead, NumbersAreReadInTheirForms) {
   EXPECT_EQ(message.numbers[5], 1000);
 }
 
-TEST(MessageRead, WhatIsNoMessageIsRefusedWithItsPlace) {
+TEST(MessageRead, OtherTextIsRefusedWithThePlaceOfTheError) {
   struct Case {
     const char* text;
     const char* what;

@@ -1,7 +1,7 @@
 // SPDX-License-Identifier: Apache-2.0
 //
-// Goal: messages are printed as `ros2 topic echo` prints them, and nothing reaches a terminal that
-// could steer it. Method: messages filled by hand, whole texts compared.
+// Goal: messages are printed as `ros2 topic echo` prints them, and no control sequence reaches a
+// terminal. Method: messages filled by hand, whole texts compared.
 
 #include <ctl/messages/message_text.hpp>
 #include <tests/unit/ctl/made_message.hpp>
@@ -77,7 +77,7 @@ TEST(MessageText, LongArraysAndStringsEndInDots) {
   TextOptions options;
   options.truncate_length = 2;
   const std::string text = yaml(message.value(), options);
-  EXPECT_THAT(text, testing::HasSubstr("frame_id: äö...\n")) << "letters, not bytes";
+  EXPECT_THAT(text, testing::HasSubstr("frame_id: äö...\n")) << "characters, not bytes";
   EXPECT_THAT(text, testing::HasSubstr("data:\n- 1\n- 2\n- '...'\n"));
   EXPECT_THAT(csv_of(message.value(), options), testing::HasSubstr(",1,2,...,False"));
   EXPECT_EQ(json_of(message.value(), options)["data"].dump(), "[1,2,\"...\"]");
@@ -87,7 +87,7 @@ TEST(MessageText, LongArraysAndStringsEndInDots) {
   EXPECT_THAT(yaml(message.value(), options), testing::HasSubstr("data:\n- '...'\n"));
 }
 
-TEST(MessageText, ArraysAndStringsCanBeLeftOut) {
+TEST(MessageText, ArraysAndStringsCanBeOmitted) {
   const Made<sensor_msgs::msg::PointCloud2> message(cloud());
   TextOptions options;
   options.no_arrays = options.no_strings = true;
@@ -104,7 +104,7 @@ TEST(MessageText, ArraysAndStringsCanBeLeftOut) {
   EXPECT_THAT(all, testing::HasSubstr("numbers: '<sequence type: double, length: 0>'\n"));
 }
 
-TEST(MessageText, NumbersAreThoseOfPython) {
+TEST(MessageText, NumbersAreFormattedAsInPython) {
   using Limits = std::numeric_limits<double>;
   for (const auto& [number, text] : std::initializer_list<std::pair<double, const char*>>{
            {0, "0.0"},
@@ -141,16 +141,16 @@ TEST(MessageText, StringsAreQuotedWhereYamlNeedsIt) {
   EXPECT_EQ(scalar_of("'a'"), "'''a'''");
 }
 
-TEST(MessageText, NothingThatSteersATerminalIsPrinted) {
+TEST(MessageText, ControlCharactersAreEscaped) {
   EXPECT_EQ(scalar_of("\x1b[2J"), "\"\\e[2J\"");
   EXPECT_EQ(scalar_of(std::string("a\0b", 3)), "\"a\\0b\"");
   EXPECT_EQ(scalar_of("a\r\n\t\"\\"), "\"a\\r\\n\\t\\\"\\\\\"");
   EXPECT_EQ(scalar_of("\x7f"), "\"\\x7f\"");
-  EXPECT_EQ(scalar_of("\xc2\x9b"), "\"\\x9b\"") << "CSI in one character";
-  EXPECT_EQ(scalar_of("\xe2\x80\xae"), "\"\\u202e\"") << "right to left";
+  EXPECT_EQ(scalar_of("\xc2\x9b"), "\"\\x9b\"") << "CSI as one character";
+  EXPECT_EQ(scalar_of("\xe2\x80\xae"), "\"\\u202e\"") << "right-to-left override";
   EXPECT_EQ(scalar_of("\xe2\x80\xa8"), "\"\\u2028\"");
   EXPECT_EQ(scalar_of("\xf3\xa0\x80\x81"), "\"\\U000e0001\"");
-  EXPECT_EQ(scalar_of("\xff\xfe"), "!!binary \"//4=\"") << "no UTF-8";
+  EXPECT_EQ(scalar_of("\xff\xfe"), "!!binary \"//4=\"") << "invalid UTF-8";
   Made<std_msgs::msg::String> message;
   message->data = "a,\"\x1b";
   EXPECT_EQ(csv_of(message.value(), {}), "\"\"\"a,\\\"\"\\e\"\"\"");
@@ -161,7 +161,7 @@ TEST(MessageText, NothingThatSteersATerminalIsPrinted) {
   EXPECT_EQ(bare_text_of(message.value().field(0), {}), "\"\\e]0;x\\a\"");
 }
 
-TEST(MessageText, JsonHasAFormForWhatJsonHasNot) {
+TEST(MessageText, JsonEncodesValuesThatItDoesNotHave) {
   Made<agnocast_test_msgs::msg::Everything> message;
   message->numbers = {std::nan(""), HUGE_VAL, -HUGE_VAL, 0.5};
   message->text = "\xff";
@@ -175,7 +175,7 @@ TEST(MessageText, JsonHasAFormForWhatJsonHasNot) {
   EXPECT_EQ(object["nothing"].dump(), "{}");
 }
 
-TEST(MessageText, APlaceIsNamedAndFound) {
+TEST(MessageText, APathFindsItsField) {
   const Made<sensor_msgs::msg::PointCloud2> message(cloud());
   const auto at = [&](const std::string& place) {
     const auto path = Path::parse(place, message.type().members());

@@ -1,7 +1,7 @@
 // SPDX-License-Identifier: Apache-2.0
 //
-// Goal: what docs/ctl.md says of ros2's flags is true: who is called the same is there, in the same
-// spelling, and nobody else is without a reason. Method: its table against the table of commands.
+// Goal: the table of ros2's flags in docs/ctl.md is true: a flag called the same exists with that
+// spelling, and every other one has a reason. Method: compare it with the table of commands.
 
 #include <ctl/cli/commands.hpp>
 
@@ -16,7 +16,7 @@
 namespace agnocast::ctl {
 namespace {
 
-/// What stands between backticks.
+/// Returns the texts between backticks.
 std::vector<std::string> in_backticks(std::string_view text) {
   std::vector<std::string> words;
   for (std::size_t at = 0; (at = text.find('`', at)) != std::string_view::npos;) {

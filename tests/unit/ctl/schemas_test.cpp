@@ -1,8 +1,8 @@
 // SPDX-License-Identifier: Apache-2.0
 //
-// Goal: whatever agnocast-ctl names as the schema of its JSON is installed, and nothing else; every
-// schema leads where it points. Method: names in the sources against ctl/schemas. That what is
-// printed is as they say is judged where it is printed (tests/support/json_judge.hpp).
+// Goal: exactly the JSON schemas that agnocast-ctl names are installed, and every reference in
+// them resolves. Method: names in the sources against ctl/schemas. The tests that print JSON
+// validate it (tests/support/json_judge.hpp).
 
 #include <gmock/gmock.h>
 #include <nlohmann/json.hpp>
@@ -36,7 +36,7 @@ std::map<std::string, nlohmann::json> schemas() {
   return all;
 }
 
-TEST(Schemas, AreThoseThatTheSourcesName) {
+TEST(Schemas, AreExactlyThoseThatTheSourcesName) {
   std::set<std::string> named{"urn:agnocast:common:1"}, installed;
   const std::regex name("\"agnocast\\.([a-z-]+)/([0-9]+)\"");
   for (const auto& entry : fs::recursive_directory_iterator(folder)) {
@@ -47,7 +47,7 @@ TEST(Schemas, AreThoseThatTheSourcesName) {
   }
   for (const auto& [id, schema] : schemas()) {
     installed.insert(id);
-    if (!schema.contains("properties")) continue;  // what others share
+    if (!schema.contains("properties")) continue;  // a schema of shared definitions
     std::string constant = schema["properties"]["schema"]["const"];
     EXPECT_EQ(id, "urn:" + constant.replace(8, 1, ":").replace(constant.find('/'), 1, ":"));
   }
@@ -62,7 +62,7 @@ void each_reference(const nlohmann::json& part,
   }
 }
 
-TEST(Schemas, PointToWhatIsThere) {
+TEST(Schemas, ReferToExistingDefinitions) {
   const auto all = schemas();
   for (const auto& [id, schema] : all) {
     each_reference(schema, [&](const std::string& reference) {

@@ -1,7 +1,7 @@
 // SPDX-License-Identifier: Apache-2.0
 //
-// Goal: only well-formed text is taken for text. Method: every letter there and back; the malformed
-// forms of the Unicode standard's own table.
+// Goal: only well-formed text is accepted. Method: every character encoded and decoded; the
+// malformed forms of the Unicode standard's own table.
 
 #include <ctl/cli/unicode.hpp>
 
@@ -12,7 +12,7 @@
 namespace agnocast::ctl {
 namespace {
 
-TEST(Unicode, EveryLetterGoesThereAndBack) {
+TEST(Unicode, EveryCharacterIsEncodedAndDecoded) {
   for (char32_t letter = 0; letter <= 0x10ffff; ++letter) {
     if (letter >= 0xd800 && letter <= 0xdfff) continue;
     std::string utf8;
@@ -25,7 +25,7 @@ TEST(Unicode, EveryLetterGoesThereAndBack) {
   }
 }
 
-TEST(Unicode, WhatIsMalformedIsNoText) {
+TEST(Unicode, MalformedTextIsRefused) {
   for (const char* const bytes :
        {"\x80", "\xc3", "\xc3(", "\xc0\x80", "\xc1\xbf", "\xe0\x80\x80", "\xe0\x9f\xbf", "\xe2\x82",
         "\xed\xa0\x80", "\xed\xbf\xbf", "\xf0\x80\x80\x80", "\xf0\x8f\xbf\xbf", "\xf4\x90\x80\x80",

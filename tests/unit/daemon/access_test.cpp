@@ -1,6 +1,6 @@
 // SPDX-License-Identifier: Apache-2.0
 //
-// Goal: exactly the users that the rules name may use a topic, and the rule that decided is known.
+// Goal: exactly the users that the rules name may use a topic, and the deciding rule is known.
 // Method: tables of patterns and decisions; a plain recursive matcher as a second opinion.
 
 #include <agnocast/topic_pattern.hpp>
@@ -77,7 +77,7 @@ bool matches_plainly(std::string_view pattern, std::string_view topic) {
   return same && matches_plainly(pattern.substr(1), topic.substr(1));
 }
 
-// All patterns up to five characters against all topics up to five, over a small alphabet.
+// All patterns and all topics of up to five characters over a small alphabet.
 TEST(TopicPattern, AgreesWithASecondMatcher) {
   const auto all = [](std::string_view alphabet, std::size_t length_max) {
     std::vector<std::string> words{""};
@@ -102,7 +102,7 @@ TEST(TopicPattern, AgreesWithASecondMatcher) {
   EXPECT_GT(match_count, 500U);
 }
 
-TEST(TopicPattern, HostilePatternsTakeNoTime) {
+TEST(TopicPattern, HostilePatternsAreMatchedQuickly) {
   std::string pattern = "/";
   while (pattern.size() + 2 <= name_length_max) pattern += "*a";
   const std::string topic = "/" + std::string(name_length_max - 2, 'a') + "b";
@@ -113,7 +113,7 @@ TEST(TopicPattern, HostilePatternsTakeNoTime) {
       << "longer than allowed";
 }
 
-TEST(TopicPattern, BadOnesAreToldWhatIsWrong) {
+TEST(TopicPattern, BadOnesAreRefusedWithTheReason) {
   const struct {
     const char* pattern;
     const char* text;
@@ -164,7 +164,7 @@ TEST_F(Access, NoRuleMeansAllowed) {
   EXPECT_EQ(decided({1, {}}, 0, "/lidar/x", Action::publish), "allowed by default");
 }
 
-TEST_F(Access, FirstRuleOfTheDomainThatSpeaksOfTheActionDecides) {
+TEST_F(Access, FirstRuleOfTheDomainForTheActionDecides) {
   EXPECT_EQ(decided({1000, {}}, 7, "/lidar/x", Action::publish), "allowed by rule 0 line 10");
   EXPECT_EQ(decided({1002, {50}}, 7, "/lidar/x", Action::publish), "denied by rule 0 line 10");
   EXPECT_EQ(decided({1002, {50}}, 0, "/lidar/x", Action::publish), "allowed by rule 1 line 20");
@@ -179,7 +179,7 @@ TEST_F(Access, GroupsArePrimaryOrSupplementary) {
       << "a uid is no gid";
 }
 
-TEST_F(Access, EmptyListMeansNobodyRootIncluded) {
+TEST_F(Access, EmptyListAdmitsNobodyNotEvenRoot) {
   EXPECT_EQ(decided({0, {0}}, 0, "/secret/x", Action::publish), "denied by rule 2 line 30");
   EXPECT_EQ(decided({0, {0}}, 0, "/secret/x", Action::subscribe), "denied by rule 2 line 30");
   EXPECT_EQ(decided({1001, {}}, 0, "/secret/x", Action::subscribe), "allowed by rule 2 line 30");
@@ -204,7 +204,7 @@ TEST(Readers, AreEqualExactlyWhereTheSameUsersAndGroupsMaySubscribe) {
   };
   EXPECT_EQ(readers("/a"), readers("/b"));
   EXPECT_EQ(readers("/f"), everybody_reads);
-  EXPECT_EQ(readers("/g"), everybody_reads) << "no rule speaks of subscribing";
+  EXPECT_EQ(readers("/g"), everybody_reads) << "no rule is about subscribing";
   EXPECT_EQ(readers("/none"), everybody_reads);
   EXPECT_EQ(readers("/h"), everybody_reads) << "another domain";
   EXPECT_EQ(readers("/h", 3), readers("/a"));

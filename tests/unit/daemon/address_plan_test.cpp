@@ -1,7 +1,7 @@
 // SPDX-License-Identifier: Apache-2.0
 //
-// Goal: the arena fits into every machine it is planned for and refuses what does not; windows are
-// given out lowest first and never twice. Method: numbers in, numbers out.
+// Goal: the arena fits into every supported machine, and an arena that does not fit is refused;
+// windows are assigned lowest first and never twice. Method: numbers in, numbers out.
 
 #include <agnocast/abi/limits.hpp>
 #include <daemon/state/address_plan.hpp>
@@ -20,14 +20,14 @@ namespace {
 
 constexpr std::uint64_t gib = std::uint64_t{1} << 30;
 
-/// Where the next window is, if there is one.
+/// Returns where the next window is, if there is one.
 std::optional<std::uint64_t> taken(AddressPlan& plan, std::span<const Obstacle> obstacles = {}) {
   const auto choice = plan.take(obstacles);
   if (!choice) return std::nullopt;
   return choice->base;
 }
 
-TEST(AddressPlan, BeginsInAnotherEighthAfterEachDaemonAndComesRound) {
+TEST(AddressPlan, BeginsInTheNextEighthAfterEachDaemonAndWrapsAround) {
   const Arena arena{0x1000000, 16 * 0x1000, 0x1000};
   for (std::uint64_t former : {0u, 1u, 7u, 8u, 1000u}) {
     AddressPlan plan(arena, former);
@@ -73,7 +73,7 @@ TEST(AddressPlan, FitsEveryNumberOfAddressBitsAndEveryMemory) {
 }
 
 // AArch64 kernels with 39, 42, 47 (with 16 KiB pages) and 48 bits, x86-64 with 47.
-TEST(AddressPlan, FitsSmallAddressSpacesWithRoomForWindowsThatAreOfUse) {
+TEST(AddressPlan, FitsSmallAddressSpacesWithUsefulWindows) {
   struct Machine {
     unsigned bits;
     std::uint64_t memory;
@@ -82,7 +82,7 @@ TEST(AddressPlan, FitsSmallAddressSpacesWithRoomForWindowsThatAreOfUse) {
   const Machine machines[] = {
       {39, gib, {128 * gib, 32 * gib, gib / 4}},
       {39, 4 * gib, {128 * gib, 32 * gib, gib / 2}},
-      {39, 64 * gib, {128 * gib, 32 * gib, gib / 2}},  // at least 64 processes find a window
+      {39, 64 * gib, {128 * gib, 32 * gib, gib / 2}},  // at least 64 processes get a window
       {42, 8 * gib, {1024 * gib, 256 * gib, 2 * gib}},
       {42, 64 * gib, {1024 * gib, 256 * gib, 4 * gib}},
       {47, gib / 2, {0x2000'0000'0000, 8192 * gib, gib / 8}},
@@ -105,20 +105,22 @@ TEST(AddressPlan, FitsSmallAddressSpacesWithRoomForWindowsThatAreOfUse) {
   }
 }
 
-TEST(AddressPlan, ASmallerArenaIsTakenFromTheConfiguration) {
-  // What a container with ulimit -v is given: as much as 16 processes of 64 MiB need.
+TEST(AddressPlan, TheConfigurationMayGiveASmallerArena) {
+  // The case of a container with ulimit -v: as much as 16 processes of 64 MiB need.
   const auto arena = plan_arena({128 * gib, gib, 64 << 20}, 39, 2 * gib);
   ASSERT_TRUE(arena);
   EXPECT_EQ(AddressPlan(*arena).window_count(), 16u);
-  EXPECT_FALSE(plan_arena({512 * gib, gib, 64 << 20}, 39, 2 * gib)) << "above the last address";
-  EXPECT_FALSE(plan_arena({511 * gib, 2 * gib, 64 << 20}, 39, 2 * gib)) << "over the last address";
+  EXPECT_FALSE(plan_arena({512 * gib, gib, 64 << 20}, 39, 2 * gib))
+      << "begins above the last address";
+  EXPECT_FALSE(plan_arena({511 * gib, 2 * gib, 64 << 20}, 39, 2 * gib))
+      << "ends above the last address";
 }
 
-TEST(AddressPlan, RefusesWhatDoesNotFit) {
-  EXPECT_FALSE(plan_arena({0x7000'0000'0000, 32768 * gib, 0}, 47, 8 * gib));  // over the end
+TEST(AddressPlan, RefusesAnArenaThatDoesNotFit) {
+  EXPECT_FALSE(plan_arena({0x7000'0000'0000, 32768 * gib, 0}, 47, 8 * gib));  // beyond the end
   EXPECT_FALSE(plan_arena({0x2000'0000'0000, ~std::uint64_t{0} - 4095, 0}, 47, 8 * gib));
-  EXPECT_FALSE(plan_arena({0x2000'0000'1000, 0, 0}, 47, 8 * gib));   // not a huge page
-  EXPECT_FALSE(plan_arena({0, 0, (64 << 20) + 4096}, 47, 8 * gib));  // not huge pages
+  EXPECT_FALSE(plan_arena({0x2000'0000'1000, 0, 0}, 47, 8 * gib));   // base not on a huge page
+  EXPECT_FALSE(plan_arena({0, 0, (64 << 20) + 4096}, 47, 8 * gib));  // not whole huge pages
   EXPECT_FALSE(plan_arena({0, gib, 2 * gib}, 47, 8 * gib));          // no window fits
   EXPECT_FALSE(plan_arena({}, 16, gib));
 }
@@ -136,7 +138,7 @@ TEST(AddressPlan, GivesOutTheLowestFreeWindow) {
   EXPECT_EQ(taken(plan), std::nullopt);
 }
 
-TEST(AddressPlan, TakesBackOnlyWhatItGave) {
+TEST(AddressPlan, TakesBackOnlyAssignedWindows) {
   AddressPlan plan({0x10000, 4 * 0x1000, 0x1000});
   ASSERT_EQ(taken(plan), 0x10000u);
   EXPECT_FALSE(plan.give_back(0x11000));
@@ -150,22 +152,22 @@ TEST(AddressPlan, TakesBackOnlyWhatItGave) {
   EXPECT_EQ(plan.used_count(), 1u);
 }
 
-TEST(AddressPlan, TakesTheLowestWindowWhereNothingIsInTheWay) {
+TEST(AddressPlan, TakesTheLowestWindowWithoutObstacles) {
   AddressPlan plan({0x10000, 8 * 0x1000, 0x1000});
-  // A part of a window is all of it: 0x10000, 0x12000 and 0x13000 are avoided.
+  // A partly blocked window counts as blocked: 0x10000, 0x12000 and 0x13000 are avoided.
   const Obstacle obstacles[] = {{0x10fff, 1}, {0x12800, 0x1000}};
   EXPECT_EQ(taken(plan, obstacles), 0x11000u);
   EXPECT_EQ(taken(plan, obstacles), 0x14000u);
-  EXPECT_EQ(taken(plan), 0x10000u) << "for whom nothing is in the way";
+  EXPECT_EQ(taken(plan), 0x10000u) << "a process without obstacles";
   EXPECT_EQ(taken(plan, obstacles), 0x15000u);
 }
 
-TEST(AddressPlan, TakesAWindowThatIsFreeInAsManyAsPossibleWhenNoneIsFreeInAll) {
+TEST(AddressPlan, TakesTheWindowFreeInMostProcessesIfNoneIsFreeInAll) {
   AddressPlan plan({0x10000, 4 * 0x1000, 0x1000});
   const Obstacle obstacles[] = {
       {0x10000, 0x4000, 1}, {0x10000, 0x1000, 5}, {0x11000, 0x1000, 2}, {0x13000, 0x1000, 1}};
   EXPECT_EQ(plan.best(obstacles), (AddressPlan::Choice{0x12000, 1}));
-  EXPECT_EQ(plan.best(obstacles), (AddressPlan::Choice{0x12000, 1})) << "looking takes nothing";
+  EXPECT_EQ(plan.best(obstacles), (AddressPlan::Choice{0x12000, 1})) << "best() assigns nothing";
   EXPECT_EQ(plan.take(obstacles), (AddressPlan::Choice{0x12000, 1}));
   EXPECT_EQ(plan.take(obstacles), (AddressPlan::Choice{0x13000, 2}));
   EXPECT_EQ(plan.take(obstacles), (AddressPlan::Choice{0x11000, 3}));
@@ -173,7 +175,7 @@ TEST(AddressPlan, TakesAWindowThatIsFreeInAsManyAsPossibleWhenNoneIsFreeInAll) {
   EXPECT_EQ(plan.take(obstacles), std::nullopt);
 }
 
-TEST(AddressPlan, NeverTakesAWindowThatIsForbidden) {
+TEST(AddressPlan, NeverTakesAForbiddenWindow) {
   AddressPlan plan({0x10000, 4 * 0x1000, 0x1000});
   const Obstacle obstacles[] = {{0x10000, 0x2000, Obstacle::forbids},
                                 {0x11000, 0x2000, Obstacle::forbids},
@@ -183,8 +185,8 @@ TEST(AddressPlan, NeverTakesAWindowThatIsForbidden) {
   EXPECT_EQ(plan.used_count(), 1u);
 }
 
-// Compared with counting window by window.
-TEST(AddressPlan, ChoosesAsCountingWouldAmongAnyObstacles) {
+// Compared with a count window by window.
+TEST(AddressPlan, ChoosesLikeACountForAnyObstacles) {
   std::mt19937 random(11);
   for (int round = 0; round < 2000; ++round) {
     const Arena arena{0x10000, 32 * 0x1000, 0x1000};

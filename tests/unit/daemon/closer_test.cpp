@@ -1,8 +1,8 @@
 // SPDX-License-Identifier: Apache-2.0
 //
-// Goal: what a closer was given is closed, and not before the manager has let go of its own copies.
-// Method: a manager of our own that takes its time; the write end of a pipe, whose reader sees when it
-// is closed.
+// Goal: the closer closes each descriptor that it was given, but not before the service manager
+// has closed its own copies. Method: our own service manager that takes its time; the write end of
+// a pipe, whose reader sees the close.
 
 #include <daemon/transport/closer.hpp>
 
@@ -42,13 +42,13 @@ struct Pipe {
   }
 };
 
-/// The socket of a manager, and the descriptor of the barrier that it has been sent.
+/// The socket of a service manager, and the descriptor of the barrier sent to it.
 class Manager {
  public:
   Manager() : socket_(::socket(AF_UNIX, SOCK_DGRAM | SOCK_CLOEXEC, 0)) {
     sockaddr_un address{};
     address.sun_family = AF_UNIX;
-    socklen_t bytes = sizeof(sa_family_t);  // the kernel finds an abstract name
+    socklen_t bytes = sizeof(sa_family_t);  // the kernel chooses an abstract name
     EXPECT_EQ(::bind(socket_.get(), reinterpret_cast<sockaddr*>(&address), bytes), 0);
     bytes = sizeof address;
     ::getsockname(socket_.get(), reinterpret_cast<sockaddr*>(&address), &bytes);
@@ -88,10 +88,10 @@ class Manager {
   UniqueFd socket_;
 };
 
-TEST(Closer, ClosesAfterTheManagerHasLetGo) {
+TEST(Closer, ClosesAfterTheManagerHasClosedItsCopies) {
   const Manager manager;
   Closer closer;
-  for (int i = 0; i < 2; ++i) {  // the thread begins with the first and waits for the next
+  for (int i = 0; i < 2; ++i) {  // the thread starts with the first and waits for the second
     Pipe pipe;
     closer.close({std::exchange(pipe.writer, nullptr)});
     UniqueFd barrier = manager.receive_barrier();
@@ -102,7 +102,7 @@ TEST(Closer, ClosesAfterTheManagerHasLetGo) {
   }
 }
 
-TEST(Closer, UnmapsWhatItIsGiven) {
+TEST(Closer, UnmapsTheGivenMapping) {
   constexpr std::uint64_t bytes = 40 << 20;
   const UniqueFd file(::memfd_create("filled", MFD_CLOEXEC));
   ASSERT_EQ(::ftruncate(file.get(), bytes), 0);
@@ -116,10 +116,10 @@ TEST(Closer, UnmapsWhatItIsGiven) {
   }
   unsigned char resident = 0;
   EXPECT_EQ(::mincore(base, 4096, &resident), -1);
-  EXPECT_EQ(errno, ENOMEM) << "nothing is there";
+  EXPECT_EQ(errno, ENOMEM) << "the memory must be unmapped";
 }
 
-TEST(Closer, ClosesWhatIsLeftBeforeItEnds) {
+TEST(Closer, ClosesRemainingDescriptorsBeforeItEnds) {
   Pipe pipe, other;
   {
     Closer closer;

@@ -1,8 +1,8 @@
 // SPDX-License-Identifier: Apache-2.0
 //
-// Goal: every mistake in a configuration is told with its place and what to do, and what is printed
-// reads back to the same. Method: a table of mistakes with exact texts, the sample file, and random
-// configurations (seeded). User and group names are the test's own.
+// Goal: each mistake in a configuration is reported with its position and a remedy, and a printed
+// configuration reads back unchanged. Method: a table of mistakes with exact texts, the sample
+// file, and random configurations (seeded). User and group names are the test's own.
 
 #include <daemon/config/config.hpp>
 
@@ -35,7 +35,7 @@ const NameLookup names{[](const std::string& name) -> std::optional<uid_t> {
 
 ConfigResult parse(std::string_view text) { return parse_config(text, "f.toml", names); }
 
-// All errors, one line each.
+// Returns all errors, one per line.
 std::string errors_of(std::string_view text) {
   const auto config = parse(text);
   if (config) return "no error";
@@ -55,10 +55,10 @@ TEST(Config, EmptyFileMeansDefaults) {
   EXPECT_EQ(parse("[daemon]\n[heap]\n[limits]\n[quota]\n").value(), Config{});
 }
 
-TEST(Config, SampleFileIsWhatTheDefaultsPrint) {
+TEST(Config, SampleFileEqualsThePrintedDefaults) {
   const std::string file = AGNOCAST_SOURCE_DIR "/systemd/agnocastd.toml";
   EXPECT_EQ(contents(file), to_toml(Config{}))
-      << "print it anew: agnocastd --print-config > systemd/agnocastd.toml";
+      << "print it again: agnocastd --print-config > systemd/agnocastd.toml";
   const auto config = load_config(file, names);
   ASSERT_TRUE(config) << config.error().front().text();
   EXPECT_EQ(*config, Config{});
@@ -148,7 +148,7 @@ publish = []
   EXPECT_FALSE(config->access[1].publish->contains(0, {}));
 }
 
-TEST(Config, MistakesAreToldWithPlaceAndRemedy) {
+TEST(Config, MistakesAreReportedWithPositionAndRemedy) {
   const std::string long_path = "/" + std::string(107, 'x');
   const struct {
     std::string text;
@@ -188,7 +188,7 @@ TEST(Config, MistakesAreToldWithPlaceAndRemedy) {
        "notice, info, debug"},
       {"[quota]\nclients = \"many\"\n",
        "f.toml:2:11: quota.clients: \"many\" is no number; write an integer, or \"unlimited\""},
-      // out of range, or not what the key means
+      // out of range, or without meaning for the key
       {"[limits]\ndepth_max = 1001\n",
        "f.toml:2:13: limits.depth_max: 1001 is out of range; use 1 to 1000"},
       {"[limits]\ndepth_max = 0\n",
@@ -300,7 +300,7 @@ TEST(Config, MistakesAreToldWithPlaceAndRemedy) {
   for (const auto& row : rows) EXPECT_EQ(errors_of(row.text), row.errors);
 }
 
-TEST(Config, AllMistakesAreToldInTheOrderOfTheFile) {
+TEST(Config, AllMistakesAreReportedInTheOrderOfTheFile) {
   EXPECT_EQ(
       errors_of("[quota]\nclients = -1\n[limits]\ntopics = 0\ndepht_max = 1\n"),
       "f.toml:2:11: quota.clients: -1 is out of range; use 1 to 4294967296, or \"unlimited\"\n"
@@ -317,8 +317,8 @@ TEST(Config, NarrowerRuleMayComeBeforeAWiderOne) {
   EXPECT_EQ(parse(text)->access.size(), 3U);
 }
 
-// The words are toml++'s; place, file and remedy are ours.
-TEST(Config, SyntaxErrorsAndDuplicatesHaveTheirPlace) {
+// The words come from toml++; position, file and remedy are ours.
+TEST(Config, SyntaxErrorsAndDuplicatesHaveTheirPosition) {
   EXPECT_THAT(errors_of("[limits]\ntopics = = 5\n"),
               StartsWith("f.toml:2:10: Error while parsing"));
   EXPECT_THAT(errors_of("[limits]\ntopics = 5\ntopics = 6\n"), StartsWith("f.toml:3:"));

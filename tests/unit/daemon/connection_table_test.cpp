@@ -1,6 +1,7 @@
 // SPDX-License-Identifier: Apache-2.0
 //
-// Goal: the table counts for each user what it has, however a peer came and went. Method: peers without sockets.
+// Goal: the table counts each user's peers correctly, however they come and go. Method: peers
+// without sockets.
 
 #include <daemon/transport/connection_table.hpp>
 #include <daemon/transport/errands.hpp>
@@ -28,7 +29,7 @@ class ConnectionTableTest : public ::testing::Test {
     identity.uid = uid;
     auto peer = std::make_unique<Peer>(
         Peer{table_.next_id(), Session(PacketSocket(), std::move(identity))});
-    peer->session.set_may_carry(false);  // there is nothing to close
+    peer->session.set_may_carry(false);  // no descriptor to close
     peer->detached = detached;
     return table_.add(std::move(peer));
   }
@@ -39,7 +40,7 @@ class ConnectionTableTest : public ::testing::Test {
   ConnectionTable table_;
 };
 
-TEST_F(ConnectionTableTest, CountsForEachUserAndForgetsWhoHasNone) {
+TEST_F(ConnectionTableTest, CountsPerUserAndForgetsUsersWithoutPeers) {
   const PeerId first = add(alice).id, second = add(alice).id;
   add(bob);
   EXPECT_EQ(table_.user(alice).clients, 2U);
@@ -52,7 +53,7 @@ TEST_F(ConnectionTableTest, CountsForEachUserAndForgetsWhoHasNone) {
   EXPECT_TRUE(table_.users().contains(bob));
 }
 
-TEST_F(ConnectionTableTest, CountsAPeerThatIsDetachedOnceUntilItIsGone) {
+TEST_F(ConnectionTableTest, CountsADetachedPeerOnceUntilItIsGone) {
   Peer& peer = add(alice);
   table_.detach(peer);
   table_.detach(peer);
@@ -80,7 +81,7 @@ TEST_F(ConnectionTableTest, CountsAnObserverInsteadOfAClientAndBack) {
   EXPECT_EQ(table_.observer_count(), 0U);
 }
 
-TEST_F(ConnectionTableTest, FindsAClientUntilNobodyHasItsPlace) {
+TEST_F(ConnectionTableTest, FindsAClientUntilItsPlaceIsFree) {
   Peer& peer = add(alice);
   EXPECT_EQ(table_.of_client(ClientIndex{7}), nullptr);
   table_.set_client(ClientIndex{7}, &peer);

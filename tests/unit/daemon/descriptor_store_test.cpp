@@ -1,8 +1,8 @@
 // SPDX-License-Identifier: Apache-2.0
 //
-// Goal: what is put reaches the manager with its name and its descriptor, what was kept is taken once
-// each, and what nobody takes is removed. Method: a manager of our own: a socket for the datagrams,
-// and a child that gets descriptors as LISTEN_FDS.
+// Goal: put() sends name and descriptor to the service manager, take() returns each kept
+// descriptor once, and descriptors that nothing takes are removed. Method: our own service
+// manager: a socket for the datagrams, and a child that gets descriptors as LISTEN_FDS.
 
 #include <daemon/transport/descriptor_store.hpp>
 #include <tests/support/child.hpp>
@@ -34,10 +34,10 @@ class Manager {
  public:
   Manager() {
     const UniqueFd made(::socket(AF_UNIX, SOCK_DGRAM | SOCK_CLOEXEC, 0));
-    socket_.reset(::fcntl(made.get(), F_DUPFD_CLOEXEC, 32));  // clear of what a test passes on
+    socket_.reset(::fcntl(made.get(), F_DUPFD_CLOEXEC, 32));  // above those passed on
     sockaddr_un address{};
     address.sun_family = AF_UNIX;
-    socklen_t bytes = sizeof(sa_family_t);  // the kernel finds an abstract name
+    socklen_t bytes = sizeof(sa_family_t);  // the kernel chooses an abstract name
     EXPECT_EQ(::bind(socket_.get(), reinterpret_cast<sockaddr*>(&address), bytes), 0);
     bytes = sizeof address;
     ::getsockname(socket_.get(), reinterpret_cast<sockaddr*>(&address), &bytes);
@@ -78,7 +78,7 @@ class Manager {
   UniqueFd socket_;
 };
 
-TEST(DescriptorStore, KeepsNothingWithoutAManagerAndSaysSo) {
+TEST(DescriptorStore, KeepsNothingWithoutAManagerAndReportsIt) {
   ::unsetenv("NOTIFY_SOCKET");
   DescriptorStore none;
   EXPECT_FALSE(none.keeps());
@@ -90,7 +90,7 @@ TEST(DescriptorStore, KeepsNothingWithoutAManagerAndSaysSo) {
   EXPECT_EQ(refused.error().code, Errc::invalid_argument);
 }
 
-TEST(DescriptorStore, NamesWhatItPutsAndRemovesOnlyWhatIsThere) {
+TEST(DescriptorStore, NamesStoredDescriptorsAndRemovesOnlyExistingOnes) {
   Manager manager;
   auto store = DescriptorStore::of_manager();
   ASSERT_TRUE(store) << store.error().what;
@@ -110,7 +110,7 @@ TEST(DescriptorStore, NamesWhatItPutsAndRemovesOnlyWhatIsThere) {
   EXPECT_EQ(DescriptorStore::window(ClientIndex{2047}, 7), "w2047.7");
 }
 
-TEST(DescriptorStore, StopsWhereTheManagerDoes) {
+TEST(DescriptorStore, StopsAtTheLimitOfTheManager) {
   Manager manager;
   ::setenv("FDSTORE", "1", 1);
   auto store = DescriptorStore::of_manager();
@@ -124,7 +124,7 @@ TEST(DescriptorStore, StopsWhereTheManagerDoes) {
   EXPECT_TRUE(store->put("r2", event.get()));
 }
 
-TEST(DescriptorStore, FindsOutWhetherAManagerThatSaysNothingKeepsAnything) {
+TEST(DescriptorStore, ProbesAManagerThatStatesNoLimit) {
   for (const char* said : {"", "0"}) {
     for (const bool keeps : {true, false}) {
       Manager manager;
@@ -148,10 +148,10 @@ TEST(DescriptorStore, FindsOutWhetherAManagerThatSaysNothingKeepsAnything) {
   }
 }
 
-TEST(DescriptorStore, TakesEachOnceAndRemovesWhatNobodyTakes) {
+TEST(DescriptorStore, TakesEachOnceAndRemovesTheRest) {
   Manager manager;
   EXPECT_TRUE(test::in_own_process([&] {
-    // Whatever the test program has there is not needed in here.
+    // The descriptors of the test program there are not needed here.
     for (const int fd : {3, 4}) {
       const int event = ::eventfd(static_cast<unsigned>(fd), 0);
       ASSERT_GE(event, 0);
@@ -164,7 +164,8 @@ TEST(DescriptorStore, TakesEachOnceAndRemovesWhatNobodyTakes) {
     ::setenv("LISTEN_FDNAMES", "board:r9", 1);
     auto store = DescriptorStore::of_manager();
     ASSERT_TRUE(store);
-    EXPECT_EQ(std::getenv("LISTEN_FDS"), nullptr) << "no child of ours is meant";
+    EXPECT_EQ(std::getenv("LISTEN_FDS"), nullptr)
+        << "the variable must not reach children of the daemon";
     EXPECT_TRUE(store->has("board"));
     const UniqueFd board = store->take("board");
     ASSERT_EQ(board.get(), 3);
@@ -173,12 +174,12 @@ TEST(DescriptorStore, TakesEachOnceAndRemovesWhatNobodyTakes) {
     EXPECT_EQ(store->left_over(), std::vector<std::string>{"r9"});
     std::thread answering([&] {
       EXPECT_EQ(manager.receive().text, "FDSTOREREMOVE=1\nFDNAME=r9");
-      EXPECT_EQ(manager.receive().text, "BARRIER=1");  // its descriptor is closed: the answer
+      EXPECT_EQ(manager.receive().text, "BARRIER=1");  // closing its descriptor is the answer
     });
     EXPECT_EQ(store->remove_left_over(), 1u);
     answering.join();
     EXPECT_EQ(store->remove_left_over(), 0u);
-    EXPECT_LT(::fcntl(4, F_GETFD), 0) << "it is closed here as well";
+    EXPECT_LT(::fcntl(4, F_GETFD), 0) << "it must also be closed here";
   }));
 }
 

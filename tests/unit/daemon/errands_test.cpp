@@ -1,7 +1,7 @@
 // SPDX-License-Identifier: Apache-2.0
 //
-// Goal: the threads of errands need no memory of their own to go on.
-// Method: this program's own operator new, which fails in every thread that has run an errand.
+// Goal: the threads of Errands continue without allocating memory. Method: this program's own
+// operator new, which fails in every thread that has run an errand.
 
 #include <daemon/transport/errands.hpp>
 
@@ -19,7 +19,7 @@ void* operator new(std::size_t bytes) {
   if (memory == nullptr) throw std::bad_alloc();
   return memory;
 }
-// Where both are inlined a compiler sees new and free, and no partners.
+// If both are inlined, the compiler sees new and free, which do not match.
 #pragma GCC diagnostic ignored "-Wmismatched-new-delete"
 void operator delete(void* memory) noexcept { std::free(memory); }
 void operator delete(void* memory, std::size_t) noexcept { std::free(memory); }
@@ -27,23 +27,23 @@ void operator delete(void* memory, std::size_t) noexcept { std::free(memory); }
 namespace agnocast::daemon {
 namespace {
 
-TEST(Errands, GoOnWithoutMemory) {
+TEST(Errands, ContinueWithoutMemory) {
   auto dispatcher = Dispatcher::create();
   ASSERT_TRUE(dispatcher);
   auto errands = Errands::create(*dispatcher);
   ASSERT_TRUE(errands);
-  constexpr unsigned count = 2'000;  // more places in a row than a container gets at a time
+  constexpr unsigned count = 2'000;  // more entries than a container allocates at a time
   unsigned answered = 0;
   for (unsigned i = 0; i < count; ++i)
     (*errands)->run(
         Errands::Lane::looking, 1, [] { memory_fails = true; }, [&] { ++answered; });
-  // One turn may have nothing left to answer: the turn before has taken it along.
+  // One wait may have nothing left to answer: the previous wait has answered it as well.
   for (unsigned idle = 0; answered < count && idle < 2;) {
     const unsigned before = answered;
     ASSERT_TRUE(dispatcher->wait(10'000));
     idle = answered > before ? 0 : idle + 1;
   }
-  EXPECT_EQ(answered, count) << "nothing goes on";
+  EXPECT_EQ(answered, count) << "the threads have stopped";
   EXPECT_EQ((*errands)->waiting(Errands::Lane::looking, 1), 0u);
 }
 

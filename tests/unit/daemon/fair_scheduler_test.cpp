@@ -1,7 +1,7 @@
 // SPDX-License-Identifier: Apache-2.0
 //
-// Goal: users are served in turn, however many connections and packets one of them has. Method: connections are
-// numbers, packets are counts, the clock is a variable.
+// Goal: users get time slices in turn, however many connections and packets one of them has.
+// Method: connections are numbers, packets are counts, the clock is a variable.
 
 #include <daemon/transport/fair_scheduler.hpp>
 
@@ -48,7 +48,7 @@ TEST(FairScheduler, GivesAUserWithManyPacketsOneSliceAtATime) {
     return std::optional(id == 9 ? 1U : TimeSlice::packets_max - 1);
   };
   scheduler.serve(serve, clock.function());
-  // The first connection leaves one packet of the slice to the second; the third waits for the next slice.
+  // The first connection leaves one packet of the slice to the second; the third waits.
   const auto count_of = [&](PeerId id) {
     return std::count_if(served.begin(), served.end(),
                          [&](const auto& one) { return one.first == id; });
@@ -80,7 +80,7 @@ TEST(FairScheduler, EndsASliceWhenItsTimeIsOver) {
   EXPECT_FALSE(scheduler.nobody_waits());
 }
 
-TEST(FairScheduler, CountsAConnectionWithoutPacketsAsOneAndOneThatIsGoneAsNone) {
+TEST(FairScheduler, CountsAnIdleConnectionAsOnePacketAndAGoneOneAsNone) {
   FairScheduler scheduler;
   Clock clock;
   scheduler.wait(1000, 1);

@@ -1,9 +1,9 @@
 // SPDX-License-Identifier: Apache-2.0
 //
-// Goal: the flight recorder sends what was asked for and is still there, in order and never more than
-// the log holds; it gives a place its name only while that is still whom the record meant; a damaged
-// record is said to be one. Method: the registry over anonymous memory; records overwritten, places
-// used again, a bit flipped.
+// Goal: the flight recorder sends the requested records that still exist, in order and never more
+// than the log holds; it names a place only while the same endpoint or process is there; a damaged
+// record is sent as such. Method: the registry over anonymous memory; records overwritten, places
+// reused, a bit flipped.
 
 #include <daemon/observers/flight_recorder.hpp>
 #include <tests/support/registry_memory.hpp>
@@ -56,7 +56,7 @@ class FlightRecorder : public testing::Test {
     }
     EXPECT_EQ(answer.end.record_count, answer.records.size());
     for (std::size_t i = 1; i < answer.records.size(); ++i)
-      EXPECT_EQ(answer.records[i].lsn, answer.records[i - 1].lsn + 1) << "in order, none left out";
+      EXPECT_EQ(answer.records[i].lsn, answer.records[i - 1].lsn + 1) << "in order without gaps";
     return answer;
   }
   ClientIndex client(const char* name, std::uint32_t pid) {
@@ -73,8 +73,8 @@ class FlightRecorder : public testing::Test {
   Registry registry;
 };
 
-TEST_F(FlightRecorder, SendsTheNewestThatAreThereAndNoMore) {
-  EXPECT_TRUE(ask(0, 10).records.empty()) << "nothing has happened";
+TEST_F(FlightRecorder, SendsTheNewestExistingRecordsOnly) {
+  EXPECT_TRUE(ask(0, 10).records.empty()) << "nothing has happened yet";
   const ClientIndex a = client("a", 1);
   for (std::uint64_t i = 1; i < journal::RedoLog::record_count + 10; ++i) registry.note_rejoined(a);
   const std::uint64_t newest = journal::RedoLog::record_count + 10;
@@ -92,11 +92,11 @@ TEST_F(FlightRecorder, SendsTheNewestThatAreThereAndNoMore) {
   EXPECT_EQ(ask(12, 5).records.size(), 2u) << "11 and 12; older ones are overwritten";
   EXPECT_TRUE(ask(10, 5).records.empty());
   EXPECT_EQ(ask(~std::uint64_t{0}, 1).records.at(0).lsn, newest);
-  EXPECT_TRUE(ask(0, 0).records.empty()) << "only how far it is";
+  EXPECT_TRUE(ask(0, 0).records.empty()) << "the answer has only the newest number";
   EXPECT_EQ(ask(0, 0).end.now_ns, 1'000u);
 }
 
-TEST_F(FlightRecorder, NamesAPlaceOnlyWhileItIsStillTheSame) {
+TEST_F(FlightRecorder, NamesAPlaceOnlyUntilItIsReused) {
   const ClientIndex a = client("lidar", 812), b = client("viewer", 813);
   const TopicIndex t = registry.add_topic({0, "/points", "T", 1}).value();
   const auto p = publisher(a, t);
@@ -129,7 +129,7 @@ TEST_F(FlightRecorder, NamesAPlaceOnlyWhileItIsStillTheSame) {
     registry.client_forgotten(gone);
     registry.end_client(gone);
   }
-  check(true);  // nobody has taken the places yet
+  check(true);  // the places are not reused yet
   EXPECT_EQ(client("thief", 900), a);
   EXPECT_EQ(client("other", 901), b);
   EXPECT_EQ(registry.add_topic({0, "/other", "T", 1}).value(), t);
@@ -137,7 +137,7 @@ TEST_F(FlightRecorder, NamesAPlaceOnlyWhileItIsStillTheSame) {
   EXPECT_STREQ(ask(0, 1).records.at(0).topic.text, "/other");
 }
 
-TEST_F(FlightRecorder, NamesBothSidesOfAWithdrawalAndTheirPidsForEver) {
+TEST_F(FlightRecorder, NamesBothSidesOfAWithdrawalAndKeepsTheirPids) {
   const ClientIndex a = client("lidar", 812), b = client("viewer", 813);
   const TopicIndex t = registry.add_topic({0, "/points", "T", 1}).value();
   const auto p = publisher(a, t);
@@ -192,12 +192,12 @@ TEST_F(FlightRecorder, NamesBothSidesOfAWithdrawalAndTheirPidsForEver) {
   check(false);
 }
 
-TEST_F(FlightRecorder, SaysWhatAnEndWasAndCountsIt) {
+TEST_F(FlightRecorder, RecordsAndCountsTheReasonOfADeath) {
   const ClientIndex a = client("a", 1), b = client("b", 2), c = client("c", 3);
   registry.client_died(a, journal::DeathReason::died);
   registry.client_died(b, journal::DeathReason::revoked);
   registry.client_died(c, journal::DeathReason::let_go);
-  EXPECT_EQ(ask(0, 1).records.at(0).argument[2], 1u) << "let go";
+  EXPECT_EQ(ask(0, 1).records.at(0).argument[2], 1u) << "DeathReason::let_go";
   registry.note_recovered({.pid = 44, .dead_count = 2, .board_word_count = 3});
   const auto recovered = ask(0, 1).records.at(0);
   EXPECT_EQ(recovered.argument[0], 44u);
@@ -212,10 +212,10 @@ TEST_F(FlightRecorder, SaysWhatAnEndWasAndCountsIt) {
   EXPECT_EQ(counters.clients_died_meanwhile, 2u);
 }
 
-TEST_F(FlightRecorder, CountsOnceHoweverOftenARecordIsRedone) {
+TEST_F(FlightRecorder, CountsOnceEvenIfARecordIsRedone) {
   const ClientIndex a = client("a", 1);
   registry.client_died(a, journal::DeathReason::died);
-  // applied is the word at 128 of the log (journal/redo_log.hpp).
+  // The word at 128 of the log is `applied` (journal/redo_log.hpp).
   auto& applied = SharedMemory::word(memory.parts().log, 128);
   for (int again = 0; again < 3; ++again) {
     applied.store(applied.load() - 1);
@@ -224,12 +224,12 @@ TEST_F(FlightRecorder, CountsOnceHoweverOftenARecordIsRedone) {
     ASSERT_TRUE(next.open());
     EXPECT_EQ(next.redone_lsn(), 2u);
     EXPECT_EQ(next.counters().clients_died, 1u);
-    EXPECT_EQ(next.counters().clients_registered, 1u) << "counters outlive the daemon";
+    EXPECT_EQ(next.counters().clients_registered, 1u) << "counters survive a daemon restart";
   }
   EXPECT_EQ(ask(0, 1).records.at(0).state, wire::JournalState::applied);
 }
 
-TEST_F(FlightRecorder, SaysOfADamagedRecordThatItIsOne) {
+TEST_F(FlightRecorder, MarksADamagedRecord) {
   const ClientIndex a = client("a", 1);
   for (int i = 0; i < 3; ++i) registry.note_rejoined(a);
   memory.parts().log[abi::page_bytes + 2 * sizeof(journal::Record) + 30] ^= std::byte{4};
@@ -237,7 +237,7 @@ TEST_F(FlightRecorder, SaysOfADamagedRecordThatItIsOne) {
   ASSERT_EQ(answer.records.size(), 4u);
   EXPECT_EQ(answer.records[1].state, wire::JournalState::damaged);
   EXPECT_EQ(answer.records[1].lsn, 2u);
-  EXPECT_EQ(answer.records[1].stamp_ns, 0u) << "nothing of it is told";
+  EXPECT_EQ(answer.records[1].stamp_ns, 0u) << "none of its content is sent";
   EXPECT_EQ(answer.records[2].state, wire::JournalState::applied);
 }
 

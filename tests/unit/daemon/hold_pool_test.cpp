@@ -1,9 +1,9 @@
 // SPDX-License-Identifier: Apache-2.0
 //
-// Goal: whatever users ask for, in any order, a publisher never lacks a slot because of others: what
-// subscriptions of other users may hold, a history of the longest depth and what is in hand fit into
-// its slots; and who comes late gets something. Method: users of the pool alone, the greediest and
-// random ones (seeded), and the registry with publishers of every user, over many lives of the daemon.
+// Goal: whatever users ask for, in any order, a publisher never lacks a slot because of others:
+// their holds, a history of the greatest depth and the messages in hand fit into its slots; late
+// users get something too. Method: users of the pool alone, the greediest and random ones
+// (seeded), and the registry with publishers of every user, over many incarnations of the daemon.
 
 #include <daemon/state/hold_pool.hpp>
 #include <daemon/state/registry.hpp>
@@ -21,19 +21,19 @@ namespace {
 
 constexpr HoldPool usual(abi::slot_count_max, abi::depth_max, abi::subscription_count_max);
 
-/// Takes all that there is for user after user; what each of them got beyond the one.
+/// Lets user after user take all it can. Returns what each got beyond the one.
 std::vector<std::uint64_t> greediest(const HoldPool& pool, std::size_t users) {
   std::vector<std::uint64_t> got;
   std::uint64_t others = 0;
   for (std::size_t user = 0; user < users; ++user) {
     got.push_back(pool.at_most({0, others}) - 1);
-    EXPECT_EQ(pool.at_most({got.back(), others}), 1u) << "nothing more, and the one always";
+    EXPECT_EQ(pool.at_most({got.back(), others}), 1u) << "no more, but always the one";
     others += got.back();
   }
   return got;
 }
 
-TEST(HoldPool, LeavesHalfOfTheRestToWhoComesLater) {
+TEST(HoldPool, LeavesHalfOfTheRestToLaterUsers) {
   EXPECT_EQ(greediest(usual, 9), (std::vector<std::uint64_t>{122, 61, 31, 15, 8, 4, 2, 1, 0}));
 }
 
@@ -48,7 +48,7 @@ TEST(HoldPool, GivesNothingTwice) {
   EXPECT_EQ(HoldPool(1, 1000, 768).at_most({0, 0}), 1u);
 }
 
-TEST(HoldPool, HasAPartForDozensOfSubscriptionsThatGiveNoNumber) {
+TEST(HoldPool, HasAPartForDozensOfSubscriptionsWithoutANumber) {
   std::uint64_t used = 0, several = 0, first = 0;
   for (int i = 0; i < 128; ++i) {
     const std::uint64_t part = usual.part({used, 0}, 64);
@@ -59,21 +59,21 @@ TEST(HoldPool, HasAPartForDozensOfSubscriptionsThatGiveNoNumber) {
   }
   EXPECT_EQ(first, 17u);
   EXPECT_GT(several, 24u);
-  EXPECT_EQ(usual.part({0, 0}, 4), 4u) << "never more than is asked for";
+  EXPECT_EQ(usual.part({0, 0}, 4), 4u) << "never more than requested";
   EXPECT_LE(used, usual.size() / 2);
 }
 
-TEST(HoldPool, TakesBackWhatEnds) {
+TEST(HoldPool, RegainsTheHoldsOfEndedSubscriptions) {
   EXPECT_EQ(usual.at_most({122, 0}), 1u);
   EXPECT_EQ(usual.at_most({22, 0}), 101u);
   EXPECT_EQ(usual.at_most({0, 122}), 62u);
-  // Somebody else came first and is gone: what this user has is within its share again, or beyond it.
+  // Another user came first and is gone: this user's holds are within its share, or beyond it.
   EXPECT_EQ(usual.at_most({200, 0}), 1u);
   EXPECT_EQ(usual.at_most({0, 10'000}), 1u);
 }
 
-// Users come and go, processes die, daemons die. Each user has a publisher in each look, of the depth
-// and kind that needs most.
+// Users come and go, processes and daemons die. Each user has a publisher in each look, with the
+// depth and kind that needs most.
 TEST(HoldPool, NoPublisherOfAnyUserLosesTooManySlotsToOthers) {
   test::RegistryMemory memory;
   auto registry = std::make_unique<Registry>(memory.parts());
@@ -129,7 +129,7 @@ TEST(HoldPool, NoPublisherOfAnyUserLosesTooManySlotsToOthers) {
                                               of_user[registry->client(client).uid]));
     }
   }
-  EXPECT_GT(fullest, 700u) << "never near the end";
+  EXPECT_GT(fullest, 700u) << "the pool was never nearly full";
 }
 
 }  // namespace

@@ -1,7 +1,7 @@
 // SPDX-License-Identifier: Apache-2.0
 //
-// Goal: one event is one line that says the truth whatever clients write into it, and floods are
-// counted instead of written. Method: a sink that keeps lines and a clock that the test moves.
+// Goal: one event is one true line whatever clients write into it, and floods are counted instead
+// of written. Method: a sink that keeps lines and a clock that the test moves.
 
 #include <base/log.hpp>
 #include <base/unique_fd.hpp>
@@ -55,7 +55,7 @@ struct Lines : testing::Test {
   }
 };
 
-TEST_F(Lines, JournaldGetsThePriorityAndPeopleTheTime) {
+TEST_F(Lines, JournaldGetsThePriorityAndReadersTheTime) {
   make().write(LogLevel::warning, "client refused", {{"uid", 1000U}, {"why", "no rule"}});
   now += 7'000'000;
   make(Log::Format::people).write(LogLevel::error, "out of descriptors", {{"errno", -24}});
@@ -63,14 +63,14 @@ TEST_F(Lines, JournaldGetsThePriorityAndPeopleTheTime) {
                                  "2026-01-31T12:00:00.007Z error out of descriptors errno=-24\n"));
 }
 
-TEST_F(Lines, AFieldThatIsNotKnownIsLeftOut) {
+TEST_F(Lines, AnUnknownFieldIsOmitted) {
   const std::optional<std::uint64_t> none, some = 7;
   const std::optional<std::string_view> text = "/a topic";
   make().write(LogLevel::info, "event", {{"a", none}, {"b", some}, {"c", text}, {"d", 1}});
   EXPECT_THAT(lines, ElementsAre("<6>event b=7 c=\"/a topic\" d=1\n"));
 }
 
-TEST_F(Lines, WhatWasLostIsCountedAndSaidOnce) {
+TEST_F(Lines, LostLinesAreCountedAndReportedOnce) {
   Log log = make();
   has_room = false;
   for (int i = 0; i < 3; ++i) log.write(LogLevel::info, "lost");
@@ -94,7 +94,7 @@ TEST_F(Lines, EveryLevelHasItsPriorityAndItsName) {
   EXPECT_EQ(log_level_names, "error, warning, notice, info, debug");
 }
 
-TEST_F(Lines, WhatIsBelowTheLevelIsNotWritten) {
+TEST_F(Lines, EventsBelowTheLevelAreNotWritten) {
   Log log = make(Log::Format::journald_pipe, LogLevel::warning);
   log.write(LogLevel::notice, "x");
   log.write_limited("cause", LogLevel::info, "x");
@@ -118,7 +118,7 @@ TEST_F(Lines, ForeignTextCannotForgeLinesOrFields) {
                           "c=\"\\x1b[2J\" d=\"\" e=/plain/text.sock\n"));
 }
 
-TEST_F(Lines, ValuesAndLinesHaveABound) {
+TEST_F(Lines, ValuesAndLinesAreBounded) {
   Log log = make();
   log.write(LogLevel::info, "x", {{"name", std::string(300, 'a')}});
   EXPECT_EQ(lines.back(), "<6>x name=\"" + std::string(256, 'a') + "...\"\n");
@@ -138,7 +138,7 @@ TEST_F(Lines, NumbersAreWhole) {
   EXPECT_THAT(lines, ElementsAre("<6>x a=18446744073709551615 b=-9223372036854775808 c=65\n"));
 }
 
-TEST_F(Lines, FloodIsCountedAndTheCountIsSaid) {
+TEST_F(Lines, FloodIsCountedAndTheCountIsReported) {
   Log log = make();
   for (int i = 0; i < 1000; ++i)
     log.write_limited("refused 1000", LogLevel::warning, "client refused", {{"uid", 1000}});
@@ -153,10 +153,10 @@ TEST_F(Lines, FloodIsCountedAndTheCountIsSaid) {
                                  "repeated=995 seconds=10\n"));
   lines.clear();
   log.flush();
-  EXPECT_THAT(lines, IsEmpty()) << "said once";
+  EXPECT_THAT(lines, IsEmpty()) << "the count is reported once";
 }
 
-TEST_F(Lines, NextEventAfterAnIntervalSaysWhatWasLeftOutFirst) {
+TEST_F(Lines, NextEventAfterAnIntervalFirstReportsTheOmitted) {
   Log log = make();
   for (int i = 0; i < 7; ++i) log.write_limited("c", LogLevel::info, "x");
   lines.clear();
@@ -166,7 +166,7 @@ TEST_F(Lines, NextEventAfterAnIntervalSaysWhatWasLeftOutFirst) {
                                  "<6>x\n"));
 }
 
-TEST_F(Lines, CausesAreCountedApart) {
+TEST_F(Lines, CausesAreCountedSeparately) {
   Log log = make();
   for (int i = 0; i < 10; ++i) {
     log.write_limited("a", LogLevel::info, "of a");
@@ -176,7 +176,7 @@ TEST_F(Lines, CausesAreCountedApart) {
   EXPECT_EQ(std::count(lines.begin(), lines.end(), "<6>of b\n"), 5);
 }
 
-TEST_F(Lines, FewEventsLeaveNoTrace) {
+TEST_F(Lines, FewEventsAreNotReportedAsOmitted) {
   Log log = make();
   for (int i = 0; i < 5; ++i) log.write_limited("c", LogLevel::info, "x");
   lines.clear();
@@ -184,7 +184,7 @@ TEST_F(Lines, FewEventsLeaveNoTrace) {
   EXPECT_THAT(lines, IsEmpty());
 }
 
-TEST_F(Lines, InventedCausesCannotFloodEither) {
+TEST_F(Lines, InventedCausesCannotFloodTheLog) {
   Log log = make();
   for (int i = 0; i < 100'000; ++i)
     log.write_limited("cause " + std::to_string(i), LogLevel::info, "x");
@@ -224,8 +224,8 @@ TEST(Log, JournalStreamNamesExactlyThisFile) {
   ::close(ends[1]);
 }
 
-// The real stderr, once as a journal stream and once not.
-TEST(Log, StderrTakesTheFormOfWhereItGoes) {
+// The real stderr, once as a stream to the systemd journal and once not.
+TEST(Log, StderrHasTheFormatOfItsDestination) {
   for (const bool is_journal : {true, false}) {
     std::array<int, 2> ends{};
     ASSERT_EQ(::pipe2(ends.data(), O_CLOEXEC), 0);
@@ -253,9 +253,9 @@ TEST(Log, StderrTakesTheFormOfWhereItGoes) {
   }
 }
 
-// --- entries of the journal
+// --- entries of the systemd journal
 
-TEST_F(Lines, AnEntryHasEveryFieldAndNoOther) {
+TEST_F(Lines, AnEntryHasExactlyItsFields) {
   Log log = make(Log::Format::journald);
   log.write(LogLevel::warning, "request refused",
             {{"pid", 7U},
@@ -272,7 +272,7 @@ TEST_F(Lines, AnEntryHasEveryFieldAndNoOther) {
                   "\nAGNOCAST_PID=7\nAGNOCAST_TOPIC=/a\\nAGNOCAST_UID=0\nAGNOCAST_WHY=no rule\n"));
 }
 
-/// As journald has it.
+/// A socket like journald's.
 struct JournalSocket {
   explicit JournalSocket(const std::string& path)
       : fd(::socket(AF_UNIX, SOCK_DGRAM | SOCK_CLOEXEC | SOCK_NONBLOCK, 0)) {
@@ -291,7 +291,7 @@ struct JournalSocket {
   std::string last;
 };
 
-TEST(Log, WaitsForNoJournalAndFindsTheNextOne) {
+TEST(Log, DoesNotWaitForJournaldAndFindsTheNextOne) {
   const test::TemporaryDirectory directory;
   const std::string path = directory.path() + "/journal";
   auto journal = std::make_unique<JournalSocket>(path);
@@ -306,14 +306,14 @@ TEST(Log, WaitsForNoJournalAndFindsTheNextOne) {
   Log log = Log::to_stderr(log_program, LogLevel::info, path);
   ASSERT_GE(::dup2(stderr_before.get(), STDERR_FILENO), 0);
   ::unsetenv("JOURNAL_STREAM");
-  // Nobody reads: a socket takes only so many.
+  // The socket has no reader, so it takes only a limited number.
   constexpr std::size_t many = 10'000;
   for (std::size_t i = 0; i < many; ++i) log.write(LogLevel::notice, "ready");
   const std::size_t taken = journal->read_all();
   EXPECT_GT(taken, 0U);
   EXPECT_LT(taken, many);
   log.write(LogLevel::notice, "ready");
-  EXPECT_EQ(journal->read_all(), 2U) << "what was lost is said first";
+  EXPECT_EQ(journal->read_all(), 2U) << "the lost lines are reported first";
   EXPECT_THAT(journal->last, testing::HasSubstr("\nAGNOCAST_EVENT=ready\n"));
   journal.reset();
   ASSERT_EQ(::unlink(path.c_str()), 0);
@@ -340,7 +340,7 @@ std::set<std::string> found_in(const std::string& text, const char* pattern) {
   return all;
 }
 
-TEST(LogEvents, HaveANumberOfTheirOwnAndAPageInTheCatalogue) {
+TEST(LogEvents, HaveAUniqueIdAndAnEntryInTheCatalogue) {
   std::set<std::string> numbers, words;
   for (const LogEvent& event : log_events) {
     EXPECT_TRUE(std::regex_match(std::string(event.id), std::regex("[0-9a-f]{32}"))) << event.words;
@@ -351,8 +351,8 @@ TEST(LogEvents, HaveANumberOfTheirOwnAndAPageInTheCatalogue) {
   EXPECT_EQ(found_in(catalogue, "\n-- ([0-9a-f]+)\n"), numbers);
 }
 
-// The sources say level and words next to one another, or the words behind a choice of levels.
-TEST(LogEvents, AreThoseOfTheSourcesAndOfTheDocument) {
+// In the sources the words follow the level directly, or a choice of levels.
+TEST(LogEvents, MatchTheSourcesAndTheDocument) {
   std::string sources = text_of(AGNOCAST_SOURCE_DIR "/base/log.cpp");
   for (const auto& entry :
        std::filesystem::recursive_directory_iterator(AGNOCAST_SOURCE_DIR "/daemon")) {

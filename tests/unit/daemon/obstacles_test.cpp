@@ -1,7 +1,7 @@
 // SPDX-License-Identifier: Apache-2.0
 //
-// Goal: what a process cannot map restricts that process and the choice of new windows, and nobody
-// can have the whole arena avoided. Method: claims in, obstacles and choices out.
+// Goal: a range that a process cannot map restricts that process and the choice of new windows; no
+// user can have the whole arena avoided. Method: claims in, obstacles and choices out.
 
 #include <agnocast/abi/limits.hpp>
 #include <daemon/state/obstacles.hpp>
@@ -18,14 +18,14 @@ constexpr ClientIndex mine{3}, other{4}, third{5};
 std::uint64_t base_of(std::uint64_t number) { return arena.base + number * window; }
 WindowRecord record_of(std::uint64_t number) { return {base_of(number), window, 0}; }
 
-/// The window that `client` would get.
+/// Returns the window that `client` would get.
 std::optional<std::uint64_t> choice_of(const Obstacles& obstacles, ClientIndex client) {
   const auto choice = AddressPlan(arena).best(obstacles.against(client));
   if (!choice) return std::nullopt;
   return (choice->base - arena.base) / window;
 }
 
-TEST(Obstacles, AClaimKeepsEverybodyFromTheWindowsThatItTouches) {
+TEST(Obstacles, AClaimKeepsAllProcessesFromTheWindowsThatItTouches) {
   Obstacles obstacles(arena);
   ASSERT_TRUE(obstacles.add(mine, 1000, base_of(0) + window / 2, window, "a JIT"));
   EXPECT_EQ(choice_of(obstacles, mine), 2u);
@@ -40,7 +40,7 @@ TEST(Obstacles, AClaimKeepsEverybodyFromTheWindowsThatItTouches) {
   EXPECT_EQ(obstacles.in_the_way(mine, record_of(1)), nullptr);
 }
 
-TEST(Obstacles, RefusesWhatIsNotInTheArenaAndTooManyRanges) {
+TEST(Obstacles, RefusesRangesOutsideTheArenaAndTooMany) {
   Obstacles obstacles(arena);
   const std::uint64_t end = arena.base + arena.bytes;
   EXPECT_FALSE(obstacles.add(mine, 1000, arena.base - 1, 2, ""));
@@ -51,7 +51,8 @@ TEST(Obstacles, RefusesWhatIsNotInTheArenaAndTooManyRanges) {
   for (std::uint64_t i = 0; i < abi::blocked_count_max; ++i)
     ASSERT_TRUE(obstacles.add(mine, 1000, base_of(0) + i, 1, "")) << i;
   EXPECT_FALSE(obstacles.add(mine, 1000, base_of(3), 1, ""));
-  EXPECT_TRUE(obstacles.add(mine, 1000, base_of(0), 1, "")) << "said again after coming back";
+  EXPECT_TRUE(obstacles.add(mine, 1000, base_of(0), 1, ""))
+      << "a repeated claim after a reconnection";
   EXPECT_EQ(obstacles.of(mine).size(), abi::blocked_count_max);
 }
 
@@ -61,10 +62,10 @@ TEST(Obstacles, AUserCannotHaveMoreThanHalfOfTheArenaAvoided) {
   ASSERT_TRUE(obstacles.add(other, 1000, base_of(4), 4 * window, "")) << "window 4 counts once";
   EXPECT_EQ(choice_of(obstacles, third), 8u);
   ASSERT_TRUE(obstacles.add(mine, 1000, base_of(8), 8 * window, "all of it"));
-  EXPECT_EQ(choice_of(obstacles, third), 8u) << "what is beyond the half restricts nobody else";
+  EXPECT_EQ(choice_of(obstacles, third), 8u) << "claims beyond the half restrict no other process";
   EXPECT_EQ(choice_of(obstacles, mine), 5u) << "but the process itself";
   EXPECT_FALSE(obstacles.in_the_way(mine, record_of(9))->counts);
-  // Another user has a half of his own, and then somebody gets a window that somebody else cannot map.
+  // Another user has a half of its own; then some process gets a window that another cannot map.
   ASSERT_TRUE(obstacles.add(ClientIndex{6}, 1001, base_of(8), 8 * window, ""));
   EXPECT_TRUE(choice_of(obstacles, third).has_value());
 }
@@ -82,7 +83,7 @@ TEST(Obstacles, AUserHasABoundedNumberOfDifferentRanges) {
   EXPECT_TRUE(obstacles.of(ClientIndex{101}).back().counts);
 }
 
-TEST(Obstacles, ProcessesOfAUserWhoseClaimsDoNotCountEndOneAfterTheOther) {
+TEST(Obstacles, UncountedClaimsEndWithTheirProcesses) {
   Obstacles obstacles(arena);
   for (const ClientIndex client : {mine, other}) {
     ASSERT_TRUE(obstacles.add(client, 1000, base_of(0), arena.bytes, "everything"));

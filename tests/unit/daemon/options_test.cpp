@@ -1,7 +1,7 @@
 // SPDX-License-Identifier: Apache-2.0
 //
 // Goal: every command line is understood or answered in two lines with status 2, and the socket is
-// found where users look for it. Method: tables with exact texts; the surroundings are values.
+// found where users expect it. Method: tables with exact texts; the environment is a value.
 
 #include <agnocast/version.hpp>
 #include <daemon/config/options.hpp>
@@ -31,7 +31,7 @@ TEST(Options, NothingMeansDefaults) {
   EXPECT_FALSE(options.foreground || options.check_config || options.print_config);
 }
 
-TEST(Options, EachOneArrives) {
+TEST(Options, AreAllRead) {
   const auto options =
       std::get<Options>(parse({"--socket", "/tmp/s", "--config=/tmp/c.toml", "--foreground",
                                "--log-level", "debug", "--check-config", "--print-config"}));
@@ -100,7 +100,7 @@ std::string socket_of(const Options& options, const Config& config, const Surrou
   return socket ? *socket : socket.error().text();
 }
 
-TEST(Options, SocketOfRootAndOfOthers) {
+TEST(Options, DefaultSocketDependsOnTheUser) {
   EXPECT_EQ(socket_of({}, {}, {0, "/run/user/0", {}}), "/run/agnocast/agnocastd.sock");
   EXPECT_EQ(socket_of({}, {}, {1000, "/run/user/1000", {}}),
             "/run/user/1000/agnocast/agnocastd.sock");

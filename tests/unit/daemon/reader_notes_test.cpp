@@ -1,7 +1,7 @@
 // SPDX-License-Identifier: Apache-2.0
 //
-// Goal: a user causes a bounded number of records about readers, whatever it says and however fast, and takes none
-// of another's. Method: the time is told.
+// Goal: a user causes a bounded number of records about readers, whatever it reports and however
+// fast, and uses up none of another user's. Method: time is an argument.
 
 #include <daemon/requests/reader_notes.hpp>
 
@@ -19,12 +19,12 @@ TEST(ReaderNotes, AUserHasSomeAtOnceAndThenOneInAnInterval) {
     return count;
   };
   EXPECT_EQ(taken(1000, 500), ReaderNotes::at_once);
-  EXPECT_EQ(taken(1001, 1), 1u) << "another's";
-  EXPECT_EQ(taken(1000, 1, 2001), 1u) << "about another's reader";
+  EXPECT_EQ(taken(1001, 1), 1u) << "another user's record";
+  EXPECT_EQ(taken(1000, 1, 2001), 1u) << "about the reader of another user";
   now += ReaderNotes::interval_ms;
   EXPECT_EQ(taken(1000, 500), 1u);
   notes.forget_unused(now);
-  EXPECT_EQ(taken(1000, 500), 0u) << "who has caused some is not forgotten";
+  EXPECT_EQ(taken(1000, 500), 0u) << "a user with recent records is not forgotten";
   now += (ReaderNotes::at_once + 1) * ReaderNotes::interval_ms;
   notes.forget_unused(now);
   EXPECT_EQ(taken(1000, 500), ReaderNotes::at_once);

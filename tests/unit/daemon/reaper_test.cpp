@@ -1,9 +1,9 @@
 // SPDX-License-Identifier: Apache-2.0
 //
-// Goal: the end of a process is done in steps that are short whatever it has left behind, in the topics that it
-// knew and in no others, and others may be served between any two of them.
-// Method: registry, membership and regions as the daemon has them, processes without connections; time that is
-// over at once, so that each call is one step; what a step does is counted in records of the redo log.
+// Goal: the reaper handles the end of a process in short steps whatever it left behind, only in
+// topics that it knew, and the daemon may serve others between any two steps. Method: registry,
+// endpoint manager and regions as in the daemon, processes without connections; a deadline in the
+// past, so that each call is one step; a step's work is counted in redo log records.
 
 #include <daemon/death/reaper.hpp>
 #include <tests/support/daemon_core.hpp>
@@ -32,7 +32,7 @@ class ReaperTest : public testing::Test {
   Membership& membership = core.membership;
 };
 
-TEST_F(ReaperTest, EndsAProcessInStepsThatDoNotGrowWithWhatItLeaves) {
+TEST_F(ReaperTest, EndsAProcessInStepsOfBoundedSize) {
   const ClientIndex a = process(1), b = process(2);
   constexpr int topic_count = 20;
   for (int i = 0; i < topic_count; ++i) {
@@ -50,26 +50,26 @@ TEST_F(ReaperTest, EndsAProcessInStepsThatDoNotGrowWithWhatItLeaves) {
     const std::uint64_t before = lsn();
     done = reaping.go_on(0);
     most = std::max(most, lsn() - before);
-    // The state between two steps is one that another daemon can go on with.
+    // Another daemon can continue from the state between two steps.
     Registry next(regions.memory());
     ASSERT_TRUE(next.open());
     ASSERT_LT(steps, 1000);
   }
-  EXPECT_LE(most, 3u) << "an endpoint, its topic and its process";
+  EXPECT_LE(most, 3u) << "one record for an endpoint, its topic and its process";
   EXPECT_GT(steps, 3 * topic_count);
-  EXPECT_EQ(registry.client(a).state, ClientState::forgotten) << "b has its region";
+  EXPECT_EQ(registry.client(a).state, ClientState::forgotten) << "b still maps its region";
   for (int i = 0; i < topic_count; ++i) {
     const std::string topic = "/topic" + std::to_string(i);
     const auto at = registry.find_topic(0, topic);
     ASSERT_TRUE(at);
     EXPECT_FALSE(registry.told_of({Kind::publisher, *at, 0}).contains(number(a)));
-    EXPECT_FALSE(registry.find_topic(0, topic + "/own")) << "nobody else had any of it";
+    EXPECT_FALSE(registry.find_topic(0, topic + "/own")) << "no other process used the topic";
   }
   EXPECT_EQ(registry.endpoints_of(a).size(), std::size_t{topic_count})
-      << "those that b was told of, until it lets go";
+      << "the publishers that b was notified of, until it acknowledges";
 }
 
-TEST_F(ReaperTest, LooksOnlyWhereTheProcessWas) {
+TEST_F(ReaperTest, LooksOnlyInTopicsOfTheProcess) {
   const ClientIndex a = process(1), b = process(2), c = process(3);
   create(a, Kind::publisher, "/here");
   create(b, Kind::subscription, "/here");
@@ -80,7 +80,7 @@ TEST_F(ReaperTest, LooksOnlyWhereTheProcessWas) {
     return steps;
   };
   const int alone = steps_of(a);
-  // It is somebody else's, and there is much more of it elsewhere.
+  // It belongs to another process, and much more of it is elsewhere.
   const ClientIndex again = process(1);
   for (int i = 0; i < 200; ++i) {
     create(c, Kind::publisher, "/elsewhere" + std::to_string(i));
@@ -91,8 +91,8 @@ TEST_F(ReaperTest, LooksOnlyWhereTheProcessWas) {
   EXPECT_EQ(steps_of(again), alone);
 }
 
-// Others are served between two steps: what they take and leave meanwhile is theirs.
-TEST_F(ReaperTest, LeavesAlonePlacesThatAreTakenMeanwhile) {
+// The daemon serves others between two steps: places that they take meanwhile belong to them.
+TEST_F(ReaperTest, LeavesAlonePlacesThatOthersTakeMeanwhile) {
   const ClientIndex a = process(1), b = process(2);
   for (const char* const topic : {"/x", "/y", "/z"}) create(a, Kind::publisher, topic);
   Reaping reaping(a, journal::DeathReason::died, registry, regions, doorbells, membership);

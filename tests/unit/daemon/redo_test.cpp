@@ -1,10 +1,11 @@
 // SPDX-License-Identifier: Apache-2.0
 //
-// Goal: whatever part of a committed change had been made when the daemon died, redoing its record
-// makes it whole and makes nothing else; docs/recovery.md, rows @R. Method: every kind of record is
-// made once on a registry; then the memory is put back to before it, with some of the words it changed
-// already changed (every subset when they are few, else each one, all but each one, and all beginnings
-// and ends), the record left committed and not applied, and a new registry opened over it.
+// Goal: whatever part of a committed change was made when the daemon died, redoing its record
+// completes it and changes nothing else; docs/recovery.md, rows @R. Method: every kind of record
+// is made once on a registry; then the memory is reset to the state before, with some of the
+// changed words already changed (every subset if they are few, else each one, all but each one,
+// and all beginnings and ends), the record is left committed but not applied, and a new registry
+// is opened over it.
 
 #include <daemon/state/registry.hpp>
 #include <tests/support/registry_memory.hpp>
@@ -26,7 +27,7 @@ using journal::RecordType;
 
 constexpr std::uint64_t subset_words_max = 8;
 
-/// The part of the memory that this test's few places use, as words.
+/// The part of the memory that the few places of this test use, as words.
 class Words {
  public:
   explicit Words(const Registry::Memory& memory) {
@@ -57,9 +58,9 @@ class Words {
   void put(const State& state) const {
     for (std::size_t i = 0; i < words_.size(); ++i) *words_[i] = state[i];
   }
-  /// Written before the record is: part of every beginning.
+  /// Returns whether the word is written before the record: part of every beginning.
   bool is_name(std::size_t word) const { return names_.count(word) != 0; }
-  /// May move once more than it had to.
+  /// Returns whether the word may advance once more than necessary.
   bool is_epoch(std::size_t word) const { return epochs_.count(word) != 0; }
 
  private:
@@ -107,19 +108,19 @@ class Redo : public testing::Test {
     ASSERT_FALSE(next.log().pending().has_value());
   }
 
-  /// `operation` makes exactly one record, of this type.
+  /// Runs `operation`, which makes exactly one record, of this type.
   void step(RecordType type, const std::function<void(Registry&)>& operation) {
     SCOPED_TRACE(std::string(journal::name_of(type)));
     const std::uint64_t lsn = life->log().committed_lsn();
     const Words::State before = words.state();
     operation(*life);
-    ASSERT_EQ(life->log().committed_lsn(), lsn + 1) << "one record";
+    ASSERT_EQ(life->log().committed_lsn(), lsn + 1) << "the operation must make exactly one record";
     ASSERT_EQ(life->log().read(lsn + 1)->type, type);
     const Words::State after = words.state();
     std::vector<std::size_t> changed;
     for (std::size_t i = 0; i < before.size(); ++i)
       if (before[i] != after[i] && !words.is_name(i)) changed.push_back(i);
-    EXPECT_FALSE(changed.empty()) << "the change is not where this test looks";
+    EXPECT_FALSE(changed.empty()) << "this test does not see the change";
     if (changed.size() <= subset_words_max) {
       for (std::uint64_t set = 0; set < std::uint64_t{1} << changed.size(); ++set) {
         std::vector<bool> made;
@@ -141,7 +142,7 @@ class Redo : public testing::Test {
     }
     words.put(after);
     seen.insert(type);
-    // What is kept beside the tables has to be derived again all the same.
+    // Data kept beside the tables must be derived again.
     life = std::make_unique<Registry>(memory.parts());
     ASSERT_TRUE(life->open());
   }
@@ -153,7 +154,7 @@ class Redo : public testing::Test {
   std::uint64_t redone = 0;
 };
 
-TEST_F(Redo, MakesEveryChangeWholeWhateverPartOfItWasMade) {
+TEST_F(Redo, CompletesEveryChangeWhateverPartWasMade) {
   using R = Registry;
   const ClientIndex a{0}, b{1};
   const TopicIndex t{0};
@@ -203,7 +204,7 @@ TEST_F(Redo, MakesEveryChangeWholeWhateverPartOfItWasMade) {
   step(RecordType::free_subscription, [&](R& r) { r.free_subscription(t, 0); });
   step(RecordType::free_topic, [&](R& r) { r.free_topic(t); });
   step(RecordType::client_end, [&](R& r) { r.end_client(a); });
-  // Places that were used before.
+  // Reused places.
   step(RecordType::register_client, [&](R& r) {
     ASSERT_EQ(r.add_client({1, 2, 78, 3, "c"}).value(), a);
   });
@@ -218,14 +219,14 @@ TEST_F(Redo, MakesEveryChangeWholeWhateverPartOfItWasMade) {
               static_cast<unsigned long long>(redone));
 }
 
-// A checksum says that a record is whole, not that this build can carry it out.
-TEST_F(Redo, RefusesAChangeThatItCannotCarryOutAndTouchesNothing) {
+// A checksum shows that a record is complete, not that this build can apply it.
+TEST_F(Redo, RefusesAChangeThatItCannotApplyAndWritesNothing) {
   const std::uint64_t far = std::uint64_t{1} << 31;
   const struct {
     RecordType type;
     std::vector<std::uint64_t> arguments;
   } changes[] = {
-      {static_cast<RecordType>(99), {}},  // a later build's
+      {static_cast<RecordType>(99), {}},  // of a later build
       {RecordType::register_client, {abi::client_count_max, 1}},
       {RecordType::client_end, {far, 1}},
       {RecordType::open_window, {0, abi::window_count_max}},
@@ -259,7 +260,7 @@ TEST_F(Redo, RefusesAChangeThatItCannotCarryOutAndTouchesNothing) {
     ASSERT_FALSE(opened);
     EXPECT_EQ(opened.error().code, Errc::store_damaged);
     EXPECT_EQ(all.state(), before);
-    EXPECT_TRUE(log.pending()) << "the build that wrote it can carry it out";
+    EXPECT_TRUE(log.pending()) << "the record must stay for the build that can apply it";
   }
 }
 

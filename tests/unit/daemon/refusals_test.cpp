@@ -1,6 +1,6 @@
 // SPDX-License-Identifier: Apache-2.0
 //
-// Goal: what was refused lately is kept, bounded, and nobody pushes out what others were refused.
+// Goal: recent refusals are kept, in bounded number, and no user displaces the refusals of others.
 // Method: refusals as values.
 
 #include <daemon/state/refusals.hpp>
@@ -22,7 +22,7 @@ Refusals::Refusal refusal(std::uint32_t uid, std::uint32_t pid, const std::strin
   return one;
 }
 
-TEST(Refusals, CountWhatComesAgain) {
+TEST(Refusals, CountRepetitions) {
   Refusals refusals;
   refusals.add(refusal(1, 10));
   refusals.add(refusal(1, 10, "/b"));
@@ -37,7 +37,7 @@ TEST(Refusals, CountWhatComesAgain) {
   EXPECT_EQ(refusals.all()[1].why, "now");
 }
 
-TEST(Refusals, KeepWhatOthersWereRefusedWhenOneUserFloods) {
+TEST(Refusals, KeepTheRefusalsOfOthersWhenOneUserFloods) {
   Refusals refusals;
   refusals.add(refusal(1, 10));
   refusals.add(refusal(2, 20));
@@ -49,7 +49,8 @@ TEST(Refusals, KeepWhatOthersWereRefusedWhenOneUserFloods) {
   };
   EXPECT_TRUE(has(1, 10));
   EXPECT_TRUE(has(2, 20));
-  EXPECT_TRUE(has(3, 10 * Refusals::count_max - 1)) << "of one's own the oldest goes";
+  EXPECT_TRUE(has(3, 10 * Refusals::count_max - 1))
+      << "a user's newest refusal replaces its oldest";
   EXPECT_FALSE(has(3, 0));
 }
 

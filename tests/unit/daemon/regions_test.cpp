@@ -1,7 +1,7 @@
 // SPDX-License-Identifier: Apache-2.0
 //
-// Goal: regions and the kernel's limits. What is handed out of them, and to whom, is in the
-// integration tests; here is what those cannot bring about.
+// Goal: regions within the kernel's limits. The integration tests cover which regions are handed
+// out and to which processes; these are the cases that they cannot produce.
 
 #include <daemon/lifecycle/regions.hpp>
 
@@ -10,7 +10,7 @@
 namespace agnocast::daemon {
 namespace {
 
-TEST(Regions, LeaveTheDaemonMappingsOfItsOwn) {
+TEST(Regions, LeaveMappingsForTheDaemonItself) {
   EXPECT_GE(Regions::regions_max(65'530), std::uint64_t{abi::client_count_max});
   EXPECT_EQ(Regions::regions_max(0), 0u);
   EXPECT_EQ(Regions::regions_max(2048), 0u);

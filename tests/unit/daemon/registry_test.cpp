@@ -1,73 +1,17 @@
 // SPDX-License-Identifier: Apache-2.0
 //
-// Goal: indexes, extents and generations are given out by the rules (lowest free; never one that
-// somebody may still know), the board says what the tables say, and a second life of the daemon
-// finds everything in the memory of the first, whatever it died in.
-// Method: the registry over anonymous memory; seeded random operations against a trivial reference
-// model; a death simulated at every record by leaving it committed and not applied.
+// Goal: indexes, extents and generations are assigned by the rules (lowest free; never one that a
+// process may still know), the board agrees with the tables, and a restarted daemon finds
+// everything in the memory of the previous one, whatever it was doing when it died. Method: the
+// registry over anonymous memory; seeded random operations against a trivial reference model; a
+// death simulated at every record by leaving it committed and not applied.
 
-#include <agnocast/abi/fingerprint.hpp>
-#include <daemon/state/registry.hpp>
-#include <tests/support/registry_memory.hpp>
-
-#include <gtest/gtest.h>
-
-#include <sys/mman.h>
-#include <unistd.h>
-
-#include <algorithm>
-#include <bit>
-#include <cstdio>
-#include <cstring>
-#include <map>
-#include <random>
-#include <set>
+#include <tests/unit/daemon/registry_fixture.hpp>
 
 namespace agnocast::daemon {
 namespace {
 
-using Memory = test::RegistryMemory;
-
-class RegistryTest : public testing::Test {
- protected:
-  RegistryTest() : registry(memory.parts()) { registry.create(1); }
-
-  ClientIndex client(std::uint32_t uid = 1000) {
-    return registry.add_client({uid, uid, 1, 0, "a process"}).value();
-  }
-  TopicIndex topic(std::string_view name = "/topic") {
-    return registry.add_topic({0, name, "pkg/msg/Type", 5}).value();
-  }
-  PublisherPlan publisher(ClientIndex owner, TopicIndex at, std::uint32_t depth = 1) {
-    const abi::Qos qos{depth, false, true, false, false};
-    const PublisherPlan plan = registry.plan_publisher(owner, at, qos).value();
-    registry.add_publisher(owner, at, qos, plan, "node");
-    return plan;
-  }
-  SubscriptionPlan subscription(ClientIndex owner, TopicIndex at, std::uint32_t depth = 1,
-                                std::uint64_t own_quota = 1, std::uint64_t quota_of_others = 1) {
-    const abi::Qos qos{depth, false, true, false, false};
-    const HoldQuota quota{own_quota, quota_of_others};
-    const SubscriptionPlan plan = registry.plan_subscription(owner, at, qos, quota).value();
-    for (const SlotRaise& raise : plan.raises) registry.raise_slots(at, raise);
-    registry.add_subscription(owner, at, qos, quota, 0, plan, "node");
-    return plan;
-  }
-  std::uint64_t board_word(TopicIndex at, std::uint64_t offset) const {
-    return SharedMemory::word(memory.board(), abi::topic_offset(number(at)) + offset).load();
-  }
-  std::uint64_t publisher_word(TopicIndex at, std::uint32_t index) const {
-    return board_word(at, abi::publisher_entry_offset(index));
-  }
-  std::uint64_t subscription_word(TopicIndex at, std::uint32_t index) const {
-    return board_word(at, abi::subscription_entry_offset(abi::publisher_count_max, index));
-  }
-
-  Memory memory;
-  Registry registry;
-};
-
-TEST_F(RegistryTest, GivesOutLowestIndexesAndFreshGenerations) {
+TEST_F(RegistryTest, AssignsLowestIndexesAndFreshGenerations) {
   const ClientIndex a = client(), b = client();
   EXPECT_EQ(number(a), 0u);
   EXPECT_EQ(number(b), 1u);
@@ -77,24 +21,24 @@ TEST_F(RegistryTest, GivesOutLowestIndexesAndFreshGenerations) {
   EXPECT_EQ(q.index, 1u);
   EXPECT_GT(q.generation, p.generation);
   EXPECT_EQ(p.extent, abi::page_bytes);
-  EXPECT_EQ(q.extent, abi::page_bytes) << "every process has a region of its own";
+  EXPECT_EQ(q.extent, abi::page_bytes) << "every process has its own region";
   EXPECT_EQ(abi::generation_of(publisher_word(t, 0)), p.generation);
   EXPECT_EQ(abi::state_of(publisher_word(t, 1)), abi::MemberState::active);
 }
 
-TEST_F(RegistryTest, UsesAnIndexAgainOnlyWhenNobodyKnowsTheOldOne) {
+TEST_F(RegistryTest, ReusesAnIndexOnlyWhenNoProcessKnowsTheOldOne) {
   const ClientIndex a = client(), b = client();
   const TopicIndex t = topic();
   const auto p = publisher(a, t);
   const EndpointRef ref{Kind::publisher, t, p.index};
   registry.tell(ref, b);
-  EXPECT_TRUE(registry.client(a).told.contains(number(b))) << "its region is known with it";
+  EXPECT_TRUE(registry.client(a).told.contains(number(b))) << "b knows its region as well";
   registry.orphan_publisher(t, p.index, abi::pack_entry(p.first_sequence, 0));
   EXPECT_EQ(publisher(a, t).index, 1u);
   registry.let_go(ref, b);
   registry.end_publisher(t, p.index, EndpointState::over);
   EXPECT_EQ(abi::state_of(publisher_word(t, 0)), abi::MemberState::free);
-  EXPECT_EQ(publisher(a, t).index, 2u) << "its own process has not let go of the extent";
+  EXPECT_EQ(publisher(a, t).index, 2u) << "its own process still uses the extent";
   registry.end_publisher(t, p.index, EndpointState::free);
   const auto again = publisher(a, t);
   EXPECT_EQ(again.index, 0u);
@@ -113,11 +57,11 @@ TEST_F(RegistryTest, KeepsExtentsApart) {
   registry.change_subscription(t, s.index, EndpointState::over);
   registry.free_subscription(t, s.index);
   EXPECT_EQ(publisher(a, t).extent, q.extent + abi::publisher_extent_bytes)
-      << "a publisher does not fit where a subscription was";
+      << "a publisher does not fit into a subscription's extent";
   EXPECT_EQ(subscription(a, t).extent, s.extent);
 }
 
-TEST_F(RegistryTest, RaisesSlotsBeforeADeepSubscriptionIsAMember) {
+TEST_F(RegistryTest, RaisesSlotsBeforeADeepSubscriptionJoins) {
   const ClientIndex a = client();
   const TopicIndex t = topic();
   const auto p = publisher(a, t, 1);
@@ -163,7 +107,7 @@ TEST_F(RegistryTest, CountsPerUser) {
   EXPECT_EQ(registry.usage_of(3).clients, 0u);
 }
 
-TEST_F(RegistryTest, EndsAProcessOnlyWhenNothingOfItIsKnown) {
+TEST_F(RegistryTest, EndsAProcessOnlyWhenNoOtherProcessKnowsPartOfIt) {
   const ClientIndex a = client(), b = client();
   const TopicIndex t = topic();
   const auto p = publisher(a, t);
@@ -176,7 +120,7 @@ TEST_F(RegistryTest, EndsAProcessOnlyWhenNothingOfItIsKnown) {
   registry.end_publisher(t, p.index, EndpointState::free);
   EXPECT_FALSE(registry.can_end(a)) << "b still maps its region";
   registry.let_go_of_region(a, b);
-  EXPECT_FALSE(registry.can_end(a)) << "it counts as told of what others have";
+  EXPECT_FALSE(registry.can_end(a)) << "it still counts as notified of others' endpoints";
   registry.client_forgotten(a);
   EXPECT_TRUE(registry.can_end(a));
   const std::uint64_t generation = registry.client(a).generation;
@@ -198,14 +142,14 @@ TEST_F(RegistryTest, ForgetsADeadProcessEverywhere) {
   EXPECT_EQ(registry.known_topic_of(b), u);
   registry.forget_in_topic(b, u);
   EXPECT_FALSE(registry.known_topic_of(b));
-  EXPECT_TRUE(registry.client(a).told.contains(number(b))) << "its region is let go of last";
+  EXPECT_TRUE(registry.client(a).told.contains(number(b))) << "its region is forgotten last";
   registry.client_forgotten(b);
   EXPECT_TRUE(registry.told_of({Kind::publisher, t, p.index}).reusable());
   EXPECT_TRUE(registry.told_of({Kind::subscription, u, s.index}).reusable());
   EXPECT_TRUE(registry.client(a).told.reusable());
 }
 
-TEST_F(RegistryTest, FreesATopicWithItsLastEndpointAndFixesTheTypeAnew) {
+TEST_F(RegistryTest, FreesATopicWithItsLastEndpointAndThenAcceptsAnotherType) {
   const ClientIndex a = client();
   const TopicIndex t = topic();
   const auto s = subscription(a, t);
@@ -219,7 +163,7 @@ TEST_F(RegistryTest, FreesATopicWithItsLastEndpointAndFixesTheTypeAnew) {
   const TopicIndex again = registry.add_topic({0, "/topic", "pkg/msg/Other", 6}).value();
   EXPECT_EQ(again, t);
   EXPECT_STREQ(registry.topic(again).type, "pkg/msg/Other");
-  EXPECT_GE(board_word(t, offsetof(abi::TopicHeader, epoch)), epoch) << "an epoch never goes back";
+  EXPECT_GE(board_word(t, offsetof(abi::TopicHeader, epoch)), epoch) << "an epoch never decreases";
 }
 
 TEST_F(RegistryTest, KeepsDomainsApart) {
@@ -230,7 +174,7 @@ TEST_F(RegistryTest, KeepsDomainsApart) {
   EXPECT_EQ(registry.find_topic(1, "/topic"), other);
 }
 
-TEST_F(RegistryTest, SaysWhenATableIsFull) {
+TEST_F(RegistryTest, ReportsAFullTable) {
   const ClientIndex a = client();
   const TopicIndex t = topic();
   for (std::uint32_t i = 0; i < abi::publisher_count_max; ++i) publisher(a, t);
@@ -243,7 +187,7 @@ TEST_F(RegistryTest, SaysWhenATableIsFull) {
   EXPECT_EQ(no_client.error().code, Errc::limit_reached);
 }
 
-TEST_F(RegistryTest, IsFoundAgainByALaterLife) {
+TEST_F(RegistryTest, IsFoundAgainAfterARestart) {
   const ClientIndex a = client(), b = client();
   const TopicIndex t = topic();
   const auto p = publisher(a, t);
@@ -259,7 +203,7 @@ TEST_F(RegistryTest, IsFoundAgainByALaterLife) {
   EXPECT_GT(q.generation, p.generation);
 }
 
-TEST_F(RegistryTest, RefusesMemoryOfAnotherLayoutAndSaysBoth) {
+TEST_F(RegistryTest, RefusesMemoryOfAnotherLayoutAndNamesBoth) {
   client();
   auto& fingerprint = SharedMemory::word(memory.parts().log, 8);
   fingerprint.store(0x1234);
@@ -271,7 +215,7 @@ TEST_F(RegistryTest, RefusesMemoryOfAnotherLayoutAndSaysBoth) {
   char own[32];
   std::snprintf(own, sizeof own, "0x%016llx", static_cast<unsigned long long>(abi::fingerprint()));
   EXPECT_NE(text.find(own), std::string::npos) << text;
-  // The tables may differ where the regions do not.
+  // The layout of the tables may differ although that of the regions is equal.
   fingerprint.store(abi::fingerprint());
   ASSERT_TRUE(Registry(memory.parts()).open());
   SharedMemory::word(memory.parts().tables, offsetof(TableHeader, layout)).store(7);
@@ -280,7 +224,7 @@ TEST_F(RegistryTest, RefusesMemoryOfAnotherLayoutAndSaysBoth) {
   EXPECT_EQ(tables.error().code, Errc::layout_mismatch);
 }
 
-TEST_F(RegistryTest, RefusesDamageAndSaysWhich) {
+TEST_F(RegistryTest, RefusesDamageAndDescribesIt) {
   const ClientIndex a = client();
   const TopicIndex t = topic();
   publisher(a, t);
@@ -334,7 +278,7 @@ TEST_F(RegistryTest, RefusesDamageAndSaysWhich) {
   refused_with([&] { log_word(16).store(2); }, "not of one incarnation");
 }
 
-TEST_F(RegistryTest, GivesOutNoFreePlaceThatSomebodyIsStillToldOf) {
+TEST_F(RegistryTest, AssignsNoFreePlaceThatAProcessIsStillNotifiedOf) {
   const ClientIndex a = client();
   const TopicIndex t = topic();
   const abi::Qos qos{1, false, true, false, false};
@@ -349,7 +293,7 @@ TEST_F(RegistryTest, GivesOutNoFreePlaceThatSomebodyIsStillToldOf) {
   const auto of_subscription = registry.plan_subscription(a, t, qos, {1, 1});
   ASSERT_FALSE(of_subscription);
   EXPECT_EQ(of_subscription.error().code, Errc::store_damaged);
-  // One that was used before is passed over.
+  // A place that was used before is skipped.
   const EndpointRef ref{Kind::subscription, t, 0};
   registry.change_subscription(t, 0, EndpointState::over);
   registry.free_subscription(t, 0);
@@ -359,7 +303,7 @@ TEST_F(RegistryTest, GivesOutNoFreePlaceThatSomebodyIsStillToldOf) {
   EXPECT_EQ(registry.plan_subscription(a, t, qos, {1, 1}).value().index, 1u);
 }
 
-/// Pages of the tables that have memory.
+/// Returns the number of pages of the tables that have memory.
 std::uint64_t pages_of(const Registry::Memory& memory) {
   const auto page = static_cast<std::uint64_t>(::sysconf(_SC_PAGESIZE));
   std::vector<unsigned char> there(tables_bytes / page);
@@ -368,8 +312,8 @@ std::uint64_t pages_of(const Registry::Memory& memory) {
       std::count_if(there.begin(), there.end(), [](unsigned char one) { return (one & 1) != 0; }));
 }
 
-// Places that were used once cost nothing, whoever took them and however high they were.
-TEST_F(RegistryTest, GivesTheMemoryOfFreePlacesBack) {
+// Places that were used once cost nothing, whichever process had them and wherever they lie.
+TEST_F(RegistryTest, ReturnsTheMemoryOfFreePlaces) {
   const ClientIndex a = client();
   std::vector<TopicIndex> topics;
   for (int i = 0; i < 3; ++i) topics.push_back(topic("/topic" + std::to_string(i)));
@@ -392,7 +336,7 @@ TEST_F(RegistryTest, GivesTheMemoryOfFreePlacesBack) {
       registry.free_subscription(ref.topic, ref.index);
     }
   };
-  // The first topic keeps its first and its last places: what lies between them goes all the same.
+  // The first topic keeps its first and last places: the memory between them is returned too.
   const auto is_kept = [&](const EndpointRef& ref) {
     const std::uint32_t last = ref.kind == Kind::publisher ? abi::publisher_count_max - 1
                                                            : abi::subscription_count_max - 1;
@@ -402,9 +346,9 @@ TEST_F(RegistryTest, GivesTheMemoryOfFreePlacesBack) {
     if (!is_kept(ref)) end(ref);
   }
   for (const std::size_t i : {1u, 2u}) registry.free_topic(topics[i]);
-  // A page for each of two places, and two for one that lies in both.
+  // A page for each of two places, and two for a place that lies in both.
   EXPECT_LE(pages_of(memory.parts()), before + 6);
-  // Nobody looks at what is not there: not to walk, not to answer who names a place, not at a start.
+  // No code reads missing places: no walk, no answer to a request that names one, no start.
   const std::uint64_t after = pages_of(memory.parts());
   EXPECT_FALSE(registry.is_used({Kind::subscription, topics[0], 300}));
   EXPECT_FALSE(registry.is_used({Kind::subscription, topics[0], 1u << 31}));
@@ -418,12 +362,13 @@ TEST_F(RegistryTest, GivesTheMemoryOfFreePlacesBack) {
   EXPECT_EQ(later.repair_board(), 0u);
   EXPECT_EQ(later.endpoints_of(a).size(), 4u);
   EXPECT_EQ(pages_of(memory.parts()), after);
-  // And what is given out again is as if it were new.
-  const auto again = later.plan_subscription(a, topics[0], {1, false, true, false, false}, {1, 1}).value();
+  // A place that is assigned again is as if new.
+  const auto again =
+      later.plan_subscription(a, topics[0], {1, false, true, false, false}, {1, 1}).value();
   EXPECT_EQ(again.index, 1u);
 }
 
-TEST_F(RegistryTest, VisitsWhatIsThereThoughItEndsMeanwhile) {
+TEST_F(RegistryTest, VisitsEndpointsEvenIfTheyEndMeanwhile) {
   const ClientIndex a = client();
   const TopicIndex t = topic();
   for (int i = 0; i < 130; ++i) subscription(a, t);
@@ -438,226 +383,6 @@ TEST_F(RegistryTest, VisitsWhatIsThereThoughItEndsMeanwhile) {
   });
   EXPECT_EQ(met.size(), 65u);
   EXPECT_TRUE(registry.topic_is_empty(t));
-}
-
-TEST_F(RegistryTest, MakesTheBoardSayWhatTheTablesSay) {
-  const ClientIndex a = client();
-  const TopicIndex t = topic();
-  const auto p = publisher(a, t);
-  const region::TopicWords<SharedMemory> words{memory.board(), abi::topic_offset(number(t))};
-  Registry later(memory.parts());
-  ASSERT_TRUE(later.open());
-  const std::uint64_t epoch = words.epoch().load(std::memory_order_relaxed);
-  EXPECT_EQ(later.repair_board(), 0u);
-  EXPECT_GT(words.epoch().load(std::memory_order_relaxed), epoch) << "everybody looks again";
-  const std::size_t fields[] = {
-      offsetof(abi::PublisherEntry, word),       offsetof(abi::PublisherEntry, qos),
-      offsetof(abi::PublisherEntry, client),     offsetof(abi::PublisherEntry, extent),
-      offsetof(abi::PublisherEntry, slot_count), offsetof(abi::PublisherEntry, first_sequence),
-      offsetof(abi::PublisherEntry, final_head)};
-  for (const std::size_t field : fields) {
-    auto&& word = words.publisher(p.index, field);
-    const std::uint64_t before = word.load(std::memory_order_relaxed);
-    word.store(before ^ 0x100, std::memory_order_relaxed);
-    EXPECT_EQ(later.repair_board(), 1u) << field;
-    EXPECT_EQ(word.load(std::memory_order_relaxed), before) << field;
-  }
-}
-
-/// As the tables say it, counted from the beginning.
-Usage counted(const Registry& registry, std::uint32_t uid) {
-  Usage usage;
-  std::set<TopicIndex> topics;
-  for (std::uint32_t i = 0; i < registry.client_high(); ++i) {
-    const ClientRecord& record = registry.client(ClientIndex{i});
-    if (record.state == ClientState::free || record.uid != uid) continue;
-    ++usage.clients;
-    for (const EndpointRef& ref : registry.endpoints_of(ClientIndex{i})) {
-      topics.insert(ref.topic);
-      ++(ref.kind == Kind::publisher ? usage.publishers : usage.subscriptions);
-      if (ref.kind == Kind::subscription)
-        usage.held_messages += registry.subscription(ref.topic, ref.index).quota;
-    }
-    usage.executors += static_cast<std::uint64_t>(std::popcount(record.executors));
-    usage.windows += record.window_count;
-    for (std::uint64_t w = 0; w < record.window_count; ++w)
-      usage.heap_bytes += record.window[w].bytes;
-  }
-  usage.topics = topics.size();
-  return usage;
-}
-
-// Places of processes are given to other users, and changes are completed by another life.
-TEST_F(RegistryTest, KeepsTheUsageThatACountWouldFind) {
-  std::mt19937 random(7);
-  auto life = std::make_unique<Registry>(memory.parts());
-  ASSERT_TRUE(life->open());
-  const abi::Qos qos{1, false, true, false, false};
-  std::vector<TopicIndex> topics;
-  for (const char* const name : {"/a", "/b", "/c"})
-    topics.push_back(life->add_topic({0, name, "T", 1}).value());
-  std::vector<ClientIndex> clients;
-  std::uint64_t ended = 0;
-  for (int step = 0; step < 4000; ++step) {
-    if (clients.size() < 6) {
-      const std::uint32_t uid = 1 + static_cast<std::uint32_t>(random() % 3);
-      clients.push_back(life->add_client({uid, uid, 1, 0, "process"}).value());
-    }
-    const ClientIndex one = clients[random() % clients.size()];
-    const TopicIndex at = topics[random() % topics.size()];
-    const auto& endpoints = life->endpoints_of(one);
-    switch (random() % 6) {
-      case 0:
-        life->add_publisher(one, at, qos, life->plan_publisher(one, at, qos).value(), "node");
-        break;
-      case 1: {
-        const HoldQuota quota{random() % 9, 1};
-        const auto plan = life->plan_subscription(one, at, qos, quota).value();
-        for (const SlotRaise& raise : plan.raises) life->raise_slots(at, raise);
-        life->add_subscription(one, at, qos, quota, 0, plan, "node");
-        break;
-      }
-      case 2:
-        if (life->client(one).window_count < abi::window_count_max)
-          life->open_window(one, {0x1000, 4096 * (1 + random() % 9), 0});
-        break;
-      case 3:
-        life->open_executor(one, static_cast<std::uint32_t>(random() % 8));
-        break;
-      case 4:
-        for (int i = 0; i < 3 && !endpoints.empty(); ++i) {
-          const EndpointRef ref = endpoints[random() % endpoints.size()];
-          if (ref.kind == Kind::publisher) {
-            life->orphan_publisher(ref.topic, ref.index, 0);
-            life->end_publisher(ref.topic, ref.index, EndpointState::over);
-            life->end_publisher(ref.topic, ref.index, EndpointState::free);
-          } else {
-            life->change_subscription(ref.topic, ref.index, EndpointState::over);
-            life->free_subscription(ref.topic, ref.index);
-          }
-        }
-        break;
-      default:
-        if (!endpoints.empty()) break;
-        life->client_died(one, journal::DeathReason::died);
-        life->client_forgotten(one);
-        life->end_client(one);
-        std::erase(clients, one);
-        ++ended;
-    }
-    if (random() % 10 == 0) {
-      auto& applied = SharedMemory::word(memory.parts().log, 128);  // as below
-      applied.store(applied.load() - 1);
-      life = std::make_unique<Registry>(memory.parts());
-      ASSERT_TRUE(life->open());
-    }
-    for (const std::uint32_t uid : {0U, 1U, 2U, 3U}) {
-      ASSERT_TRUE(life->usage_of(uid) == counted(*life, uid)) << "step " << step << " user " << uid;
-      for (const TopicIndex topic : topics) {
-        bool takes_part = false;
-        for (const ClientIndex c : clients) {
-          for (const EndpointRef& ref : life->endpoints_of(c))
-            takes_part = takes_part || (ref.topic == topic && life->client(c).uid == uid);
-        }
-        ASSERT_EQ(life->takes_part(uid, topic), takes_part) << "step " << step;
-        std::uint64_t publishers = 0, subscriptions = 0;
-        for (const ClientIndex c : clients) {
-          if (life->client(c).uid != uid) continue;
-          for (const EndpointRef& ref : life->endpoints_of(c)) {
-            if (ref.topic == topic)
-              ++(ref.kind == Kind::publisher ? publishers : subscriptions);
-          }
-        }
-        ASSERT_EQ(life->user_places(uid, topic).publishers, publishers) << "step " << step;
-        ASSERT_EQ(life->user_places(uid, topic).subscriptions, subscriptions) << "step " << step;
-      }
-    }
-  }
-  EXPECT_GT(ended, 20u);
-}
-
-// A trivial model of what the tables must say, kept by hand beside random operations. Every now and
-// then the last record is made pending again, as a death between commit and applied would leave it,
-// and a new registry takes over: redoing it must change nothing but the epoch.
-TEST_F(RegistryTest, AgreesWithAModelOverManyLives) {
-  struct Member {
-    std::uint32_t owner, index;
-    std::uint64_t generation, extent;
-    std::set<std::uint32_t> told;
-    EndpointState state;
-  };
-  std::mt19937 random(99);
-  auto life = std::make_unique<Registry>(memory.parts());
-  ASSERT_TRUE(life->open());
-  std::vector<ClientIndex> clients;
-  for (int i = 0; i < 6; ++i) clients.push_back(life->add_client({1, 1, 1, 0, "process"}).value());
-  const TopicIndex t = life->add_topic({0, "/topic", "T", 1}).value();
-  std::vector<Member> members;  // publishers
-  std::set<std::uint64_t> generations;
-  for (int step = 0; step < 5000; ++step) {
-    const auto what = random() % 6;
-    if (what == 0 && members.size() < 40) {
-      const ClientIndex owner = clients[random() % clients.size()];
-      const abi::Qos qos{1, false, true, false, false};
-      const auto plan = life->plan_publisher(owner, t, qos).value();
-      std::uint32_t lowest = 0;
-      while (std::any_of(members.begin(), members.end(),
-                         [&](const Member& m) { return m.index == lowest; }))
-        ++lowest;
-      ASSERT_EQ(plan.index, lowest);
-      ASSERT_TRUE(generations.insert(plan.generation).second) << "a generation came twice";
-      for (const Member& m : members) {
-        if (m.owner != number(owner)) continue;
-        ASSERT_TRUE(plan.extent + abi::publisher_extent_bytes <= m.extent ||
-                    m.extent + abi::publisher_extent_bytes <= plan.extent)
-            << "two endpoints share an extent";
-      }
-      life->add_publisher(owner, t, qos, plan, "node");
-      members.push_back(
-          {number(owner), plan.index, plan.generation, plan.extent, {}, EndpointState::active});
-    } else if (!members.empty()) {
-      const std::size_t at = random() % members.size();
-      Member& m = members[at];
-      const EndpointRef ref{Kind::publisher, t, m.index};
-      const ClientIndex other = clients[random() % clients.size()];
-      if (what == 1 && m.state == EndpointState::active) {
-        life->tell(ref, other);
-        m.told.insert(number(other));
-      } else if (what == 2) {
-        life->let_go(ref, other);
-        m.told.erase(number(other));
-      } else if (what == 3 && m.state == EndpointState::active) {
-        life->orphan_publisher(t, m.index, 12);
-        m.state = EndpointState::orphan;
-      } else if (what == 4 && m.told.empty() && m.state == EndpointState::orphan) {
-        life->end_publisher(t, m.index, EndpointState::over);
-        m.state = EndpointState::over;
-      } else if (what == 5 && m.told.empty() && m.state == EndpointState::over) {
-        life->end_publisher(t, m.index, EndpointState::free);
-        members.erase(members.begin() + static_cast<std::ptrdiff_t>(at));
-      }
-    }
-    if (random() % 20 == 0) {
-      // applied is the word at 128 of the log (journal/redo_log.hpp).
-      auto& applied = SharedMemory::word(memory.parts().log, 128);
-      applied.store(applied.load() - 1);
-      life = std::make_unique<Registry>(memory.parts());
-      ASSERT_TRUE(life->open());
-    }
-    for (const Member& m : members) {
-      const PublisherRecord& record = life->publisher(t, m.index);
-      ASSERT_EQ(record.state, m.state);
-      ASSERT_EQ(record.generation, m.generation);
-      ASSERT_EQ(record.extent, m.extent);
-      ASSERT_EQ(abi::generation_of(publisher_word(t, m.index)), m.generation);
-      for (const ClientIndex c : clients)
-        ASSERT_EQ(record.told.contains(number(c)), m.told.count(number(c)) != 0);
-    }
-    std::size_t known = 0;
-    for (const ClientIndex c : clients) known += life->endpoints_of(c).size();
-    ASSERT_EQ(known, members.size());
-  }
-  EXPECT_GT(generations.size(), 200u);
 }
 
 }  // namespace

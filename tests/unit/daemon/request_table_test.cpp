@@ -1,7 +1,7 @@
 // SPDX-License-Identifier: Apache-2.0
 //
-// Goal: the table calls the function that was named for the kind of a request. Method: a handler that writes down
-// what it was called with.
+// Goal: the table calls the function that was registered for the kind of a request. Method: a
+// handler that records its calls.
 
 #include <daemon/serving/request_table.hpp>
 
@@ -30,7 +30,7 @@ struct Handler {
   std::string called;
 };
 
-TEST(RequestTable, CallsTheFunctionOfTheKind) {
+TEST(RequestTable, CallsTheFunctionForTheKind) {
   Handler handler;
   RequestTable table;
   table.add(handler, &Handler::hello);

@@ -1,8 +1,8 @@
 // SPDX-License-Identifier: Apache-2.0
 //
-// Goal: whatever arrives, decode() answers without reading beyond the packet, and what it lets pass
-// is inside every table. Method: one honest packet of each kind, one wrong field at a time; then
-// seeded random packets, which under AddressSanitizer lie at the end of their allocation.
+// Goal: whatever arrives, decode() answers without reading beyond the packet, and accepts only
+// values inside every table. Method: one honest packet of each kind, one wrong field at a time;
+// then seeded random packets, which under AddressSanitizer lie at the end of their allocation.
 
 #include <daemon/transport/requests.hpp>
 
@@ -26,7 +26,7 @@ Body body(wire::Opcode opcode) {
 }
 template <class Body>
 Request decoded(const Body& packet, const Envelope& envelope = {}, Role role = Role::client) {
-  // A heap copy of exactly this length: one byte further is an error that the sanitizer sees.
+  // A heap copy of exactly this length: the sanitizer reports a read one byte beyond it.
   const auto bytes = std::as_bytes(std::span(&packet, 1));
   const std::vector<std::byte> copy(bytes.begin(), bytes.end());
   return decode(copy, envelope, role);
@@ -34,7 +34,7 @@ Request decoded(const Body& packet, const Envelope& envelope = {}, Role role = R
 Rejected rejected(const Request& request) {
   const auto* const found = std::get_if<Rejected>(&request);
   if (found == nullptr) {
-    ADD_FAILURE() << "was accepted";
+    ADD_FAILURE() << "the packet was accepted";
     return {};
   }
   return *found;
@@ -90,7 +90,7 @@ TEST(Requests, TakesAWithdrawalWithAReasonThatItKnows) {
   packet.publisher_generation = packet.subscription_generation = 4;
   packet.why = static_cast<std::uint32_t>(abi::Withdrawal::over_share);
   EXPECT_TRUE(std::holds_alternative<wire::Withdrawn>(decoded(packet)));
-  packet.why = 0;  // it is served again
+  packet.why = 0;  // served again
   EXPECT_TRUE(std::holds_alternative<wire::Withdrawn>(decoded(packet)));
   packet.why = 4;
   EXPECT_EQ(rejected(decoded(packet)).code, Errc::protocol_violation);
@@ -102,7 +102,7 @@ TEST(Requests, TakesAWithdrawalWithAReasonThatItKnows) {
   EXPECT_EQ(rejected(decoded(packet)).code, Errc::protocol_violation);
 }
 
-TEST(Requests, KeepsTheMarkOfARepetitionOutOfItsId) {
+TEST(Requests, KeepsTheRepetitionMarkOutOfTheId) {
   auto packet = honest_create(wire::Opcode::create_publisher);
   packet.header.request = 77 | wire::asked_again;
   const Request created = decoded(packet);
@@ -122,11 +122,11 @@ TEST(Requests, EndsAConnectionThatCannotBeParsed) {
   const auto bytes = std::as_bytes(std::span(&packet, 1));
   EXPECT_TRUE(rejected(decode(bytes.first(15), {}, Role::client)).ends_connection);
   EXPECT_TRUE(rejected(decode(bytes.first(20), {}, Role::client)).ends_connection)
-      << "length is a lie";
+      << "the length field is false";
   EXPECT_TRUE(rejected(decoded(packet, {0, true, false})).ends_connection) << "too long";
 }
 
-TEST(Requests, RefusesWhatCanBeParsedAndIsWrong) {
+TEST(Requests, RefusesParsablePacketsWithWrongContent) {
   auto window = body<wire::WindowRequest>(wire::Opcode::open_window);
   EXPECT_FALSE(rejected(decoded(window, {1, false, false})).ends_connection) << "descriptors";
   EXPECT_EQ(rejected(decoded(window, {1, false, false})).code, Errc::protocol_violation);
@@ -141,13 +141,13 @@ TEST(Requests, RefusesWhatCanBeParsedAndIsWrong) {
             Errc::protocol_violation);
   EXPECT_EQ(rejected(decoded(body<wire::Done>(wire::Opcode::hello), {}, Role::unknown)).code,
             Errc::layout_mismatch)
-      << "the hello of another version";
+      << "a hello of another version";
   auto executor = body<wire::ExecutorRequest>(wire::Opcode::open_executor);
   executor.executor = abi::executor_count_max;
   EXPECT_EQ(rejected(decoded(executor)).code, Errc::limit_reached);
 }
 
-TEST(Requests, LetsEachRoleSayOnlyWhatIsItsOwn) {
+TEST(Requests, AllowsEachRoleOnlyItsRequests) {
   const auto observe = body<wire::Observe>(wire::Opcode::observe);
   const auto dump = body<wire::Dump>(wire::Opcode::dump);
   const auto window = body<wire::WindowRequest>(wire::Opcode::open_window);
@@ -160,7 +160,7 @@ TEST(Requests, LetsEachRoleSayOnlyWhatIsItsOwn) {
   EXPECT_EQ(rejected(decoded(window, {}, Role::observer)).text, "an observer takes part in nothing");
 }
 
-TEST(Requests, RefusesNamesWithoutEnd) {
+TEST(Requests, RefusesUnterminatedNames) {
   auto hello = body<wire::Hello>(wire::Opcode::hello);
   std::memset(hello.process_name.text, 'x', sizeof hello.process_name.text);
   EXPECT_EQ(rejected(decoded(hello, {}, Role::unknown)).text,
@@ -173,7 +173,7 @@ TEST(Requests, RefusesNamesWithoutEnd) {
   }
 }
 
-TEST(Requests, RefusesEndpointsThatCannotBe) {
+TEST(Requests, RefusesImpossibleEndpoints) {
   const auto with = [](auto change) {
     auto create = honest_create(wire::Opcode::create_subscription);
     change(create);
@@ -279,10 +279,10 @@ TEST(Requests, SurvivesRandomPackets) {
       ASSERT_LT(unlinked->index, abi::client_count_max);
     }
   }
-  EXPECT_GT(accepted, 1000u) << "the random packets never reach a handler";
+  EXPECT_GT(accepted, 1000u) << "too few random packets reach a handler";
 }
 
-TEST(Requests, CutsAndEndsEveryTextItSends) {
+TEST(Requests, TruncatesAndTerminatesEveryTextItSends) {
   const wire::Name name = name_of(std::string(1000, 'x'));
   std::string_view text;
   ASSERT_TRUE(text_of(name, text));

@@ -1,7 +1,7 @@
 // SPDX-License-Identifier: Apache-2.0
 //
-// Goal: what a session remembers of what its process was told says so, and has a bound. Method: the books
-// alone, without a socket, and with the membership that asks them.
+// Goal: a session's record of what its process was notified of is right and bounded. Method: the
+// books alone, without a socket, and with the endpoint manager that asks them.
 
 #include <daemon/transport/session.hpp>
 #include <tests/support/daemon_core.hpp>
@@ -20,7 +20,7 @@ using abi::wire::Kind;
 constexpr Announced publisher{Kind::publisher, 1, 2};
 constexpr Announced subscription(std::uint64_t index) { return {Kind::subscription, 1, index}; }
 
-TEST(CollisionsTold, IsNewsOnceForEachPairAndWhenSomethingOfItIsAnother) {
+TEST(CollisionsTold, IsNewsOncePerPairAndAfterEachChange) {
   CollisionsTold told(std::make_shared<KeptForUser>());
   const CollisionsTold::Collision what{10, 20, 0, true};
   EXPECT_TRUE(told.tell(publisher, subscription(0), what));
@@ -35,17 +35,17 @@ TEST(CollisionsTold, IsNewsOnceForEachPairAndWhenSomethingOfItIsAnother) {
   }
 }
 
-TEST(CollisionsTold, HasABoundHoweverManyPairsCollide) {
+TEST(CollisionsTold, IsBoundedHoweverManyPairsCollide) {
   CollisionsTold told(std::make_shared<KeptForUser>());
   const CollisionsTold::Collision what{10, 20, 0, true};
   for (std::uint64_t i = 0; i < 3 * CollisionsTold::count_max; ++i) {
     EXPECT_TRUE(told.tell(publisher, subscription(i), what));
-    EXPECT_FALSE(told.tell(publisher, subscription(i), what)) << "just told";
+    EXPECT_FALSE(told.tell(publisher, subscription(i), what)) << "this pair was just reported";
     ASSERT_LE(told.size(), CollisionsTold::count_max);
   }
 }
 
-TEST(CollisionsTold, OfOneUserHasABoundTogether) {
+TEST(CollisionsTold, IsBoundedPerUser) {
   const auto user = std::make_shared<KeptForUser>(), other = std::make_shared<KeptForUser>();
   const CollisionsTold::Collision what{10, 20, 0, true};
   std::vector<CollisionsTold> sessions;
@@ -60,12 +60,12 @@ TEST(CollisionsTold, OfOneUserHasABoundTogether) {
   for (std::uint64_t i = 1; i < CollisionsTold::count_max; ++i)
     EXPECT_TRUE(of_another.tell(publisher, subscription(i), what));
   EXPECT_FALSE(of_another.tell(publisher, subscription(0), what))
-      << "another user has room of its own";
+      << "another user has its own room";
   sessions.clear();
   EXPECT_EQ(user->book_bytes, 0u);
 }
 
-TEST(AnnouncementNumbers, AreExactAsLongAsThereIsRoom) {
+TEST(AnnouncementNumbers, AreExactWhileThereIsRoom) {
   AnnouncementNumbers book(std::make_shared<KeptForUser>());
   book.announced(subscription(0), 10);
   book.announced(publisher, 12);
@@ -76,11 +76,11 @@ TEST(AnnouncementNumbers, AreExactAsLongAsThereIsRoom) {
   EXPECT_FALSE(book.is_void(publisher, 12));
   book.forget(subscription(0));
   EXPECT_FALSE(book.is_void(subscription(0), 0));
-  EXPECT_FALSE(book.may_be_void(subscription(0), 0)) << "the process itself has let go of it";
+  EXPECT_FALSE(book.may_be_void(subscription(0), 0)) << "the process itself has acknowledged it";
   EXPECT_EQ(book.size(), 1u);
 }
 
-TEST(AnnouncementNumbers, OfOneUserHaveABoundTogetherAndSayWhatTheyCannotJudge) {
+TEST(AnnouncementNumbers, AreBoundedPerUserAndReportWhatTheyCannotJudge) {
   const auto user = std::make_shared<KeptForUser>();
   constexpr std::uint64_t own_count = BookBytes::own_max / AnnouncementNumbers::entry_bytes;
   AnnouncementNumbers first(user), second(user);
@@ -92,7 +92,7 @@ TEST(AnnouncementNumbers, OfOneUserHaveABoundTogetherAndSayWhatTheyCannotJudge) 
        user->book_bytes + AnnouncementNumbers::entry_bytes <= BookBytes::of_user_max; ++i)
     first.announced(subject(i), ++packet);
   for (std::uint64_t i = 0; i < own_count; ++i) second.announced(subject(i), i + 1);
-  EXPECT_EQ(second.size(), own_count) << "its own";
+  EXPECT_EQ(second.size(), own_count) << "its own minimum";
   EXPECT_TRUE(second.is_void(subject(0), 0));
 
   second.announced(subject(own_count), own_count + 1);
@@ -100,18 +100,18 @@ TEST(AnnouncementNumbers, OfOneUserHaveABoundTogetherAndSayWhatTheyCannotJudge) 
   EXPECT_LT(second.size(), own_count);
   EXPECT_TRUE(second.may_be_void(subject(0), 0));
   EXPECT_FALSE(second.may_be_void(subject(0), own_count))
-      << "its process has read all that was forgotten";
+      << "its process has read all forgotten packets";
   EXPECT_FALSE(second.may_be_void(subject(own_count), 0));
   EXPECT_TRUE(second.is_void(subject(own_count), 0)) << "the newer half is exact";
   EXPECT_TRUE(second.is_void(subject(own_count - 1), own_count - 1));
-  EXPECT_EQ(first.size(), packet) << "of another session nothing is forgotten";
+  EXPECT_EQ(first.size(), packet) << "entries of another session are kept";
 }
 
-// The place of what a process has let go of must not stay taken because its statement could not be judged.
-TEST(AnnouncementNumbers, LetAProcessBeginAnewWhoseStatementTheyCannotJudge) {
+// An acknowledged place must not stay taken because the daemon cannot judge the statement.
+TEST(AnnouncementNumbers, MakeAProcessReconnectIfTheyCannotJudgeItsStatement) {
   test::DaemonCore core;
   const auto user = std::make_shared<KeptForUser>();
-  user->book_bytes = BookBytes::of_user_max;  // its other processes
+  user->book_bytes = BookBytes::of_user_max;  // used by its other processes
   const ClientIndex reader = core.process(1), writer = core.process(2);
   const auto connect = [&] {
     core.post.sessions.try_emplace(reader, PacketSocket(), PeerIdentity(), user);
@@ -134,10 +134,11 @@ TEST(AnnouncementNumbers, LetAProcessBeginAnewWhoseStatementTheyCannotJudge) {
     return !core.registry.told_of(ref).contains(number(reader));
   };
   const auto has_read = [&] { return core.post.session_of(reader)->packet_count(); };
-  EXPECT_TRUE(says_unlinked(publishers[0], has_read())) << "it has read all that was forgotten";
+  EXPECT_TRUE(says_unlinked(publishers[0], has_read()))
+      << "the process has read all forgotten packets";
   ASSERT_NE(core.post.session_of(reader), nullptr);
   EXPECT_FALSE(says_unlinked(publishers[1], 5));
-  ASSERT_EQ(core.post.session_of(reader), nullptr) << "it is to come back";
+  ASSERT_EQ(core.post.session_of(reader), nullptr) << "the process must reconnect";
   connect();
   EXPECT_TRUE(says_unlinked(publishers[1], has_read()));
 }

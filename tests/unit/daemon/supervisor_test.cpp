@@ -1,6 +1,6 @@
 // SPDX-License-Identifier: Apache-2.0
 //
-// Goal: a datagram of the notification protocol means what sd_notify(3) says, and one that is broken
+// Goal: a datagram of the notification protocol means what sd_notify(3) says, and a malformed one
 // means nothing. Method: the parser alone, on exact and on random bytes.
 
 #include <daemon/process/supervisor.hpp>
@@ -13,7 +13,7 @@
 namespace agnocast::daemon {
 namespace {
 
-TEST(Notification, SaysWhatIsToBeKeptUnderWhichName) {
+TEST(Notification, NamesTheDescriptorsToKeep) {
   const auto store = parse_notification("FDSTORE=1\nFDPOLL=0\nFDNAME=w12.3");
   ASSERT_TRUE(store);
   EXPECT_TRUE(store->store);
@@ -25,10 +25,10 @@ TEST(Notification, SaysWhatIsToBeKeptUnderWhichName) {
   EXPECT_TRUE(remove->remove);
   EXPECT_FALSE(remove->store);
   EXPECT_EQ(remove->name, "r7");
-  EXPECT_EQ(parse_notification("FDSTORE=1")->name, "stored") << "as systemd calls it";
+  EXPECT_EQ(parse_notification("FDSTORE=1")->name, "stored") << "the default name of systemd";
 }
 
-TEST(Notification, SaysStatesAndPassesOverTheRest) {
+TEST(Notification, ReportsStatesAndIgnoresTheRest) {
   const auto ready = parse_notification("WATCHDOG=1\nREADY=1\nSTATUS=serving a=b\nX_MINE=2");
   ASSERT_TRUE(ready);
   EXPECT_TRUE(ready->ready);

@@ -1,9 +1,10 @@
 // SPDX-License-Identifier: Apache-2.0
 //
-// Goal: who holds more than its quota, and who does not let go of what is over, is found within a bounded number
-// of looks, however much another user has that is to be looked at.
-// Method: registry, membership and regions as the daemon has them, processes without connections. One user has
-// thousands of lines (of things that are over), another one a few, and one that is wrong; looks are counted.
+// Goal: a process that holds more than its quota, or does not acknowledge an end, is found within
+// a bounded number of looks, however much another user has to check. Method: registry, endpoint
+// manager and regions as the daemon has them, processes without connections. One user has
+// thousands of lines (of ended endpoints), another one a few, of which one is wrong; looks are
+// counted.
 
 #include <daemon/death/hold_watch.hpp>
 #include <daemon/death/let_go_watch.hpp>
@@ -27,7 +28,7 @@ class WatchesTest : public testing::Test {
         core.registry.subscription(subscription.topic, subscription.index);
     return {core.regions.region(record.client), record.extent, publisher};
   }
-  /// So many of each kind on each topic, of one user: a line for each pair.
+  /// Creates so many of each kind on each topic, for one user: a line for each pair.
   void fill(std::uint32_t uid, int topics, int of_each) {
     const ClientIndex client = core.process(uid);
     for (int t = 0; t < topics; ++t) {
@@ -49,7 +50,7 @@ class WatchesTest : public testing::Test {
   test::DaemonCore core;
 };
 
-TEST_F(WatchesTest, FindsWhoHoldsTooMuchWhateverAnotherUserHasToLookAt) {
+TEST_F(WatchesTest, FindsAnExcessiveHolderHoweverMuchAnotherUserHas) {
   const ClientIndex owner = core.process(1), liar = core.process(2);
   core.create(owner, Kind::publisher, "/victim");
   const EndpointRef subscription = core.create(liar, Kind::subscription, "/victim");
@@ -57,12 +58,12 @@ TEST_F(WatchesTest, FindsWhoHoldsTooMuchWhateverAnotherUserHasToLookAt) {
   HoldWatch alone(core.registry, core.regions);
   const int without = looks_until_found(alone, liar);
   EXPECT_LE(without, 7);
-  fill(3, 12, 60);  // 43,200 lines: eleven looks of everything
+  fill(3, 12, 60);  // 43,200 lines: eleven looks for all of them
   HoldWatch watch(core.registry, core.regions);
   EXPECT_LE(looks_until_found(watch, liar), without + 1);
 }
 
-TEST_F(WatchesTest, GoesOverEverythingOfAUserInTheEnd) {
+TEST_F(WatchesTest, ChecksEverythingOfAUserEventually) {
   fill(3, 12, 60);
   const ClientIndex owner = core.process(3);
   core.create(owner, Kind::publisher, "/zzz");
@@ -72,7 +73,7 @@ TEST_F(WatchesTest, GoesOverEverythingOfAUserInTheEnd) {
   EXPECT_LT(looks_until_found(watch, owner), 200);
 }
 
-TEST_F(WatchesTest, LetsNobodyWaitBehindAnotherUsersFindings) {
+TEST_F(WatchesTest, FindsEachUserWithoutWaitingForAnotherUsersFindings) {
   const ClientIndex owner = core.process(1);
   std::vector<ClientIndex> liars;
   for (std::uint32_t i = 0; i < 20; ++i) liars.push_back(core.process(2));
@@ -87,7 +88,7 @@ TEST_F(WatchesTest, LetsNobodyWaitBehindAnotherUsersFindings) {
   EXPECT_LE(looks_until_found(watch, liars.back()), 7);
 }
 
-TEST_F(WatchesTest, FindsWhoDoesNotLetGoWhateverAnotherUserHasLeftBehind) {
+TEST_F(WatchesTest, FindsAMissingAcknowledgementHoweverMuchAnotherUserLeft) {
   const auto leave_behind = [&](std::uint32_t uid, const std::string& topic, int count) {
     const ClientIndex keeper = core.process(uid);
     core.create(keeper, Kind::subscription, topic);
@@ -110,7 +111,7 @@ TEST_F(WatchesTest, FindsWhoDoesNotLetGoWhateverAnotherUserHasLeftBehind) {
   const ClientIndex keeper = leave_behind(2, "/victim", 33);
   const int alone = looks_until(keeper);
   ASSERT_LT(alone, 100);
-  // 768 subscriptions of each of which every line is looked at.
+  // Many subscriptions; the watch checks every line of each.
   const ClientIndex many = core.process(1);
   for (int t = 0; t < 8; ++t) {
     const std::string topic = "/many" + std::to_string(t);

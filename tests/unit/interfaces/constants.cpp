@@ -1,7 +1,7 @@
 // SPDX-License-Identifier: Apache-2.0
 //
-// The constants of ROS 2 Humble, compared when this file is compiled. They are not on the wire, but
-// programs rely on them. Later releases have more of them; those of Humble are there too.
+// The constants of ROS 2 Humble, compared when this file is compiled. They are not on the wire,
+// but programs rely on them. Later releases add more and keep those of Humble.
 
 #include <action_msgs/msg/goal_status.hpp>
 #include <action_msgs/srv/cancel_goal.hpp>

@@ -1,9 +1,9 @@
 // SPDX-License-Identifier: Apache-2.0
 //
-// The fields of every message of ROS 2 Humble that interfaces/ has: type and name, in their order.
-// Written down from ROS 2 and not from interfaces/, so that a slip there is found. A message
-// without fields gets a hidden one from the generator, and it is on the wire; a field declared char
-// is a uint8. An action is eight messages.
+// The fields of every message of ROS 2 Humble in interfaces/: type and name, in order. They were
+// copied from ROS 2, not from interfaces/, so that a mistake there is found. The generator gives a
+// message without fields a hidden one, which is on the wire; a field declared char is a uint8. An
+// action is eight messages.
 #pragma once
 
 namespace agnocast::test {

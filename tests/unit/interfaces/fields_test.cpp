@@ -3,8 +3,8 @@
 // Goal: our messages have the fields of ROS 2 Humble, in its order; otherwise bytes from a ROS 2
 // machine would be misread without any error. Method: find every message by its name, walk the
 // introspection tables of the generated code, write every field as text, and compare with
-// expected_fields.hpp. With AGNOCAST_GOLDEN_CDR_DIR set to a folder of samples recorded from ROS 2,
-// compare with the schemas in them too.
+// expected_fields.hpp. If AGNOCAST_GOLDEN_CDR_DIR names a folder of samples recorded from ROS 2,
+// also compare with their schemas.
 
 #include <agnocast/generic.hpp>
 #include <every_message_name.hpp>
@@ -30,7 +30,7 @@ namespace {
 
 namespace introspection = rosidl_typesupport_introspection_cpp;
 
-// What the generated code says.
+// Returns the table of the generated code.
 
 const MessageMembers& members_of(const rosidl_message_type_support_t* handle) {
   return *static_cast<const MessageMembers*>(handle->data);
@@ -123,7 +123,7 @@ TEST(InterfaceFields, MatchRos2Humble) {
   }
 }
 
-TEST(InterfaceFields, OfEveryMessageAreExpected) {
+TEST(InterfaceFields, CoverEveryMessage) {
   std::set<std::string> expected;
   for (const auto& [name, fields] : test::expected_fields)
     EXPECT_TRUE(expected.insert(name).second) << name << " is listed twice";
@@ -133,8 +133,8 @@ TEST(InterfaceFields, OfEveryMessageAreExpected) {
   }
 }
 
-TEST(InterfaceFields, OfANestedMessageAreThoseOfThatMessage) {
-  // The tables reach a nested message through a pointer of their own.
+TEST(InterfaceFields, OfANestedMessageComeFromItsOwnTable) {
+  // The tables reach a nested message through their own pointer.
   for (const char* const name : test::every_message_name) {
     const IntrospectedType type = find_message_type(name);
     for (std::uint32_t index = 0; index < type.members().member_count_; ++index) {
@@ -147,7 +147,7 @@ TEST(InterfaceFields, OfANestedMessageAreThoseOfThatMessage) {
   }
 }
 
-TEST(InterfaceDefaults, QuaternionRotatesNothing) {
+TEST(InterfaceDefaults, QuaternionIsTheIdentity) {
   const geometry_msgs::msg::Quaternion rotation;
   EXPECT_EQ(rotation.x, 0.0);
   EXPECT_EQ(rotation.y, 0.0);
@@ -175,7 +175,7 @@ TEST(InterfaceFields, MatchTheSchemasOfRecordedSamples) {
       compared.insert(name);
     }
   }
-  EXPECT_GE(compared.size(), 40U) << "few schemas in " << folder;
+  EXPECT_GE(compared.size(), 40U) << "too few schemas in " << folder;
 }
 
 }  // namespace

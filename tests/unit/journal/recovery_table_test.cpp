@@ -1,10 +1,10 @@
 // SPDX-License-Identifier: Apache-2.0
 //
-// Goal: recovery decides by tables that leave nothing out and say nothing twice, docs/recovery.md
-// explains exactly these rows, and the code that runs decides as they say. Method: every combination
-// of what may be found is fed to every table and must match one row; every row must be matched by
-// something; the document's labels and decisions are compared with the code's; publisher's pass,
-// announce set, announcement book and redo log are run for every combination of theirs.
+// Goal: the tables of recovery are complete and unambiguous, docs/recovery.md explains exactly
+// these rows, and the shipped code decides as they do. Method: feed every combination of possible
+// findings to every table, where it must match one row; every row must be matched; compare the
+// document's labels and decisions with the code's; run a publisher's reclamation scan, announce
+// set, announcement book and redo log for every combination of theirs.
 
 #include <agnocast/abi/client_region.hpp>
 #include <dataplane/publisher_core.hpp>
@@ -51,7 +51,7 @@ void for_each_combination(
 
 std::size_t combinations = 0, rows_seen = 0;
 
-/// Exactly one row for everything, something for every row, and the document says the same.
+/// Checks that each combination matches one row, that each row matches, and the document.
 template <class Decision, std::size_t field_count, std::size_t row_count>
 void check_table(const CaseRow<Decision, field_count> (&rows)[row_count],
                  const std::array<unsigned, field_count>& kinds,
@@ -68,14 +68,14 @@ void check_table(const CaseRow<Decision, field_count> (&rows)[row_count],
     std::string what;
     for (const std::uint8_t field : found) what += std::to_string(field) + ' ';
     ASSERT_EQ(std::count(labels.begin(), labels.end(), ' '), 1)
-        << "found " << what << "is said by: " << labels;
+        << "found " << what << "matches: " << labels;
     EXPECT_EQ(case_of(rows, found).label + std::string(" "), labels);
   });
   for (const auto& row : rows) {
     ++rows_seen;
     EXPECT_GT(used[row.label], 0) << row.label << " is never found";
     const auto documented = document.find(row.label);
-    ASSERT_NE(documented, document.end()) << "docs/recovery.md does not say " << row.label;
+    ASSERT_NE(documented, document.end()) << "docs/recovery.md does not have " << row.label;
     ASSERT_EQ(documented->second.size(), 4u) << row.label;
     EXPECT_EQ(documented->second[2], '`' + std::string(word_of(row.decision)) + '`') << row.label;
     for (const std::string& column : documented->second)
@@ -84,7 +84,7 @@ void check_table(const CaseRow<Decision, field_count> (&rows)[row_count],
   }
 }
 
-TEST(RecoveryTables, HaveExactlyOneRowForEverythingAndTheDocumentExplainsEach) {
+TEST(RecoveryTables, HaveExactlyOneRowPerCombinationAndTheDocumentExplainsEach) {
   auto document = test::read_recovery_document();
   const std::size_t documented = document.size();
   check_table<IntentDecision, 3>(intent::rows, {3, 3, 2}, document);
@@ -98,25 +98,25 @@ TEST(RecoveryTables, HaveExactlyOneRowForEverythingAndTheDocumentExplainsEach) {
   check_table<EndDecision, 3>(end::rows, {3, 2, 2}, document);
   check_table<BroughtDecision, 6>(brought::rows, {3, 2, 2, 2, 2, 2}, document);
   // Redo: one row for every kind of record; tests/unit/daemon/redo_test.cpp runs them.
-#define AGNOCAST_CHECK_RECORD(name, number, arguments)                                           \
-  if (number != 0) {                                                                             \
-    const auto row = document.find("@R" #number);                                                \
-    ASSERT_NE(row, document.end()) << "docs/recovery.md does not say @R" #number " (" #name ")"; \
-    EXPECT_EQ(row->second.at(0), "`" #name "`");                                                 \
-    EXPECT_EQ(row->second.size(), 4u) << #name;                                                  \
-    document.erase(row);                                                                         \
-    ++rows_seen;                                                                                 \
+#define AGNOCAST_CHECK_RECORD(name, number, arguments)                                            \
+  if (number != 0) {                                                                              \
+    const auto row = document.find("@R" #number);                                                 \
+    ASSERT_NE(row, document.end()) << "docs/recovery.md does not have @R" #number " (" #name ")"; \
+    EXPECT_EQ(row->second.at(0), "`" #name "`");                                                  \
+    EXPECT_EQ(row->second.size(), 4u) << #name;                                                   \
+    document.erase(row);                                                                          \
+    ++rows_seen;                                                                                  \
   }
   AGNOCAST_RECORD_TABLE(AGNOCAST_CHECK_RECORD)
 #undef AGNOCAST_CHECK_RECORD
   for (const auto& [label, columns] : document)
-    ADD_FAILURE() << label << " stands in docs/recovery.md, and nothing decides so";
+    ADD_FAILURE() << label << " is in docs/recovery.md, but no table has it";
   std::printf("recovery tables: %zu rows, %zu combinations, each with exactly one row\n", rows_seen,
               combinations);
   EXPECT_EQ(rows_seen, documented);
 }
 
-TEST(RecoveryTables, DecideIntentsAsTheyAreCopied) {
+TEST(RecoveryTables, DecideIntentsFromTheirCopies) {
   using namespace intent;
   constexpr std::uint64_t slots = 4, head = 100;
   std::set<std::string> labels;
@@ -134,7 +134,7 @@ TEST(RecoveryTables, DecideIntentsAsTheyAreCopied) {
             IntentDecision::roll_forward);
 }
 
-// --- S, as the shipped pass does it
+// --- S, as the shipped reclamation scan does it
 
 struct Freed {
   std::set<std::uint64_t> live;
@@ -161,7 +161,7 @@ bool pass_keeps(const std::array<std::uint8_t, 5>& found) {
                  0, environment);
   environment.live.insert(0x1000);
   EXPECT_EQ(core->publish({0x1000, 16, 1}, environment), dataplane::PublishOutcome::published);
-  EXPECT_EQ(environment.live.size(), 1u) << "the member may ask for it";
+  EXPECT_EQ(environment.live.size(), 1u) << "the subscription may take it";
   const std::uint64_t sequence = first + 1;
   std::uint64_t slot = 0;
   while (words.slot_id(slot).load() != sequence) ++slot;
@@ -171,7 +171,7 @@ bool pass_keeps(const std::array<std::uint8_t, 5>& found) {
   line.cursor().store(found[4] == remains::past ? sequence + 1 : sequence);
   for (const abi::MemberState state :
        {abi::MemberState::dead, abi::MemberState::revoked, abi::MemberState::free}) {
-    // The three ways of being over are one kind; all must come out the same.
+    // The three states that count as over are one kind; all must give the same result.
     if (found[0] != remains::over) break;
     auto copy = std::make_unique<dataplane::PublisherCore<M>>(*core);
     Freed other = environment;
@@ -181,13 +181,13 @@ bool pass_keeps(const std::array<std::uint8_t, 5>& found) {
     words.slot_id(slot).store(sequence);
   }
   if (found[0] == remains::leaving) steps.set_subscription(0, member, abi::MemberState::leaving);
-  // Marked in the first, freed in the second.
+  // The first scan marks it, the second frees it.
   core->pass(environment);
   core->pass(environment);
   return !environment.live.empty();
 }
 
-TEST(RecoveryTables, AreWhatThePassOfAPublisherDoes) {
+TEST(RecoveryTables, AgreeWithAPublishersReclamationScan) {
   for_each_combination<5>({3, 2, 2, 2, 2}, [](const auto& found) {
     const auto& row = case_of(remains::rows, found);
     EXPECT_EQ(pass_keeps(found), row.decision == RemainsDecision::keep) << row.label;
@@ -196,7 +196,7 @@ TEST(RecoveryTables, AreWhatThePassOfAPublisherDoes) {
 
 // --- L, as the log does it
 
-TEST(RecoveryTables, AreWhatTheRedoLogSays) {
+TEST(RecoveryTables, AgreeWithTheRedoLog) {
   constexpr std::uint64_t fingerprint = 42;
   for_each_combination<4>({2, 2, 3, 2}, [](const auto& found) {
     const auto& row = case_of(log::rows, found);
@@ -208,7 +208,7 @@ TEST(RecoveryTables, AreWhatTheRedoLogSays) {
       log.commit(RecordType::announced, &i, 1);
       if (i < 2 || found[2] == log::equal) log.applied();
     }
-    // applied is the word at 128 (journal/redo_log.hpp).
+    // The word at 128 is `applied` (journal/redo_log.hpp).
     if (found[2] == log::impossible) M::word(region.base(), 128).store(9);
     if (found[3] == log::damaged)
       region.base()[abi::page_bytes + 3 * sizeof(Record) + 40] ^= std::byte{1};
@@ -223,9 +223,9 @@ TEST(RecoveryTables, AreWhatTheRedoLogSays) {
   });
 }
 
-// --- U, as announce set and book do it
+// --- U, as announce set and announcement book do it
 
-TEST(RecoveryTables, AreWhatAnnounceSetsAndBooksDo) {
+TEST(RecoveryTables, AgreeWithAnnounceSetsAndBooks) {
   constexpr std::uint64_t generation = 5, client = 3;
   for_each_combination<3>({2, 2, 3}, [](const auto& found) {
     const auto& row = case_of(announce::rows, found);
@@ -237,7 +237,7 @@ TEST(RecoveryTables, AreWhatAnnounceSetsAndBooksDo) {
     if (found[0] == announce::told) set.tell(client);
     if (found[2] != announce::never) book.linked(generation);
     if (found[2] == announce::unlinked) book.unlinked(generation);
-    // The new connection: the daemon tells everybody in the set again, the client answers.
+    // The new connection: the daemon notifies each client in the set again, the client answers.
     AnnounceDecision done = AnnounceDecision::nothing;
     if (set.contains(client)) {
       switch (book.on_announce(generation)) {
@@ -256,7 +256,7 @@ TEST(RecoveryTables, AreWhatAnnounceSetsAndBooksDo) {
     }
     EXPECT_EQ(done, row.decision);
     EXPECT_EQ(set.reusable(), book.current() != generation)
-        << "used again while it is linked, or never again although it is not";
+        << "reusable while it is linked, or not reusable although it is not";
   });
 }
 

@@ -1,4 +1,4 @@
-// What both nodes agree on.
+// The contract of both nodes.
 #pragma once
 
 #include <agnocast/agnocast.hpp>
