@@ -1,6 +1,6 @@
 // SPDX-License-Identifier: Apache-2.0
 //
-// Mistake: one thing that is wrong with a file of configuration, with its place and what to write instead.
+// Mistake: one error in a configuration file, with its place and the correct form.
 #pragma once
 
 #include <cstdint>
@@ -12,13 +12,13 @@ struct Mistake {
   std::string file;
   std::uint32_t line = 0;    // from 1; 0: the file as a whole
   std::uint32_t column = 0;  // from 1
-  std::string key;           // "limits.depth_max"; empty when the mistake is not in one
+  std::string key;           // "limits.depth_max"; empty if the mistake is in no key
   std::string what;
   std::string remedy;
 
-  /// "agnocastd.toml:12:5: limits.depth_max"
+  /// Returns "agnocastd.toml:12:5: limits.depth_max".
   std::string where() const;
-  /// "agnocastd.toml:12:5: limits.depth_max: 5000 is out of range; use 1 to 1000". One line.
+  /// Returns "agnocastd.toml:12:5: limits.depth_max: 5000 is out of range; use 1 to 1000".
   std::string text() const;
 };
 

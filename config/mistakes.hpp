@@ -1,7 +1,7 @@
 // SPDX-License-Identifier: Apache-2.0
 //
-// Mistakes: all that is wrong with one file of configuration. A reader goes on after the first one, so people see all of
-// them at once.
+// Mistakes: all errors in one configuration file. A reader continues after the first one, so users
+// see all of them at once.
 #pragma once
 
 #include <config/mistake.hpp>
@@ -23,7 +23,7 @@ class Mistakes {
   void report(const toml::source_position& place, std::string key, std::string what,
               std::string remedy);
   std::size_t count() const noexcept { return list_.size(); }
-  /// In the order of the file; toml++ has the keys of a table in the order of the alphabet.
+  /// Returns them in the order of the file; toml++ iterates a table's keys in alphabetical order.
   std::vector<Mistake> take();
 
  private:

@@ -1,6 +1,7 @@
 // SPDX-License-Identifier: Apache-2.0
 //
-// A file of configuration: its text, and the text as TOML. What its keys mean is the matter of the program that has them.
+// A configuration file: its text, and the text as TOML. The program that owns the keys interprets
+// them.
 #pragma once
 
 #include <config/mistake.hpp>
@@ -14,13 +15,14 @@
 
 namespace agnocast::config {
 
-/// Anything longer is not ours.
+/// A longer file is not a configuration.
 inline constexpr std::size_t file_bytes_max = std::size_t{1} << 20;
 
-/// The text of a file, or the errno: EFBIG if it is too long.
+/// Returns the text of a file, or the errno: EFBIG if it is too long.
 [[nodiscard]] tl::expected<std::string, int> read_file(const std::string& path);
 
-/// What is no TOML is one mistake, in toml++'s words; `remedy` says what to do about it. `file` is only named there.
+/// Returns a table; for invalid TOML one mistake in toml++'s words, with `remedy`. `file` only
+/// names the file in it.
 [[nodiscard]] tl::expected<toml::table, Mistake> parse_toml(std::string_view text,
                                                             const std::string& file,
                                                             std::string remedy);

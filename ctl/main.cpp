@@ -1,10 +1,10 @@
 // SPDX-License-Identifier: Apache-2.0
 //
-// agnocast-ctl: the one place where answers and complaints leave.
+// agnocast-ctl: main() prints every answer and every error.
 //
-// It observes (docs/control-plane.md) and reads shared regions; it never maps anything writable and
-// never subscribes. Nothing changes by it but by `process revoke`, which asks the daemon. The
-// commands that take part are in a program of their own (elsewhere.cpp), with this same main().
+// It observes (docs/control-plane.md) and reads shared regions; it never maps memory writable and
+// never subscribes. `process revoke` and `log-level` alone change anything, through the daemon.
+// The commands that publish or subscribe are a separate program (elsewhere.cpp), with this main().
 
 #include <ctl/cli/commands.hpp>
 #include <ctl/commands/completion.hpp>
@@ -26,7 +26,7 @@ int complain(const Problem& problem) {
   return static_cast<int>(problem.status);
 }
 
-// One descriptor for each process until its region is mapped; the soft limit of 1024 is select()'s.
+// Each process costs one descriptor until its region is mapped; the usual soft limit is only 1024.
 void raise_descriptor_limit() noexcept {
   rlimit limit{};
   if (::getrlimit(RLIMIT_NOFILE, &limit) != 0) return;
@@ -34,13 +34,13 @@ void raise_descriptor_limit() noexcept {
   ::setrlimit(RLIMIT_NOFILE, &limit);
 }
 
-// A full disk may have refused an earlier part of a long answer; the last part says nothing of it.
+// Returns whether all output was written; a full disk may refuse an early part and not the last.
 bool is_written(std::FILE* out) noexcept {
   const bool flushed = std::fflush(out) == 0;
   return std::ferror(out) == 0 && flushed;
 }
 
-// For the shells' scripts: a word a line, and nothing when something is wrong.
+// Prints completions for the shell scripts, one word a line; prints nothing if anything fails.
 int complete(std::span<const std::string> words, const Surroundings& around) {
   std::string named;
   for (std::size_t i = 0; i + 1 < words.size(); ++i) {
@@ -56,8 +56,7 @@ int complete(std::span<const std::string> words, const Surroundings& around) {
 int run(int argc, const char* const* argv) {
   const std::vector<std::string> words(argv + (argc > 0 ? 1 : 0), argv + argc);
   const Surroundings around = Surroundings::of_process();
-  const Problem unwritten{Status::failed, "output", "it cannot be written",
-                          "df; agnocast-ctl status"};
+  const Problem unwritten{Status::failed, "output", "it cannot be written", "df; agnocast-ctl status"};
   if (!words.empty() && words.front() == "--complete")
     return complete(std::span(words).subspan(1), around);
   const auto parsed = parse_arguments(words, all_commands, around);

@@ -1,6 +1,6 @@
 // SPDX-License-Identifier: Apache-2.0
 //
-// Writes a manual page when the project is built: its name, its date, and the file it is written to.
+// Writes one manual page at build time. Arguments: the page, its date, and the output file.
 
 #include <ctl/cli/manual.hpp>
 

@@ -1,4 +1,4 @@
-# Run by cpack when the files of the packages lie together, and when it knows the version.
+# cpack runs this when the files of the packages are in place and the version is known.
 string(TIMESTAMP date "%a, %d %b %Y %H:%M:%S +0000" UTC)
 foreach(package IN LISTS CPACK_COMPONENTS_ALL)
   set(version ${CPACK_PACKAGE_VERSION}-${CPACK_DEBIAN_PACKAGE_RELEASE})
@@ -11,7 +11,7 @@ foreach(package IN LISTS CPACK_COMPONENTS_ALL)
 ")
   execute_process(COMMAND gzip -9 -n -f ${changelog} COMMAND_ERROR_IS_FATAL ANY)
 endforeach()
-# They say where libraries lie beside the program. Here they lie where the loader looks.
+# The programs name a path of libraries beside them; packages have these where the loader looks.
 foreach(program agnocast-ctl/usr/libexec/agnocast/agnocast-ctl-topic agnocast-bridge/usr/bin/agnocast-bridge)
   if(EXISTS ${CPACK_TEMPORARY_DIRECTORY}/${program})
     file(RPATH_REMOVE FILE ${CPACK_TEMPORARY_DIRECTORY}/${program})

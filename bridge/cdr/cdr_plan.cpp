@@ -19,7 +19,7 @@ bool is_fixed_array(const MessageMember& member) {
 
 class Planner {
  public:
-  /// False if the type is refused; why() says it.
+  /// Returns false if the type is refused; why() gives the reason.
   bool add(const MessageMembers& members, std::size_t offset, const std::string& prefix,
            int depth) {
     if (members.member_count_ == 0) return refuse(prefix, "a message without members");
@@ -91,11 +91,11 @@ class Planner {
   bool add_numbers(const MessageMember& member, std::size_t offset, const std::string& name,
                    std::size_t count) {
     const std::size_t width = detail::ros_element_layout(member.type_id_).bytes;
-    // Neither is in .msg files, and no two vendors agree on their bytes.
+    // Neither occurs in .msg files, and vendors disagree on their bytes.
     if (member.type_id_ == ros::ROS_TYPE_WCHAR || width > 8 || width == 0)
       return refuse(name, "wchar, long double or an unknown type");
     CdrRun* run = plan_.steps.empty() ? nullptr : std::get_if<CdrRun>(&plan_.steps.back());
-    // Both lie aligned in memory, so a neighbour there is one on the wire.
+    // Both are aligned in memory, so neighbours in memory are neighbours on the wire.
     if (run == nullptr || offset != run->offset + run->bytes || width > run->alignment) {
       run = &std::get<CdrRun>(plan_.steps.emplace_back(CdrRun{offset, 0, width, false, {}}));
     }

@@ -1,18 +1,19 @@
 // SPDX-License-Identifier: Apache-2.0
 //
-// CdrPlan: the steps by which a message of one type is written and read, in the order of the wire.
+// CdrPlan: the steps that write and read a message of one type, in the order of the wire.
 //
-// Members of fixed size that follow each other without a gap in memory and on the wire are one run.
-// CDR aligns a number to its size, from the start of the body and not of its struct; so two members
-// are neighbours on the wire wherever the struct lies only if the later one needs no more alignment
-// than the first of the run. A message that is a member is taken apart into its parent; only arrays
-// and sequences have plans of their own, for one element.
+// Members of fixed size that follow each other without a gap in memory and on the wire are one
+// run. CDR aligns a number to its size, counted from the start of the body, not of its struct; so
+// two members are neighbours on the wire, wherever the struct lies, only if the later one needs no
+// more alignment than the first of the run. A message that is a member is flattened into its
+// parent; only arrays and sequences have plans of their own, for one element.
 //
 //   geometry_msgs/PoseArray   run: header.stamp.sec, .nanosec   8 bytes, aligned to 4
 //                             text: header.frame_id
 //                             elements: poses, each of them     run: 7 doubles, 56 bytes, aligned to 8
 //
-// An element that is one run and as large as it is dense: a sequence of such is moved by one memcpy.
+// An element that is a single run of its own size is dense: one memcpy moves a sequence of such
+// elements.
 #pragma once
 
 #include <bridge/cdr/cdr.hpp>
@@ -40,7 +41,7 @@ struct CdrPiece {
   std::size_t end() const noexcept { return offset + width * count; }
 };
 
-// Offsets of steps are in the message or the element. A bound that there is not is SIZE_MAX.
+// Offsets of steps are relative to the message or the element. SIZE_MAX means no bound.
 struct CdrRun {
   std::size_t offset = 0;
   std::size_t bytes = 0;
@@ -48,12 +49,12 @@ struct CdrRun {
   bool has_bool = false;
   std::vector<CdrPiece> pieces;
 
-  /// The member that has the byte at `offset`, with its index: "covariance[3]".
+  /// Returns the member at byte `offset`, with its index: "covariance[3]".
   std::string member_at(std::size_t offset) const;
 };
 struct CdrText {
   std::size_t offset = 0;
-  std::size_t bound = 0;  // characters; of wide text UTF-16 units
+  std::size_t bound = 0;  // characters; for wide text UTF-16 units
   bool is_wide = false;
   std::string member;
 };
@@ -79,9 +80,9 @@ using CdrStep = std::variant<CdrRun, CdrText, CdrBits, CdrElements>;
 struct CdrPlan {
   std::vector<CdrStep> steps;
   std::size_t memory_bytes = 0;    // sizeof the message or element
-  std::size_t wire_bytes_min = 0;  // without padding, sequences and strings empty; at least 1
+  std::size_t wire_bytes_min = 0;  // without padding, with empty sequences and strings; at least 1
 
-  /// The run that a whole element is; see above. Else null.
+  /// Returns the run that is the whole element (see above), else null.
   const CdrRun* dense() const noexcept;
 };
 
@@ -89,7 +90,7 @@ inline std::size_t align_up(std::size_t position, std::size_t alignment) noexcep
   return (position + alignment - 1) & ~(alignment - 1);
 }
 
-/// "poses[3]" and "position.x" make "poses[3].position.x".
+/// Returns "poses[3].position.x" for "poses", 3 and "position.x".
 std::string element_name(const std::string& sequence, std::size_t index, const std::string& member);
 
 }  // namespace agnocast::bridge

@@ -1,8 +1,8 @@
 // SPDX-License-Identifier: Apache-2.0
 //
-// Bytes to messages. The bytes are another host's. Whatever they are, the message stays one whose
-// members are valid: every size is checked before memory is taken or written, and bools are made 0 or
-// 1. Anything may be cut in two by the border of two pieces, also a number.
+// Bytes to messages. The bytes come from another host. Whatever they are, the message's members
+// stay valid: every size is checked before memory is allocated or written, and bools become 0 or
+// 1. The border between two pieces may cut any value, even a number.
 
 #include <bridge/cdr/cdr_plan.hpp>
 
@@ -14,7 +14,7 @@
 namespace agnocast::bridge {
 namespace {
 
-/// What is left of the pieces.
+/// The rest of the pieces.
 class Input {
  public:
   explicit Input(CdrInput pieces) : pieces_(pieces) {
@@ -25,7 +25,7 @@ class Input {
   std::size_t position() const { return position_; }
   std::size_t remaining() const { return size_ - position_; }
 
-  /// Calls use(bytes, count) for each contiguous part of the next `count` bytes, which are there.
+  /// Calls use(bytes, count) for each contiguous part of the next `count` bytes, which must exist.
   template <class Use>
   void take(std::size_t count, Use&& use) {
     position_ += count;
@@ -47,7 +47,7 @@ class Input {
       target += part;
     });
   }
-  /// False if the input ends before; then nothing is left of it.
+  /// Returns false if the input ends before; then it is used up.
   bool align(std::size_t alignment) {
     const std::size_t body = position_ - cdr_encapsulation_bytes;
     const std::size_t padding = align_up(body, alignment) - body;
@@ -102,7 +102,7 @@ class Reader {
     return fail(CdrReason::truncated, in_.size(), std::move(member));
   }
 
-  // Only the second byte counts, as for rmw_cyclonedds.
+  // Only the second byte counts, as in rmw_cyclonedds.
   bool read_encapsulation() {
     if (in_.remaining() < cdr_encapsulation_bytes) return truncated("");
     std::uint8_t bytes[cdr_encapsulation_bytes];
@@ -134,7 +134,7 @@ class Reader {
   bool get(const CdrRun& run, std::byte* at) {
     return get_runs(run, at, 1) || truncated(run.member_at(in_.remaining()));
   }
-  /// False if the input has fewer; then what remains is what there is of them.
+  /// Returns false if the input has fewer; then remaining() is the size of those that exist.
   bool get_runs(const CdrRun& run, std::byte* at, std::size_t count) {
     if (!in_.align(run.alignment) || in_.remaining() / run.bytes < count) return false;
     in_.copy(at, count * run.bytes);
@@ -156,9 +156,9 @@ class Reader {
     }
   }
 
-  /// A count of what takes at least `least` bytes each; nothing if the rest cannot hold so many beside
-  /// the elements that are promised already. So all counts together promise no more than the input
-  /// has, however deep sequences lie in sequences, and memory is bounded by it.
+  /// Reads a count of elements that take at least `least` bytes each; returns nothing if the rest
+  /// cannot hold them and the elements promised already. So all counts together promise no more
+  /// than the input has, however deeply sequences are nested, and the input bounds the memory.
   template <class Step>
   std::optional<std::size_t> get_count(const Step& step, std::size_t least) {
     std::uint32_t count = 0;
@@ -185,7 +185,7 @@ class Reader {
     const auto count = get_count(text, text.is_wide ? 4 : 1);
     if (!count) return false;
     if (text.is_wide) return get_wide(text, *count, *reinterpret_cast<std::u16string*>(at));
-    const std::size_t length = *count == 0 ? 0 : *count - 1;  // without the zero; 0 is an empty one
+    const std::size_t length = *count == 0 ? 0 : *count - 1;  // without the zero; count 0: empty
     if (!check_bound(text, length)) return false;
     auto& letters = *reinterpret_cast<std::string*>(at);
     letters.clear();
@@ -257,7 +257,7 @@ class Reader {
   }
 
   Input in_;
-  std::size_t promised_ = 0;  // bytes that elements of the sequences we are in still need at least
+  std::size_t promised_ = 0;  // minimum bytes of the open sequences' remaining elements
   bool is_swapped_ = false;
   std::optional<CdrFailure> failure_;
 };
@@ -290,11 +290,11 @@ std::string CdrFailure::text() const {
       case CdrReason::no_utf16:
         return "a wide character of more than 16 bits";
       case CdrReason::no_room:
-        return "no room, or the message changes";
+        return "no room, or the message changed";
       case CdrReason::uncountable:
-        return "more than a count can say";
+        return "more than a count can express";
       case CdrReason::elsewhere:
-        return "it leads out of its publisher's memory";
+        return "it refers to memory outside its publisher's";
     }
     return "";
   };

@@ -1,9 +1,9 @@
 // SPDX-License-Identifier: Apache-2.0
 //
-// Messages to bytes. The message may lie in memory of another process, which may change it while it
-// is written, and may let it lead anywhere: the length is counted in one look and the bytes are written in
-// another, so the writer checks each step against the room that there is; each string and sequence is
-// copied once as an object (Snapshot), and followed only where its publisher's memory is.
+// Messages to bytes. The message may lie in memory of another process, which may change it
+// meanwhile and make it refer to any address. The length is counted in one look and the bytes are
+// written in another, so the writer checks each step against the room left, copies each string and
+// sequence object once (Snapshot), and follows it only into its publisher's memory.
 
 #include <bridge/cdr/cdr_plan.hpp>
 
@@ -21,7 +21,7 @@ static_assert(std::endian::native == std::endian::little, "memory is copied to t
 
 constexpr std::size_t count_max = std::numeric_limits<std::uint32_t>::max();
 
-/// What a message may lead to: everywhere, if it is this process's own.
+/// The memory that a message may refer to: any, if the message is this process's own.
 class Reach {
  public:
   Reach(const CdrPlan& plan, const std::byte* message, const WindowSet* within) noexcept {
@@ -40,15 +40,15 @@ class Reach {
   bool take(const void* first, std::size_t count, std::size_t bytes) noexcept {
     return note(!bounds_ || bounds_->take(first, count, bytes));
   }
-  /// The elements of a sequence; false: they lie elsewhere.
+  /// Finds the elements of a sequence; returns false if they lie elsewhere.
   struct Elements {
     const std::byte* first = nullptr;
     std::size_t count = 0;
   };
   bool follow(const CdrElements& elements, const std::byte* at, Elements& found) noexcept {
-    // rosidl's functions take a vector, and compute with the words of this copy alone.
+    // rosidl's functions take a vector, and compute only with the words of this copy.
     const Snapshot<agnocast::detail::VectorEnds> ends(at);
-    // Elements at no address are not looked for: they lie nowhere.
+    // Elements at a null address are not searched: they lie nowhere.
     if (note(ends->end == ends->begin || (ends->end > ends->begin && ends->begin != nullptr))) {
       found.count = elements.table->size_function(&*ends);
       if (found.count != 0)
@@ -67,11 +67,11 @@ class Reach {
   bool is_left_ = false;
 };
 
-// Positions are from the first byte after the encapsulation, as CDR aligns.
+// Positions count from the first byte after the encapsulation, as for alignment in CDR.
 class Size {
  public:
   explicit Size(Reach& reach) : reach_(reach) {}
-  /// 0: the message leads elsewhere.
+  /// Returns 0 if the message refers to memory elsewhere.
   std::size_t of(const CdrPlan& plan, const std::byte* memory, std::size_t position) {
     position_ = position;
     if (!reach_.is_left()) message(plan, memory);
@@ -206,7 +206,7 @@ class Writer {
     return (put_bytes(letters.data(), letters.size()) && put_bytes(&end, sizeof end)) ||
            fail(CdrReason::no_room, text.member);
   }
-  // Each unit takes four bytes, and nothing ends them.
+  // Each unit takes four bytes, without a terminator.
   bool put_wide(const CdrText& text, std::u16string_view letters) {
     if (!put_count(text, letters.size())) return false;
     for (const std::uint32_t letter : letters) {

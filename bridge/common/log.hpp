@@ -1,6 +1,7 @@
 // SPDX-License-Identifier: Apache-2.0
 //
-// Log: what the bridge tells an administrator: one event with fields. Where it goes is main's affair.
+// Log: what the bridge reports to an administrator: events with fields. main() chooses the
+// destination.
 #pragma once
 
 #include <atomic>
@@ -31,7 +32,7 @@ class Log {
   Sink sink_;
 };
 
-/// For what others may cause as often as they like: says yes at most once in ten seconds. Any thread.
+/// Limits log lines that others can cause: now() is true at most once in ten seconds. Any thread.
 class Seldom {
  public:
   bool now() noexcept {

@@ -7,7 +7,7 @@
 namespace agnocast::bridge {
 namespace {
 
-// How long a type that was not found is not looked for again.
+// How long a missing type is not searched again.
 constexpr std::chrono::seconds missing_for(10);
 
 }  // namespace

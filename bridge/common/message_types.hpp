@@ -1,7 +1,7 @@
 // SPDX-License-Identifier: Apache-2.0
 //
-// MessageTypes: the message types that the bridge handles, found at run time. One that is not found is looked for again
-// after a while. One thread, run()'s; what it gives away is for any.
+// MessageTypes: the message types that the bridge can handle, found at run time. A missing type is
+// searched again after a while. One thread, run()'s; any thread may use the types that it returns.
 #pragma once
 
 #include <agnocast/generic.hpp>
@@ -25,12 +25,12 @@ struct BridgedType {
 
 class MessageTypes {
  public:
-  /// `paths`: see try_find_message_type.
+  /// `paths`: see try_find_message_type().
   explicit MessageTypes(std::vector<std::string> paths) : paths_(std::move(paths)) {}
 
-  /// Why messages of a ROS type cannot be handled here; nothing if they can.
+  /// Returns why messages of a ROS type are not available here; nothing if they are.
   std::optional<std::string> problem_of(const std::string& type);
-  /// A type that problem_of() has found.
+  /// Returns a type that problem_of() has found.
   const std::shared_ptr<const BridgedType>& at(const std::string& type) const {
     return types_.at(type);
   }

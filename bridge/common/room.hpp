@@ -1,7 +1,7 @@
 // SPDX-License-Identifier: Apache-2.0
 //
-// Between two attempts at what a subscription of this host has no room for, since nobody tells when there is some: twice
-// as long each time that nothing has moved.
+// The interval between two attempts to send what a subscription of this host has no room for,
+// since nothing signals room: it doubles each time that nothing has moved.
 #pragma once
 
 #include <algorithm>

@@ -1,7 +1,7 @@
 // SPDX-License-Identifier: Apache-2.0
 //
-// Status: what a bridge has at one moment, as values, and as the JSON object that its socket gives away
-// ("agnocast.bridge-status/1"). Pure; docs/bridge.md has the table of keys.
+// Status: the state of a bridge at one moment, as values, and as the JSON object that its socket
+// sends ("agnocast.bridge-status/1"). Pure; docs/bridge.md has the table of keys.
 #pragma once
 
 #include <bridge/dds/ros_graph.hpp>
@@ -17,30 +17,30 @@
 
 namespace agnocast::bridge {
 
-/// What went over one endpoint since it exists.
+/// The traffic of one endpoint since its creation.
 struct TrafficNumbers {
   std::uint64_t messages = 0;
-  std::uint64_t bytes = 0;           // as DDS carries them
-  std::uint64_t unacknowledged = 0;  // given up, because a reader in DDS did not acknowledge
-  std::uint64_t refused = 0;         // not CDR, no memory, or the publisher here refused it
+  std::uint64_t bytes = 0;           // as CDR
+  std::uint64_t unacknowledged = 0;  // dropped: a reader in DDS did not acknowledge
+  std::uint64_t refused = 0;         // not CDR, no memory, or refused by the publisher here
   std::uint64_t since_ns = 0;        // monotonic
   std::uint64_t last_ns = 0;         // monotonic; 0: never
 };
 
-/// What went over the route of one service since it exists. Bytes are as DDS carries them, heads included.
+/// The traffic of the route of one service since its creation. Bytes are as CDR, headers included.
 struct ServiceNumbers {
   std::uint64_t requests = 0, request_bytes = 0, responses = 0, response_bytes = 0;
   std::uint64_t malformed = 0;  // not of the service's type
-  std::uint64_t refused = 0;    // not sent on; the log says why
-  std::uint64_t timed_out = 0;  // requests whose server or way back was not there in time
-  std::uint64_t forgotten = 0;  // unanswered requests that gave way to newer ones
-  std::uint64_t unasked = 0;    // responses to requests that were answered before, or that nobody made
+  std::uint64_t refused = 0;    // not forwarded; the log gives the reason
+  std::uint64_t timed_out = 0;  // requests whose server or reply route did not appear in time
+  std::uint64_t forgotten = 0;  // unanswered requests that newer ones displaced
+  std::uint64_t unasked = 0;    // responses to requests answered before or never made
   std::uint64_t since_ns = 0;   // monotonic
   std::uint64_t last_ns = 0;    // monotonic; 0: never
 };
 
 struct BridgeStatus {
-  /// A publisher of this host and its writer in DDS.
+  /// A publisher of this host and its DDS writer.
   struct OutletNow {
     Outlet plan;
     std::uint64_t publisher = 0;  // its generation
@@ -48,30 +48,31 @@ struct BridgeStatus {
     std::uint32_t matched = 0, incompatible = 0;  // readers
     TrafficNumbers traffic;
   };
-  /// A writer in DDS and its publisher on this host.
+  /// A remote writer and its remote publisher on this host.
   struct SourceNow {
     Source plan;
     Guid writer;
-    std::string node;  // as ROS's graph has it; empty: it names none
+    std::string node;  // from the ROS graph; empty: it names none
     TrafficNumbers traffic;
   };
-  /// A reader in DDS, for the sources of one class.
+  /// A DDS reader, for the remote publishers of one class.
   struct InletNow {
     ClassKey key;
     Inlet plan;
     Guid reader;
     std::uint32_t matched = 0, incompatible = 0;  // writers
-    std::uint64_t malformed = 0;                  // payloads that are no message of the type
-    std::uint64_t without_source = 0;             // messages of writers that have none
-    std::uint64_t overflow = 0;                   // payloads that were dropped for a limit
+    std::uint64_t malformed = 0;                  // payloads that are not a message of the type
+    std::uint64_t without_source = 0;             // messages of writers without a remote publisher
+    std::uint64_t overflow = 0;                   // payloads dropped because of a limit
   };
-  /// A subscription here, for the outlets of one class and depth.
+  /// A local reader, for the DDS writers of one class and depth.
   struct TapNow {
     ReaderKey key;
-    std::uint64_t lost = 0;  // messages that gave way to newer ones before they were taken
+    std::uint64_t lost = 0;  // messages overwritten before they were taken
   };
 
-  /// Outward: servers of this host for clients in DDS; inward: servers in DDS for clients of this host.
+  /// Outward: servers of this host for clients in DDS; inward: servers in DDS for clients of this
+  /// host.
   struct ServiceNow {
     ServiceKey key;
     Direction way = Direction::outward;
@@ -83,12 +84,12 @@ struct BridgeStatus {
 
   std::uint32_t domain = 0;
   GuidLayout layout = GuidLayout::humble;
-  std::uint64_t participants = 0;  // of others
+  std::uint64_t participants = 0;  // other participants
   bool has_daemon = true;
   std::optional<std::uint32_t> standby_for =
-      {};                                    // the pid of the bridge that is active in our place
+      {};                                    // the pid of the bridge that serves the domain instead
   std::uint64_t lost_early = 0;              // see Outlets::lost()
-  std::uint64_t announced = 0;               // writers in DDS that nobody reads
+  std::uint64_t announced = 0;               // DDS writers without a reader
   std::uint64_t discovery_info_refused = 0;  // see RosGraph::refused()
   std::uint64_t since_ns = 0;                // monotonic
   struct LimitNow {
@@ -102,12 +103,12 @@ struct BridgeStatus {
   std::vector<ServiceNow> services;
   std::vector<TapNow> taps;
   std::vector<Unbridged> unbridged;
-  std::vector<std::pair<std::string, std::string>> failures;  // what could not be made, and why
+  std::vector<std::pair<std::string, std::string>> failures;  // what could not be made, why
 };
 
-/// One line. Bytes of names that are no UTF-8 are replaced.
+/// Returns one line of JSON. Invalid UTF-8 in names is replaced.
 std::string json_of(const BridgeStatus& status, std::uint64_t now_ns);
-/// "010f1c00.…": four groups, as ros2 prints them.
+/// Returns "010f1c00.…": four groups, as ros2 prints them.
 std::string text_of(const Guid& guid);
 
 }  // namespace agnocast::bridge

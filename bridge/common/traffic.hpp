@@ -1,6 +1,6 @@
 // SPDX-License-Identifier: Apache-2.0
 //
-// Traffic: what went over one endpoint, counted where it goes; and what a message that is held costs.
+// Traffic: counters of one endpoint, updated where messages pass; and the cost of a held message.
 #pragma once
 
 #include <base/clock.hpp>
@@ -14,15 +14,15 @@
 
 namespace agnocast::bridge {
 
-/// One direction of one endpoint, since it exists. Any thread.
+/// One direction of one endpoint, since its creation. Any thread.
 struct Traffic {
   std::atomic<std::uint64_t> messages{0};
-  std::atomic<std::uint64_t> bytes{0};           // as DDS carries them
-  std::atomic<std::uint64_t> unacknowledged{0};  // given up: a reader in DDS does not acknowledge
-  std::atomic<std::uint64_t> refused{0};         // not written or not published; the log says why
+  std::atomic<std::uint64_t> bytes{0};           // as CDR
+  std::atomic<std::uint64_t> unacknowledged{0};  // dropped: a reader in DDS does not acknowledge
+  std::atomic<std::uint64_t> refused{0};         // not written or not published; see the log
   std::atomic<std::uint64_t> last_ns{0};         // of the newest message, monotonic
   const std::uint64_t since_ns = monotonic_ns();
-  Seldom tells;  // the log
+  Seldom tells;  // limits log lines
 
   void count(std::size_t message_bytes) noexcept {
     ++messages;
@@ -34,9 +34,9 @@ struct Traffic {
   }
 };
 
-/// What may be held in all, as CDR, for publishers that are not known yet, and of what keep-all holds up: two seconds of
-/// a gigabit link, which is more than a history of ten point clouds. What is beyond is dropped and counted. A message
-/// counts as a KiB at least, which is what the holding costs.
+/// The bound, as CDR, for messages held in all: for publishers that are not known yet, and behind
+/// keep-all. Two seconds of a gigabit link, more than a history of ten point clouds. Messages
+/// beyond it are dropped and counted. Each counts as at least a KiB, the cost of holding it.
 inline constexpr std::size_t held_bytes_max = std::size_t{256} << 20;
 inline std::size_t held_bytes_of(std::size_t bytes) noexcept {
   return std::max<std::size_t>(bytes, 1024);

@@ -1,6 +1,6 @@
 // SPDX-License-Identifier: Apache-2.0
 //
-// Worker: a thread for what may take its time, one job after the other.
+// Worker: a thread for jobs that may take time, one after the other.
 #pragma once
 
 #include <condition_variable>
@@ -12,11 +12,11 @@
 
 namespace agnocast::bridge {
 
-/// Any thread. Its thread sleeps while there is nothing to do.
+/// Any thread. Its own thread sleeps while there is no job.
 class Worker {
  public:
   Worker() : thread_([this] { work(); }) {}
-  /// After the present job; jobs that have not begun end with what they hold.
+  /// Waits for the current job; pending jobs are destroyed with what they own.
   ~Worker() {
     {
       const std::lock_guard lock(mutex_);
@@ -28,8 +28,8 @@ class Worker {
   Worker(const Worker&) = delete;
   Worker& operator=(const Worker&) = delete;
 
-  /// True: the job is to be done again, behind the others, which needs no memory. What it throws is lost. Throws
-  /// std::bad_alloc.
+  /// A job that returns true runs again after the others, without needing memory. Exceptions are
+  /// ignored. add() throws std::bad_alloc.
   using Job = std::function<bool()>;
   void add(Job job) {
     {

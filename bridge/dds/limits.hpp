@@ -1,10 +1,11 @@
 // SPDX-License-Identifier: Apache-2.0
 //
-// Limits: what others in DDS may make the bridge keep. Nobody in a DDS domain is known, so each number bounds what one of
-// them takes from the others, or what all of them together take from this host. A refusal costs its own endpoint or
-// message only, and is counted by its reason: the status says it, docs/bridge.md has the table.
+// Limits: what other participants in DDS may make the bridge keep. Nobody in a DDS domain is
+// trusted, so each number bounds what one participant takes from the others, or what all take from
+// this host. A refusal costs only its own endpoint or message, and is counted by its reason: see
+// the status, and the table in docs/bridge.md.
 //
-// What Cyclone DDS keeps by itself is not bounded here: see "Limits" in docs/bridge.md.
+// Memory that Cyclone DDS keeps itself is not bounded here: see "Limits" in docs/bridge.md.
 #pragma once
 
 #include <array>
@@ -33,38 +34,40 @@ enum class Limit : std::uint8_t {
 
 struct LimitRow {
   Limit limit;
-  const char* name;  ///< in the status
+  const char* name;  ///< its name in the status
   std::size_t most;
 };
 
 inline constexpr std::size_t mebibyte = std::size_t{1} << 20;
 
 inline constexpr LimitRow limit_table[] = {
-    // ROS 2 has one for each process, and DDS has ports for 120 of a host: eight full hosts.
+    // ROS 2 has one for each process, and DDS has ports for 120 on a host: eight full hosts.
     {Limit::participants, "participants", 1'024},
-    // A plan looks at all of them: some 50 ms.
+    // A plan reads all of them: some 50 ms.
     {Limit::endpoints, "endpoints", 32'768},
-    // 200 nodes in one process, with 20 each.
+    // 200 nodes in one process, with 20 endpoints each.
     {Limit::endpoints_of_participant, "endpoints_of_participant", 4'096},
-    // Names of ROS have at most 255 bytes, and its USER_DATA is an enclave's name or a client's id.
+    // ROS names have at most 255 bytes, and its USER_DATA is an enclave's name or a client's id.
     {Limit::text_bytes, "text_bytes", 1'024},
     // Four frames of 8K video, uncompressed; two seconds of a gigabit link.
     {Limit::message_bytes, "message_bytes", 256 * mebibyte},
-    // As CDR, received and not yet taken. One message is always taken.
+    // As CDR, received and not yet taken. One message is always accepted.
     {Limit::unread_bytes_of_reader, "unread_bytes_of_reader", 256 * mebibyte},
-    // Of all readers: two that are flooded leave one message to each of the others.
+    // All readers together: two flooded readers leave one message to each of the others.
     {Limit::unread_bytes, "unread_bytes", 512 * mebibyte},
-    // Of writers that the next plan will know: a history of ROS's /rosout.
+    // For writers that the next plan will know: the size of ROS's /rosout history.
     {Limit::unplaced_messages, "unplaced_messages", 1'000},
-    // As CDR, the history of a transient-local writer that its publisher here retains: ten point clouds of 6 MB.
+    // As CDR, the history of a transient-local writer that its publisher here keeps: ten point
+    // clouds of 6 MB.
     {Limit::history_bytes_of_source, "history_bytes_of_source", 64 * mebibyte},
-    // Of all of them.
+    // All histories together.
     {Limit::history_bytes, "history_bytes", 512 * mebibyte},
-    // Waiting for one service: a hundred times a client's depth in ROS 2. Beyond it who has most gives way to who has less.
+    // Pending at one service: a hundred times the depth of a ROS 2 client. Beyond it, the client
+    // with most loses one.
     {Limit::requests, "requests", 1'000},
-    // A quarter of what requests of all services may take.
+    // A quarter of the bytes that the requests of all services may take.
     {Limit::request_bytes_of_service, "request_bytes_of_service", 64 * mebibyte},
-    // What all participants say of their nodes, in memory: 3,000 nodes with 100 endpoints each.
+    // The nodes of all participants, in memory: 3,000 nodes with 100 endpoints each.
     {Limit::discovery_info_bytes, "discovery_info_bytes", 8 * mebibyte},
 };
 static_assert(sizeof limit_table / sizeof *limit_table == static_cast<std::size_t>(Limit::count));
@@ -73,7 +76,7 @@ constexpr std::size_t most_of(Limit limit) noexcept {
   return limit_table[static_cast<std::size_t>(limit)].most;
 }
 
-/// How often each has refused something. Any thread.
+/// Counts the refusals of each limit. Any thread.
 class Limits {
  public:
   void refuse(Limit limit, std::uint64_t count = 1) noexcept {

@@ -8,7 +8,7 @@
 namespace agnocast::bridge {
 namespace {
 
-// ASCII whatever the locale is.
+// ASCII, whatever the locale.
 bool is_lower(char c) { return c >= 'a' && c <= 'z'; }
 bool is_upper(char c) { return c >= 'A' && c <= 'Z'; }
 bool is_digit(char c) { return c >= '0' && c <= '9'; }
@@ -37,7 +37,7 @@ constexpr std::array affixes = {Affixes{DdsTopicKind::topic, "rt", ""},
                                 Affixes{DdsTopicKind::request, "rq", "Request"},
                                 Affixes{DdsTopicKind::reply, "rr", "Reply"}};
 
-// What rosidl makes of a service and of an action; only these have bytes of their own.
+// The types that rosidl generates for services and actions; only these are messages.
 constexpr std::array<std::string_view, 3> service_parts = {"_Request", "_Response", "_Event"};
 constexpr std::array<std::string_view, 10> action_parts = {
     "_SendGoal_Request",   "_SendGoal_Response", "_SendGoal_Event", "_GetResult_Request",
@@ -73,7 +73,7 @@ struct TypeName {
   }
 };
 
-/// `text` up to the separator, which both go; all of it if there is none.
+/// Returns `text` up to the separator and removes both from it; without a separator all of it.
 std::string_view cut(std::string_view& text, std::string_view separator) {
   const std::size_t at = text.find(separator);
   const std::string_view first = text.substr(0, at);

@@ -1,7 +1,7 @@
 // SPDX-License-Identifier: Apache-2.0
 //
-// Names as ROS 2 writes them in DDS, in both directions. What is no such name gives nothing, so what
-// comes back from a name is that name.
+// Names as ROS 2 writes them in DDS, in both directions. A text that is no such name gives
+// nothing, so that each conversion can be reversed.
 //
 //   topic /a/b                  rt/a/b
 //   service /s                  rq/sRequest and rr/sReply
@@ -9,7 +9,7 @@
 //   pkg/srv/Name_Request        pkg::srv::dds_::Name_Request_
 //   pkg/action/Name_Goal        pkg::action::dds_::Name_Goal_
 //
-// Actions are services and topics below /NAME/_action/ and need nothing of their own.
+// Actions are services and topics below /NAME/_action/ and need no rule of their own.
 #pragma once
 
 #include <cstdint>
@@ -19,7 +19,7 @@
 
 namespace agnocast::bridge {
 
-/// The nodes in whose names a bridge's own endpoints are begin so: a name that ROS hides.
+/// The prefix of the nodes that own a bridge's endpoints: a name that ROS hides.
 inline constexpr std::string_view bridge_node = "_agnocast_bridge";
 
 enum class DdsTopicKind : std::uint8_t { topic, request, reply };
@@ -31,13 +31,13 @@ struct RosTopic {
   bool operator==(const RosTopic&) const = default;
 };
 
-/// Nothing unless the name is fully qualified: tokens of letters, digits and underscores, which begin
-/// with no digit, at most 255 bytes. Any thread.
+/// Return nothing unless the name is fully qualified: tokens of letters, digits and underscores
+/// that do not begin with a digit, at most 255 bytes. Any thread.
 std::optional<std::string> dds_topic_of(const RosTopic& topic);
 std::optional<RosTopic> ros_topic_of(std::string_view dds_topic);
 
-/// Nothing unless it is "package/msg/Name", or a part of a service or an action as rosidl names
-/// them. Any thread.
+/// Return nothing unless the type is "package/msg/Name", or a part of a service or an action as
+/// rosidl names it. Any thread.
 std::optional<std::string> dds_type_of(std::string_view ros_type);
 std::optional<std::string> ros_type_of(std::string_view dds_type);
 

@@ -56,8 +56,8 @@ std::string user_data_of(const dds_qos_t* qos) {
   return {static_cast<const char*>(bytes), size};
 }
 
-/// Only Cyclone DDS announces histories; what it has for others' is its own default. The vendor is in the first two
-/// bytes of a GUID (RTPS 2.3, 9.3.1.5).
+/// Only Cyclone DDS announces histories; for others it reports its own default. The first two
+/// bytes of a GUID are the vendor (RTPS 2.3, 9.3.1.5).
 bool announces_history(const Guid& guid) { return guid.bytes[0] == 0x01 && guid.bytes[1] == 0x10; }
 
 DdsQos qos_from(const dds_qos_t* from, const Guid& guid) {
@@ -100,23 +100,24 @@ struct BuiltinTopic {
   Remote::Kind kind;
   dds_entity_t topic;
 };
-// Participants last: each is told of before what it has, so the owner of whatever was taken is
-// known as well.
+// Participants last: Cyclone announces a participant before its endpoints, so the owner of every
+// taken endpoint is known as well.
 const BuiltinTopic builtin_topics[] = {
     {Remote::Kind::writer, DDS_BUILTIN_TOPIC_DCPSPUBLICATION},
     {Remote::Kind::reader, DDS_BUILTIN_TOPIC_DCPSSUBSCRIPTION},
     {Remote::Kind::participant, DDS_BUILTIN_TOPIC_DCPSPARTICIPANT},
 };
 
-// What the waitset gives back of what is attached; readers are attached by their address.
+// Values that the waitset returns for attached conditions; for readers it is their address.
 constexpr dds_attach_t attached_guard = 0;
 constexpr dds_attach_t attached_discovery = 1;
 
-// A writer's samples may be taken after it is gone.
+// Samples of a writer may be taken after it is gone.
 constexpr std::size_t gone_writers_max = 1024;
-// What is taken of a built-in topic at once, as others go on changing theirs; the rest is ready the next time.
+// Bound for one take from a built-in topic, since others keep changing theirs; the rest stays
+// ready.
 constexpr std::size_t changes_max = 1'000;
-// Refused samples that one take() passes over: others may write them faster than they are taken.
+// Refused samples that one take() skips: others may write them faster than they are taken.
 constexpr std::size_t passed_over_max = 1'000;
 
 }  // namespace
@@ -127,10 +128,10 @@ class DdsParticipantState {
   DdsParticipantState(const DdsParticipantState&) = delete;
   DdsParticipantState& operator=(const DdsParticipantState&) = delete;
   ~DdsParticipantState() {
-    if (participant > 0) dds_delete(participant);  // and everything that was made with it
+    if (participant > 0) dds_delete(participant);  // and all its entities
   }
 
-  /// Takes what the built-in topics have.
+  /// Takes the samples of the built-in topics.
   void pump() {
     for (std::size_t i = 0; i < std::size(builtin_topics); ++i) {
       for (std::size_t taken = 0; taken < changes_max; ++taken) {
@@ -143,7 +144,7 @@ class DdsParticipantState {
     }
   }
 
-  /// Of the writer that a sample names by its handle.
+  /// Returns the writer that a sample names by its handle.
   Guid writer_of(dds_instance_handle_t handle) {
     auto at = writers.find(handle);
     if (at == writers.end()) {
@@ -172,7 +173,7 @@ class DdsParticipantState {
     return remote.topic.size() > most || remote.type.size() > most ||
            remote.qos.user_data.size() > most;
   }
-  /// Whether there is a place for one more; refused ones are counted.
+  /// Returns whether there is room for one more; counts refusals.
   bool has_place(const Remote& remote) {
     const auto beyond = [&](Limit limit) {
       shared->limits.refuse(limit);
@@ -223,13 +224,13 @@ class DdsParticipantState {
       else
         remote.qos = qos_from(qos, remote.guid);
     }
-    // Beside the own ones, those of built-in topics, which are only seen within a process.
+    // Skip our own entities, and those of built-in topics, visible only within a process.
     if (remote.guid.is_of_participant(guid) || remote.topic.starts_with("DCPS")) return;
     if (info.instance_state != DDS_IST_ALIVE) {
       if (kind == Remote::Kind::writer) forget_later(info.instance_handle, remote.guid);
       const auto at = remotes.find(remote.guid);
       if (at == remotes.end()) {
-        // It came and went since the last look; what it was is in front of the word that it is gone.
+        // It came and went since the last call; the notice that it is gone carries its data.
         if (!info.valid_data || !has_place(remote)) return;
         changes.push_back({true, remote});
         changes.push_back({false, std::move(remote)});
@@ -265,14 +266,14 @@ class DdsParticipantState {
 
   std::unordered_map<dds_instance_handle_t, Guid> writers;
   std::deque<dds_instance_handle_t> gone;
-  std::size_t participants = 0;                              // of remotes
-  std::unordered_map<Guid, std::size_t, GuidHash> endpoints;  // of remotes, by their participant
+  std::size_t participants = 0;                               // in remotes
+  std::unordered_map<Guid, std::size_t, GuidHash> endpoints;  // in remotes, by participant
 };
 
 namespace {
 
-/// Attaches a condition that holds as long as the reader has samples, so nothing is missed by
-/// taking less.
+/// Attaches a condition that holds as long as the reader has samples, so that taking only some
+/// loses none.
 dds_return_t attach(const DdsParticipantState& state, dds_entity_t reader, dds_attach_t what) {
   const dds_entity_t condition = dds_create_readcondition(reader, DDS_ANY_STATE);
   return condition < 0 ? condition : dds_waitset_attach(state.waitset, condition, what);
@@ -283,7 +284,7 @@ struct Endpoint {
   const ddsi_sertype* type;
 };
 
-/// The topic goes again at once: what is made of it keeps what it needs.
+/// Deletes the topic again at once: its endpoint keeps what it needs.
 template <class Create>
 DdsResult<Endpoint> make_endpoint(const DdsParticipantState& state, const std::string& topic,
                                   ddsi_sertype* type, const char* what, const Create& create) {
@@ -456,7 +457,7 @@ DdsResult<DdsParticipant::Ready> DdsParticipant::wait(std::chrono::nanoseconds t
   DdsParticipantState& state = *state_;
   const std::size_t attached = state.readers.size() + 1 + std::size(builtin_topics);
   if (state.triggered.size() < attached) state.triggered.resize(attached);
-  // Changes may have been found on the way, when a sample's writer was looked for.
+  // A lookup of a sample's writer may have found changes on the way.
   if (timeout < nanoseconds(0) || !state.changes.empty()) timeout = nanoseconds(0);
   const dds_return_t count = dds_waitset_wait(state.waitset, state.triggered.data(),
                                               state.triggered.size(), timeout.count());

@@ -1,21 +1,21 @@
 // SPDX-License-Identifier: Apache-2.0
 //
-// DdsParticipant: this process in a DDS domain, as a ROS 2 context is in it: one participant,
-// writers and readers of raw samples by topic and type name, and a view of what other participants
-// have.
+// DdsParticipant: this process in a DDS domain, in the way of a ROS 2 context: one participant,
+// writers and readers of raw samples by topic and type name, and a view of the entities of other
+// participants.
 //
 //   DdsParticipant ─┬─ DdsWriter   write(size, fill)            any thread
-//                   ├─ DdsReader   take() what its decoder made
-//                   ├─ discovered()  who came, changed, went     (DDS's built-in topics)
+//                   ├─ DdsReader   take() returns what its decoder made
+//                   ├─ discovered()  entities that came, changed or went
 //                   └─ wait()      one waitset for all of these; interrupt() ends it from any thread
 //
-// No thread is made here. Cyclone DDS has its own: they receive, call decoders and send again what
-// was lost. Everything but DdsWriter::write() and interrupt() belongs to one thread. Endpoints keep
-// the participant alive, so the order of destruction is free.
+// This class creates no thread. Cyclone DDS has its own: they receive, call decoders and send lost
+// samples again. Everything except DdsWriter::write() and interrupt() belongs to one thread.
+// Endpoints keep the participant alive, so the order of destruction is free.
 //
-// A name or a QoS that others announced is input: it is copied, and means nothing until somebody
-// checks it. Who is beyond a limit (limits.hpp) is not followed: remotes() does not have it, and its
-// samples come from a writer that is not known.
+// Names and QoS that others announce are input: they are copied and must be checked before use.
+// Entities beyond a limit (limits.hpp) are not tracked: remotes() does not contain them, and their
+// samples come from an unknown writer.
 #pragma once
 
 #include <bridge/dds/raw_type.hpp>
@@ -36,7 +36,7 @@
 
 namespace agnocast::bridge {
 
-/// What Cyclone DDS refused.
+/// An operation that Cyclone DDS refused.
 struct DdsFailure {
   std::int32_t code = 0;  ///< one of DDS_RETCODE_…, negative
   const char* what = "";  ///< static text: the operation
@@ -46,8 +46,8 @@ struct DdsFailure {
 template <class T>
 using DdsResult = tl::expected<T, DdsFailure>;
 
-/// Names a participant, a reader or a writer on the network. The first 12 bytes are the
-/// participant's.
+/// Names a participant, a reader or a writer on the network. The first 12 bytes identify the
+/// participant.
 struct Guid {
   std::array<std::uint8_t, 16> bytes{};
 
@@ -62,20 +62,19 @@ struct GuidHash {
 };
 
 /// Quality of service as ROS 2 uses it. The default is that of an rclcpp endpoint with depth 1.
-/// Endpoints match by the rules of DDS; blocking_max takes no part in that.
+/// Endpoints match by the rules of DDS; blocking_max does not affect matching.
 struct DdsQos {
   static constexpr std::chrono::nanoseconds infinite = std::chrono::nanoseconds::max();
 
   bool keep_all = false;
-  std::int32_t depth =
-      1;  ///< of keep-last; less than 1 is 1; of a remote that does not announce it 0
+  std::int32_t depth = 1;  ///< for keep-last; less than 1 means 1; 0: a remote does not announce it
   bool reliable = true;
-  bool transient_local = false;  ///< a writer keeps its history for readers that come later
+  bool transient_local = false;  ///< a writer keeps its history for late readers
   std::chrono::nanoseconds deadline = infinite;
   std::chrono::nanoseconds lifespan = infinite;
-  /// How long a reliable keep-all writer waits for readers before it gives a sample up: see
-  /// write(). rmw_cyclonedds has `infinite`, by which one reader that never acknowledges would stop
-  /// its writer's thread, here that of all topics.
+  /// How long a reliable keep-all writer waits for readers before it gives up a sample: see
+  /// write(). rmw_cyclonedds has `infinite`: there one reader that never acknowledges stops its
+  /// writer's thread, which here serves all topics.
   std::chrono::nanoseconds blocking_max = std::chrono::milliseconds(100);
   std::string user_data;
 
@@ -84,11 +83,12 @@ struct DdsQos {
 
 enum class WriteOutcome : std::uint8_t {
   sent,         ///< handed to the network, and kept for readers as the QoS says
-  would_block,  ///< given up after blocking_max; nobody gets it
+  would_block,  ///< given up after blocking_max; no reader gets it
   refused,      ///< `fill` refused, or there was no memory for the sample
 };
 
-/// Whether Cyclone DDS takes CYCLONEDDS_URI. Nothing is announced to anybody; Cyclone says what is wrong on stderr.
+/// Checks whether Cyclone DDS accepts CYCLONEDDS_URI. Announces nothing; Cyclone prints errors to
+/// stderr.
 [[nodiscard]] DdsResult<void> check_dds_configuration(std::uint32_t domain);
 
 class DdsParticipantState;
@@ -99,24 +99,24 @@ class DdsWriter {
   DdsWriter(const DdsWriter&) = delete;
   DdsWriter& operator=(const DdsWriter&) = delete;
 
-  /// Makes a sample of at most `size` bytes, has `fill` write it, sends it. One allocation of that
-  /// size, one pass over the bytes. Any thread.
+  /// Makes a sample of at most `size` bytes, lets `fill` write it, and sends it. One allocation of
+  /// that size, one pass over the bytes. Any thread.
   ///
-  /// Sending itself waits for room in the socket's buffer at most. A reliable writer keeps what a
-  /// matched reader has not acknowledged. Keep-last: the last `depth` samples, acknowledged or not,
-  /// and write() never waits for a reader. Keep-all: when what is owed is more than Cyclone's
-  /// watermark (Internal/Watermarks/WhcHigh, 500 KiB, in the beginning 30 KiB; one sample may
-  /// exceed it), write() waits up to blocking_max until nearly all is acknowledged (WhcLow, 1 KiB),
-  /// then gives up: would_block. A reader that is gone or stopped is owed until its lease ends (10
-  /// s in ROS 2); one that lives and does not acknowledge, for ever. Best-effort writers never
-  /// wait.
+  /// Sending itself waits at most for room in the socket's buffer. A reliable writer keeps samples
+  /// that a matched reader has not acknowledged. Keep-last: it keeps the last `depth` samples,
+  /// acknowledged or not, and write() never waits for a reader. Keep-all: if the unacknowledged
+  /// samples exceed Cyclone's watermark (Internal/Watermarks/WhcHigh, 500 KiB, initially 30 KiB;
+  /// one sample may exceed it), write() waits up to blocking_max until nearly all are acknowledged
+  /// (WhcLow, 1 KiB), then gives up: would_block. Samples are kept for a reader that is gone or
+  /// stopped until its lease ends (10 s in ROS 2), for one that lives and never acknowledges
+  /// without end. Best-effort writers never wait.
   [[nodiscard]] DdsResult<WriteOutcome> write(std::size_t size, const RawFill& fill,
                                               std::int64_t source_time_ns);
 
   const Guid& guid() const noexcept { return guid_; }
-  /// Readers that it is matched with now.
+  /// Returns the number of readers that it is matched with now.
   std::uint32_t matched() const;
-  /// How often a reader of the topic was not matched because it requests more than is offered.
+  /// Returns how often a reader was not matched because it requests more than the writer offers.
   std::uint32_t incompatible() const;
 
  private:
@@ -129,17 +129,17 @@ class DdsWriter {
   Guid guid_;
 };
 
-/// What take() gives.
+/// A sample from take().
 struct DdsSample {
   enum class State : std::uint8_t {
-    valid,      ///< `object` is what the decoder made
-    disposed,   ///< a writer said that the topic's instance is no more; `object` is null
+    valid,      ///< `object` comes from the decoder
+    disposed,   ///< a writer disposed of the topic's instance; `object` is null
     no_writers  ///< the last writer is gone; `object` is null
   };
   State state = State::valid;
   std::shared_ptr<void> object;
-  Guid writer;  ///< not known (is_known()) only if more than 1,024 writers went since
-  std::int64_t source_time_ns = 0;  ///< since 1970, by the writer's clock and of its choice
+  Guid writer;  ///< unknown (is_known()) only if more than 1,024 writers went since
+  std::int64_t source_time_ns = 0;  ///< since 1970, as the writer sets it, by its clock
 };
 
 class DdsReader {
@@ -148,19 +148,19 @@ class DdsReader {
   DdsReader(const DdsReader&) = delete;
   DdsReader& operator=(const DdsReader&) = delete;
 
-  /// The oldest sample, which is not in the cache any more; nothing if there is none, or if many
-  /// refused ones are in front of it. These are passed over.
+  /// Takes the oldest sample out of the cache; nothing if there is none, or if many refused
+  /// samples precede it. Refused samples are skipped.
   std::optional<DdsSample> take();
 
   const Guid& guid() const noexcept { return guid_; }
-  /// Writers that it is matched with now.
+  /// Returns the number of writers that it is matched with now.
   std::uint32_t matched() const;
-  /// How often a writer of the topic was not matched because it offers less than is requested.
+  /// Returns how often a writer was not matched because it offers less than the reader requests.
   std::uint32_t incompatible() const;
-  /// Payloads that the decoder made something of, and that it refused.
+  /// Return how many payloads the decoder accepted and refused.
   std::uint64_t decoded() const noexcept { return counts_->decoded; }
   std::uint64_t refused() const noexcept { return counts_->refused; }
-  /// Payloads that were dropped since too much was unread.
+  /// Returns how many payloads were dropped because too much was unread.
   std::uint64_t overflow() const noexcept { return counts_->overflow; }
 
  private:
@@ -173,21 +173,20 @@ class DdsReader {
   Guid guid_;
 };
 
-/// A participant, reader or writer that another participant has.
+/// A participant, reader or writer of another participant.
 struct Remote {
   enum class Kind : std::uint8_t { participant, reader, writer };
   Kind kind = Kind::participant;
   Guid guid;
-  Guid participant;  ///< of a participant its own
-  std::string
-      topic;  ///< as DDS has it; empty for participants, as is what follows but qos.user_data
+  Guid participant;   ///< for a participant its own GUID
+  std::string topic;  ///< in DDS form; participants have only qos.user_data, the rest is empty
   std::string type;
   DdsQos qos;
 
   bool operator==(const Remote&) const = default;
 };
 struct RemoteChange {
-  bool is_there = false;  ///< came, or changed; else went, and `remote` is as it was
+  bool is_there = false;  ///< true: came or changed; false: gone, with its last state
   Remote remote;
 };
 
@@ -195,22 +194,22 @@ class DdsParticipant {
  public:
   struct Options {
     std::uint32_t domain = 0;              ///< ROS_DOMAIN_ID
-    std::string user_data = "enclave=/;";  ///< what participants of ROS 2 say
+    std::string user_data = "enclave=/;";  ///< as participants of ROS 2 send
   };
-  /// Starts Cyclone DDS in this process if this is its first participant, with threads and sockets,
-  /// as CYCLONEDDS_URI says.
+  /// Starts Cyclone DDS in this process, with threads and sockets, if this is its first
+  /// participant. Uses CYCLONEDDS_URI.
   [[nodiscard]] static DdsResult<std::unique_ptr<DdsParticipant>> create(const Options& options);
   ~DdsParticipant();
   DdsParticipant(const DdsParticipant&) = delete;
   DdsParticipant& operator=(const DdsParticipant&) = delete;
 
-  /// Names are DDS's: "rt/chatter", "std_msgs::msg::dds_::String_". A topic has as many endpoints
-  /// as are made, of any type. Does not wait for others.
+  /// Names are those of DDS: "rt/chatter", "std_msgs::msg::dds_::String_". A topic may have any
+  /// number of endpoints, of any type. Does not wait for others.
   [[nodiscard]] DdsResult<std::unique_ptr<DdsWriter>> create_writer(const std::string& topic,
                                                                     const std::string& type,
                                                                     const DdsQos& qos);
-  /// Readers do not get what writers of this participant write. `decoder`: see RawDecoder. Beyond `unread_bytes_max`
-  /// in its cache, and one message, a payload is dropped.
+  /// Readers do not get samples of this participant's own writers. `decoder`: see RawDecoder.
+  /// Payloads beyond `unread_bytes_max` in its cache, and one message, are dropped.
   [[nodiscard]] DdsResult<std::unique_ptr<DdsReader>> create_reader(const std::string& topic,
                                                                     const std::string& type,
                                                                     const DdsQos& qos,
@@ -222,23 +221,23 @@ class DdsParticipant {
     bool interrupted = false;
     bool discovery = false;  ///< discovered() may have something
     std::span<DdsReader* const>
-        readers;  ///< have samples; until the next call, or one of them is deleted
+        readers;  ///< those with samples; valid until the next call or a deletion
   };
-  /// Waits until there is something, at most `timeout`. What is not taken is ready again the next
+  /// Waits for an event, at most `timeout`. Samples that are not taken are ready again the next
   /// time.
   [[nodiscard]] DdsResult<Ready> wait(std::chrono::nanoseconds timeout);
-  /// The wait of now, or else the next one, returns. Any thread, but no signal handler.
+  /// Makes the current wait() return, or else the next one. Any thread, but no signal handler.
   void interrupt();
 
-  /// What changed since the last call, in order for each entity. Own ones are left out. What
-  /// another participant had goes when it says so, or when its lease ends.
+  /// Returns the changes since the last call, in order for each entity, without our own entities.
+  /// An entity of another participant is gone when it says so, or when its lease ends.
   std::vector<RemoteChange> discovered();
   using Remotes = std::unordered_map<Guid, Remote, GuidHash>;
-  /// Everything that discovered() said is there.
+  /// Returns all entities that discovered() has reported as present.
   const Remotes& remotes() const noexcept;
-  /// Another number whenever remotes() has changed.
+  /// Returns a number that differs whenever remotes() has changed.
   std::uint64_t remotes_version() const noexcept;
-  /// What was refused of others, here and by whoever uses this. Any thread.
+  /// Counts what was refused of others, here and in the caller. Any thread.
   Limits& limits() const noexcept;
 
   const Guid& guid() const noexcept;

@@ -1,6 +1,6 @@
 // SPDX-License-Identifier: Apache-2.0
 //
-// The two tables of functions. Cyclone DDS is C: nothing may be thrown through it.
+// The two tables of functions. Cyclone DDS is C: no exception may pass through it.
 
 #include <bridge/dds/raw_type.hpp>
 
@@ -19,13 +19,13 @@
 namespace agnocast::bridge {
 namespace {
 
-// Written: `bytes` is there. Received: `object` is there, unless it was refused or carries no data.
-// It holds no reference to its type, so the type is not looked at when it goes.
+// A written sample has `bytes`. A received one has `object`, unless it was refused or carries no
+// data. It holds no reference to its type, so its destruction does not touch the type.
 struct RawSample : ddsi_serdata {
   std::unique_ptr<std::byte[]> bytes;
   std::uint32_t size = 0;
   std::shared_ptr<void> object;
-  // Received, and in a cache until this goes.
+  // For a received sample, which is in a cache until its destruction.
   std::shared_ptr<RawCounts> counts;
   std::uint64_t unread_bytes = 0;
 
@@ -39,8 +39,8 @@ struct RawSample : ddsi_serdata {
 struct RawType : ddsi_sertype {
   RawDecoder decoder;
   std::shared_ptr<RawCounts> counts;
-  // Without a key there is one instance, of which nothing is known but that it is there. Cyclone DDS asks for it with
-  // each sample and takes no refusal.
+  // Without a key there is one instance, without data. Cyclone DDS asks for it with each sample
+  // and accepts no refusal.
   std::unique_ptr<ddsi_serdata, decltype(&ddsi_serdata_unref)> untyped{nullptr,
                                                                        &ddsi_serdata_unref};
 };
@@ -56,8 +56,9 @@ RawSample* make_sample(const ddsi_sertype* type, ddsi_serdata_kind kind) {
   return sample;
 }
 
-/// Takes room for a payload until the sample goes; false, and counted, when there is none. A reader that has nothing
-/// unread gets one message in any case, so nobody's flood keeps another reader from its messages.
+/// Reserves room for a payload until the sample is destroyed; returns false, and counts it, if
+/// there is none. A reader without unread messages always gets one, so no flood keeps another
+/// reader from its messages.
 bool take_room(RawSample& sample, const std::shared_ptr<RawCounts>& counts, std::uint64_t bytes) {
   RawShared& shared = *counts->shared;
   const auto beyond = [&](Limit limit) {
@@ -66,7 +67,7 @@ bool take_room(RawSample& sample, const std::shared_ptr<RawCounts>& counts, std:
     return false;
   };
   if (bytes > most_of(Limit::message_bytes)) return beyond(Limit::message_bytes);
-  // A message counts as a KiB at least, which is what keeping it costs.
+  // A message counts as at least a KiB, the cost of keeping it.
   bytes = std::max<std::uint64_t>(bytes, 1024);
   const std::uint64_t before = counts->unread_bytes.fetch_add(bytes);
   const std::uint64_t all_before = shared.unread_bytes.fetch_add(bytes);
@@ -85,8 +86,8 @@ void give_room_back(RawSample& sample) {
   sample.unread_bytes = 0;
 }
 
-// A refused payload is a sample as well, one without an object, which take() passes over. Without
-// any, Cyclone DDS would write a line into the log for each, at the will of another host.
+// A refused payload becomes a sample without an object, which take() skips. Without a sample,
+// Cyclone DDS would log a line for each, at the will of another host.
 ddsi_serdata* receive(const ddsi_sertype* type, ddsi_serdata_kind kind, RawPieces pieces,
                       std::size_t size, bool is_whole) noexcept {
   RawSample* const sample = make_sample(type, kind);
@@ -100,7 +101,7 @@ ddsi_serdata* receive(const ddsi_sertype* type, ddsi_serdata_kind kind, RawPiece
     if (is_whole && of.decoder) sample->object = of.decoder(pieces);
   } catch (const std::bad_alloc&) {
     give_room_back(*sample);
-    return sample;  // nothing is wrong with the payload
+    return sample;  // the payload itself may be valid
   } catch (...) {
   }
   ++(sample->object ? of.counts->decoded : of.counts->refused);
@@ -108,7 +109,7 @@ ddsi_serdata* receive(const ddsi_sertype* type, ddsi_serdata_kind kind, RawPiece
   return sample;
 }
 
-// Fragments may overlap and are in the order of their first bytes.
+// Fragments may overlap; they are ordered by their first bytes.
 ddsi_serdata* from_ser(const ddsi_sertype* type, ddsi_serdata_kind kind, const nn_rdata* fragment,
                        std::size_t size) noexcept {
   std::vector<std::span<const std::byte>> pieces;
@@ -146,7 +147,7 @@ ddsi_serdata* from_ser_iov(const ddsi_sertype* type, ddsi_serdata_kind kind,
   return receive(type, kind, pieces, size, end == size);
 }
 
-// Only of what was written: what was received is never sent on.
+// Only for written samples: received ones are never sent on.
 ddsi_serdata* to_ser_ref(const ddsi_serdata* sample, std::size_t offset, std::size_t size,
                          ddsrt_iovec_t* piece) noexcept {
   piece->iov_base = sample_of(sample).bytes.get() + offset;
@@ -185,7 +186,7 @@ const ddsi_serdata_ops sample_functions = {
     },
     .get_keyhash = [](const ddsi_serdata*, ddsi_keyhash* hash, bool) { *hash = {}; },
 #ifdef DDS_HAS_SHM
-    // Without these, and with a type that cannot say its size, iceoryx is not used even if it is
+    // Without these, and with a type that cannot give its size, iceoryx is not used even if it is
     // configured.
     .get_sample_size = nullptr,
     .from_iox_buffer = nullptr,
@@ -205,8 +206,8 @@ const ddsi_sertype_ops type_functions = {
                           std::size_t) { *samples = nullptr; },
     .free_samples = [](const ddsi_sertype*, void**, std::size_t, dds_free_op_t) {},
     .equal = [](const ddsi_sertype* left, const ddsi_sertype* right) { return left == right; },
-    // Not the same for all: Cyclone's table of types grows without end when many fall into one
-    // place.
+    // Must differ between types: Cyclone's table of types grows without end when many fall into
+    // one slot.
     .hash =
         [](const ddsi_sertype* type) {
           return static_cast<std::uint32_t>(std::hash<const void*>()(type) / alignof(RawType));

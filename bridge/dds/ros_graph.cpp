@@ -18,9 +18,9 @@ constexpr std::size_t encapsulation_bytes = 4;
 constexpr std::size_t payload_bytes_max = std::size_t{1} << 20;
 constexpr std::size_t rest_bytes_max = 8;
 constexpr std::size_t name_bytes_max = 256;
-// Of the reader, until update() takes it: sixteen messages of the greatest size.
+// Bound for the reader's cache until update() takes it: sixteen messages of the maximum size.
 constexpr std::size_t unread_bytes_max = 16 * payload_bytes_max;
-// What update() takes: others write as fast as they like, and what is left is ready the next time.
+// Bound for one update(): others write as fast as they like, and the rest is ready the next time.
 constexpr std::size_t takes_max = 64;
 
 std::size_t guid_bytes(GuidLayout layout) { return layout == GuidLayout::humble ? 24 : 16; }
@@ -111,7 +111,7 @@ class Input {
   std::size_t guid_bytes_;
 };
 
-// ASCII whatever the locale is.
+// ASCII, whatever the locale.
 bool is_name(std::string_view name) {
   return !name.empty() && std::all_of(name.begin(), name.end(), [](char c) {
     return (c >= 'a' && c <= 'z') || (c >= 'A' && c <= 'Z') || (c >= '0' && c <= '9') || c == '_';
@@ -130,10 +130,10 @@ bool is_namespace(std::string_view name) {
   return true;
 }
 
-// The value is how many bytes are left behind it.
+// Returns the number of bytes left after the entities.
 std::optional<std::size_t> read_as(GuidLayout layout, std::span<const std::byte> payload,
                                    RosEntities& entities) {
-  // Namespace and name of one character at least, two counts.
+  // Namespace and name of at least one character each, and two counts.
   constexpr std::size_t node_bytes_min = 8 + 8 + 4 + 4;
   Input input(payload, layout);
   std::size_t nodes = 0;
@@ -259,7 +259,7 @@ DdsResult<bool> RosGraph::update() {
       ++impostors_;
       continue;
     }
-    if (!remotes.contains(entities.participant)) continue;  // gone meanwhile
+    if (!remotes.contains(entities.participant)) continue;  // gone since
     const auto known = others_.find(entities.participant);
     if (known != others_.end() && known->second == entities) continue;
     const std::size_t before = known == others_.end() ? 0 : memory_of(known->second);

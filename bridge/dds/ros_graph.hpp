@@ -1,13 +1,13 @@
 // SPDX-License-Identifier: Apache-2.0
 //
-// RosGraph: which nodes there are. ROS 2 has none in DDS: each participant says on the topic
-// ros_discovery_info which of its readers and writers belong to which of its nodes, whole at every
-// change; who comes later gets the newest. This says it for the own participant and keeps what
-// others say.
+// RosGraph: the nodes in the ROS graph. DDS has no nodes: each participant publishes on the topic
+// ros_discovery_info which of its readers and writers belong to which of its nodes, complete at
+// every change; late joiners get the newest message. This class publishes it for its own
+// participant and keeps the messages of others.
 //
-// There are two layouts under one type name. Until Humble a GUID takes 24 bytes, of which the last
-// 8 are zero, since Iron 16. Both are read, by what parses to the end. One is written, and readers
-// of the other do not understand it; so a graph can be told to speak as most others do.
+// There are two layouts under one type name. Until Humble a GUID takes 24 bytes, the last 8 of
+// them zero; since Iron 16. This class reads both: one of them parses to the end. It writes only
+// one, which readers of the other do not understand; `detect` writes that of most others.
 //
 // One thread, the participant's.
 #pragma once
@@ -39,7 +39,7 @@ struct RosNode {
 /// Nodes of this host, by their full names.
 using NodesByName = std::map<std::string, RosNode*>;
 
-/// What one participant says, as one message.
+/// The entities of one participant, as one message.
 struct RosEntities {
   Guid participant;
   std::vector<RosNode> nodes;
@@ -48,15 +48,15 @@ struct RosEntities {
   bool operator==(const RosEntities&) const = default;
 };
 
-/// With encapsulation; a multiple of 4 bytes.
+/// Returns the message with its encapsulation; a multiple of 4 bytes.
 std::vector<std::byte> write_entities(const RosEntities& entities);
-/// Nothing unless the payload is one of the two layouts, with names that ROS 2 allows, and at most
-/// 8 bytes behind it (Fast DDS leaves so many). Of a payload that is both, the one that leaves
-/// less. Allocates in proportion to the payload, of which 1 MiB is read at most.
+/// Returns nothing unless the payload has one of the two layouts, with names that ROS 2 allows,
+/// and at most 8 bytes after it (Fast DDS leaves up to 8). If it fits both, returns the one that
+/// leaves less. Allocates in proportion to the payload, of which it reads at most 1 MiB.
 std::optional<RosEntities> read_entities(RawPieces payload);
 
-/// USER_DATA by which rmw_cyclonedds finds the two endpoints of a client or a server: `id` is the
-/// first 12 bytes of the participant's GUID and a number, big-endian.
+/// Returns the USER_DATA by which rmw_cyclonedds finds the two endpoints of a client or a server:
+/// `id` is the first 12 bytes of the participant's GUID and a number, big-endian.
 enum class ServiceRole : std::uint8_t { client, server };
 std::string service_user_data(ServiceRole role, const Guid& id);
 
@@ -68,22 +68,23 @@ class RosGraph {
   [[nodiscard]] static DdsResult<std::unique_ptr<RosGraph>> create(DdsParticipant& participant,
                                                                    Speak speak);
 
-  /// Says that these are the nodes of the own participant; nothing is sent if that was said before.
+  /// Publishes the nodes of the own participant; sends nothing if they have not changed.
   [[nodiscard]] DdsResult<void> set_nodes(std::vector<RosNode> nodes);
 
-  /// Takes what came, and forgets participants that are gone. True if others() changed. To be
-  /// called when wait() names reader() or discovery. If `detect` now means the other layout, or a
-  /// sample could not be sent before, the own nodes are said again.
+  /// Takes messages and removes participants that are gone. Returns true if others() changed. Call
+  /// it when wait() names reader() or discovery. Publishes the own nodes again if `detect` now
+  /// selects the other layout, or if a message could not be sent before.
   [[nodiscard]] DdsResult<bool> update();
 
   using Others = std::map<Guid, RosEntities>;
   const Others& others() const noexcept { return others_; }
-  /// What is spoken now: of `detect` what most others speak, Humble's if nobody does or as many do. Other bridges do not
-  /// count: they have a node of theirs (bridge_node) and say what they have heard.
+  /// Returns the layout in use: for `detect` that of most others, at a tie or without others
+  /// Humble's. Other bridges (bridge_node) do not count, because they only repeat what they
+  /// detect.
   GuidLayout layout() const;
   const DdsReader* reader() const noexcept { return reader_.get(); }
-  /// Messages that were none of either layout, or spoke for another participant. What is beyond
-  /// Limit::discovery_info_bytes is counted there.
+  /// Returns the number of messages that had neither layout or spoke for another participant.
+  /// Messages beyond Limit::discovery_info_bytes are counted there.
   std::uint64_t refused() const noexcept { return reader_->refused() + impostors_; }
 
  private:

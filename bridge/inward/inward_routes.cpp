@@ -14,8 +14,8 @@
 namespace agnocast::bridge {
 namespace {
 
-// What is taken of one reader before others have their turn; of one that is left, all that it may have, but for one that
-// keeps all and gets more meanwhile.
+// Bounds for one take from a reader before others get their turn; a reader that is being left
+// gives all, bounded in case it keeps all and gets more meanwhile.
 constexpr std::size_t takes_max = 64, former_takes_max = 10'000;
 
 }  // namespace
@@ -51,7 +51,7 @@ ReaderKey InwardRoutes::reader_of(const Plan& plan, const ClassKey& key) {
   return {key, inlet.depth, inlet.keep_all};
 }
 
-// Publishers first: with them the process has a shared heap, into which inlets read.
+// Publishers first: they give the process a shared heap, into which DDS readers read.
 InwardRoutes::Applied InwardRoutes::apply(const Plan& plan) {
   Applied applied;
   open_sources(plan, applied);
@@ -60,13 +60,13 @@ InwardRoutes::Applied InwardRoutes::apply(const Plan& plan) {
     if (each.why == WhyNot::too_many)
       refusals_.note(
           "writers of " + each.topic,
-          "more than the " + std::to_string(sources_per_topic_max) + " that a topic has room for");
+          "more than the " + std::to_string(sources_per_topic_max) + " that a topic may have");
   }
   settle_at_ = std::chrono::steady_clock::now();
   return applied;
 }
 
-// A writer's last messages may come after the word that it is gone, so its source lingers.
+// A writer's last messages may come after its end is known, so its remote publisher lingers.
 void InwardRoutes::open_sources(const Plan& plan, Applied& applied) {
   const Time end = std::chrono::steady_clock::now() + linger;
   std::map<TopicKey, std::size_t> counts;
@@ -82,10 +82,11 @@ void InwardRoutes::open_sources(const Plan& plan, Applied& applied) {
       if (old->second.way.inlet() != inlet) old->second.way.go_over(inlet, end);
       continue;
     }
-    // Those that linger have places still.
+    // Lingering ones still count.
     std::size_t& count = counts[source.key];
     if (count >= sources_per_topic_max) {
-      refusals_.note("new writer of " + source.key.topic, "those that are gone have places still");
+      refusals_.note("new writer of " + source.key.topic,
+                     "remote publishers of gone writers still occupy the topic");
       applied.again = end;
       continue;
     }
@@ -99,7 +100,8 @@ void InwardRoutes::open_sources(const Plan& plan, Applied& applied) {
     ++count;
     Way& way = (*made)->way;
     way = Way(inlet);
-    // What looked out for it may have read already what the new one is too late for; of a history that has all.
+    // The reader that waited for it may have messages that the new one misses; a history contains
+    // all of them.
     const auto looks_out = inlets_.lower_bound({inlet.of, 0, false});
     if (!source.inlet.transient_local && !inlets_.contains(inlet) && looks_out != inlets_.end() &&
         looks_out->first.of == inlet.of)
@@ -154,7 +156,7 @@ void InwardRoutes::publish(const DdsReader* inlet, std::vector<DdsSample> taken)
   for (DdsSample& sample : taken) publish_one(key, std::move(sample));
 }
 
-// What came by the inlet that a writer leaves came before.
+// Messages through the DDS reader that a writer leaves came before.
 void InwardRoutes::publish_former(const ReaderKey& inlet, std::span<const DdsSample> taken) {
   std::set<ReaderKey> left;
   for (const DdsSample& sample : taken) {

@@ -1,14 +1,15 @@
 // SPDX-License-Identifier: Apache-2.0
 //
-// InwardRoutes: carries out what routes.hpp plans from DDS to this host.
+// InwardRoutes: carries out the plans of routes.hpp from DDS to this host.
 //
-//   Cyclone's threads   fragments ──▶ messages in the shared heap (decoders of the inlets)
-//   run()               takes what inlets received ──▶ publishes it by the sources of their writers
+//   Cyclone's threads   fragments ──▶ messages in the shared heap (decoders of the DDS readers)
+//   run()               takes it from the DDS readers ──▶ publishes it with remote publishers
 //
-// A message is read from the fragments straight into shared memory: the publisher that it is for is known only when it is
-// taken. One whose writer has no source yet waits for the plan that is owed, within bounds.
+// A message is read from the fragments directly into shared memory: its publisher is known only
+// when it is taken. A message whose writer has no remote publisher yet waits for the pending plan,
+// within bounds.
 //
-// Everything but decoders is run()'s thread.
+// Everything except decoders is run()'s thread.
 #pragma once
 
 #include <agnocast/agnocast.hpp>
@@ -39,8 +40,8 @@ namespace agnocast::bridge {
 
 class InwardRoutes {
  public:
-  /// All must outlive it. `node` has the publishers; `pace` says whether a plan is owed, which may know writers that have
-  /// no source yet.
+  /// All must outlive it. `node` owns the publishers; `pace` says whether a plan is pending, which
+  /// may know writers without a remote publisher.
   InwardRoutes(DdsParticipant& participant, Node& node, const MessageTypes& types,
                const PlanPace& pace, const Log& log, Reaper& reaper, Refusals& refusals)
       : participant_(participant),
@@ -50,40 +51,40 @@ class InwardRoutes {
         refusals_(refusals),
         sources_(node, types, participant.limits(), reaper, log) {}
 
-  /// Ends inlets that the plan has with another QoS, which cannot change while they live.
+  /// Ends DDS readers for which the plan has another QoS, which cannot change while they live.
   void end_changed(const Plan& plan);
   struct Applied {
-    Errc refusal = Errc::ok;         // daemon_not_running: what is left of the plan is for later
-    std::optional<Time> again = {};  // then there may be room for what there was none for
+    Errc refusal = Errc::ok;         // daemon_not_running: retry the rest of the plan later
+    std::optional<Time> again = {};  // when to retry what did not fit
   };
   [[nodiscard]] Applied apply(const Plan& plan);
-  /// Everything, at once.
+  /// Ends everything at once.
   void end_all();
 
   bool has_source(const Guid& writer) const { return sources_.all().contains(writer); }
-  /// Whether it is an inlet.
+  /// Returns whether it is one of these DDS readers.
   bool has(const DdsReader* reader) const { return inlet_of_.contains(reader); }
-  /// What an inlet has received, as much as it may take before others have their turn.
+  /// Takes what a DDS reader has received, bounded so that others get their turn.
   static std::vector<DdsSample> take(DdsReader& inlet);
-  /// Whether a message is of a writer that has no source.
+  /// Returns whether a sample's writer has no remote publisher.
   bool has_strangers(std::span<const DdsSample> taken) const;
-  /// Publishes what was taken of this inlet; nothing if it has ended meanwhile.
+  /// Publishes the samples taken from this DDS reader; nothing if it has ended meanwhile.
   void publish(const DdsReader* inlet, std::vector<DdsSample> taken);
-  /// After a plan.
+  /// Call after a plan.
   void publish_unplaced();
-  /// Publishes what waits, and ends what has had its time. Returns when there is something to do again.
+  /// Publishes waiting messages and ends what is due. Returns when to call it again.
   std::optional<Time> tidy(Time now);
 
-  /// Adds inlets to the nodes of this host that they are for.
+  /// Adds DDS readers to the nodes of this host that they serve.
   void tell(const Plan& plan, const NodesByName& nodes) const;
-  /// Adds what there is now. `others` say which nodes the remote writers are of.
+  /// Adds the current state. `others` name the nodes of the remote writers.
   void look(BridgeStatus& now, const RosGraph::Others& others) const;
 
  private:
   struct OpenInlet {
     std::unique_ptr<DdsReader> reader;
     Inlet plan;
-    bool is_over = false;  // not planned any more; ends with the last source that it serves
+    bool is_over = false;              // no longer planned; ends with its last remote publisher
     std::uint64_t without_source = 0;  // messages
   };
 
@@ -92,7 +93,7 @@ class InwardRoutes {
   void open_inlets(const Plan& plan);
   void publish_one(const ReaderKey& inlet, DdsSample sample);
   void publish_former(const ReaderKey& inlet, std::span<const DdsSample> taken);
-  /// Ends the inlets that no source needs. Returns when there is something to do again.
+  /// Ends DDS readers that no remote publisher needs. Returns when to call it again.
   std::optional<Time> settle(Time now);
   template <class Condition>
   void erase_inlets_if(Condition condition);
@@ -106,9 +107,9 @@ class InwardRoutes {
   std::map<ReaderKey, OpenInlet> inlets_;
   std::unordered_map<const DdsReader*, const ReaderKey*> inlet_of_;  // keys of inlets_
   Sources sources_;
-  // Of writers that no plan knows yet, by inlet.
+  // Samples of writers that no plan knows yet, by DDS reader.
   std::deque<std::pair<ReaderKey, DdsSample>> unplaced_;
-  std::optional<Time> settle_at_;  // then something may have to be ended
+  std::optional<Time> settle_at_;  // when something may have to end
 };
 
 }  // namespace agnocast::bridge

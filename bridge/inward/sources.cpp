@@ -11,8 +11,8 @@
 namespace agnocast::bridge {
 namespace {
 
-// What keep-all may hold up of one writer, beside its publisher's own queue. More is dropped: messages of a DDS
-// reader that does not take would hold up all topics.
+// Bound for messages of one writer that keep-all blocks, besides its publisher's own queue. More
+// are dropped: a DDS reader that is not read would block all topics.
 constexpr std::size_t held_up_max = 1'000;
 
 }  // namespace
@@ -46,7 +46,7 @@ void Sources::publish(const Guid& writer, OpenSource& source, Received& received
 
 bool Sources::publish_now(OpenSource& source, Received& received) {
   if (!fit_history(source, received.bytes)) {
-    drop(source, "the histories of writers in DDS take as much as they may");
+    drop(source, "the histories of writers in DDS have reached their limit");
     return true;
   }
   const PublishResult result = source.publisher->publish(std::move(received.message));
@@ -70,8 +70,9 @@ void Sources::forget_history(OpenSource& source) {
   source.history.clear();
 }
 
-// A writer in DDS says how deep its history is, and fills it: of one that is beyond the limits the publisher is made anew
-// with fewer places. Subscriptions get the new one's messages like the former one's; those that come later find less.
+// A writer in DDS announces the depth of its history and fills it: beyond a limit its publisher
+// here is replaced by one with fewer slots. Subscriptions get the messages of both; later
+// subscriptions find a shorter history.
 bool Sources::fit_history(OpenSource& source, std::size_t bytes) {
   if (!source.plan.qos_class.transient_local) return true;
   const auto pop = [&] {
@@ -146,11 +147,11 @@ std::optional<Time> Sources::tidy(Time now) {
       drop_waiting(at->first, source);
     if (is_late && source.waiting.empty()) {
       forget_history(source);
-      reaper_.end(std::move(source.publisher));  // waits for an agnocastd that does not answer
+      reaper_.end(std::move(source.publisher));  // may wait for an absent agnocastd
       at = open_.erase(at);
       continue;
     }
-    // What both inlets have had may still be there to be taken of the other one.
+    // A message that both DDS readers received may still be taken from the other one.
     next = earliest(next, source.way.tidy(now));
     if (source.end) next = earliest(next, is_late ? now + linger : *source.end);
     ++at;

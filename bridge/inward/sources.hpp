@@ -1,9 +1,9 @@
 // SPDX-License-Identifier: Apache-2.0
 //
-// Sources: the publishers in the place of remote writers, and what they may cost. A message that keep-all holds up (a
-// subscription of this host has not read enough) waits here for its turn, within bounds; nobody tells when there is room
-// for it, so what waits is tried again by and by (room.hpp). What transient-local publishers retain is bounded for each
-// and for all of them.
+// Sources: the remote publishers, each a publisher on this host in place of a remote writer, and
+// their costs. A message that keep-all blocks (a subscription of this host has not read enough)
+// waits here, within bounds; nothing signals room, so it is tried again at intervals (room.hpp).
+// The histories of transient-local publishers are bounded, for each and for all of them.
 //
 // One thread, run()'s.
 #pragma once
@@ -29,13 +29,13 @@
 
 namespace agnocast::bridge {
 
-/// What a decoder hands to take(): the object is the reader's, its message is shared memory.
+/// The object that a decoder gives to take(): the reader owns it, its message is in shared memory.
 struct Received {
   OwnedGenericMessage message;
   std::size_t bytes = 0;
 };
 
-/// The publisher in the place of one remote writer.
+/// The publisher in place of one remote writer.
 struct OpenSource {
   Source plan;
   GenericPublisher::SharedPtr publisher;
@@ -44,7 +44,7 @@ struct OpenSource {
   std::optional<Time> end;          // not planned any more; ends then, or when nothing waits
                                     // any longer, after held_linger at the latest
   std::size_t depth = 1;            // of the publisher; less than planned after a Limit
-  std::deque<std::size_t> history;  // of a transient-local one: bytes of what it retains
+  std::deque<std::size_t> history;  // if transient-local: bytes of each retained message
   std::size_t history_bytes = 0;
   Way way;
 };
@@ -55,29 +55,29 @@ class Sources {
   Sources(Node& node, const MessageTypes& types, Limits& limits, Reaper& reaper, const Log& log)
       : node_(node), types_(types), limits_(limits), reaper_(reaper), log_(log) {}
 
-  /// Makes the publisher of a writer that has none.
+  /// Creates the publisher for a writer that has none.
   Result<OpenSource*> open(const Guid& writer, const Source& plan);
-  /// Publishes the message, has it wait, or drops it.
+  /// Publishes the message, keeps it waiting, or drops it.
   void publish(const Guid& writer, OpenSource& source, Received& received);
-  /// Tries what waits, if it is time. Returns when it is next; nothing waits: never.
+  /// Tries waiting messages when due. Returns when to call it again; nothing if none waits.
   std::optional<Time> publish_waiting(Time now);
-  /// Ends those that have had their time. Returns when there is something to do again.
+  /// Ends publishers that are due. Returns when to call it again.
   std::optional<Time> tidy(Time now);
-  /// At once, also what waits.
+  /// Ends everything at once, with the waiting messages.
   void clear();
 
-  /// By remote writer.
+  /// Keyed by remote writer.
   std::map<Guid, OpenSource>& all() noexcept { return open_; }
   const std::map<Guid, OpenSource>& all() const noexcept { return open_; }
 
  private:
   Result<GenericPublisher::SharedPtr> make_publisher(const Source& plan, std::size_t depth) const;
-  /// Makes room in the histories for a message of this source. False if there is none.
+  /// Makes room in the histories for a message of this publisher. Returns false if there is none.
   bool fit_history(OpenSource& source, std::size_t bytes);
   void forget_history(OpenSource& source);
-  /// False if keep-all holds it up; then it is still there.
+  /// Returns false if keep-all blocks it; then `received` still has it.
   bool publish_now(OpenSource& source, Received& received);
-  /// Whether one of those that wait was published.
+  /// Returns whether a waiting message was published.
   bool publish_held();
   void drop(OpenSource& source, const char* why, std::size_t messages = 1) const;
   void drop_waiting(const Guid& writer, OpenSource& source);
@@ -88,10 +88,10 @@ class Sources {
   Reaper& reaper_;
   const Log& log_;
   std::map<Guid, OpenSource> open_;
-  std::size_t history_bytes_ = 0;  // of all
-  std::set<Guid> held_;            // writers whose sources have something waiting
+  std::size_t history_bytes_ = 0;  // of all publishers
+  std::set<Guid> held_;            // writers with waiting messages
   std::size_t held_bytes_ = 0;
-  Time next_room_look_;  // at held_
+  Time next_room_look_;  // when to try held_ again
   std::chrono::nanoseconds room_interval_{0};
 };
 

@@ -11,7 +11,7 @@ void Way::begin_with(const ReaderKey& former, Time end) {
 }
 
 void Way::go_over(const ReaderKey& inlet, Time end) {
-  if (has_begun_) former_ = inlet_;  // else by the one before that
+  if (has_begun_) former_ = inlet_;  // else former_ stays the one before
   inlet_ = inlet;
   has_begun_ = former_ == inlet;
   if (has_begun_) former_.reset();
@@ -27,7 +27,7 @@ void Way::end_inlets(const std::set<ReaderKey>& ended, Time end) {
 
 bool Way::takes(const ReaderKey& by, std::int64_t source_time_ns) {
   const bool is_own = inlet_ == by;
-  if (!is_own && former_ != by) return false;  // the other inlet has it too
+  if (!is_own && former_ != by) return false;  // the other DDS reader has it too
   if (is_own && !has_begun_) {
     if (source_time_ns < newest_ns_) return false;
     has_begun_ = true;

@@ -1,13 +1,13 @@
 // SPDX-License-Identifier: Apache-2.0
 //
-// Announced: DDS writers of publishers of this host that nobody in DDS reads. They make the topic visible there
-// (`ros2 topic list`, and `echo` and `hz` without a type); nothing subscribes to the publisher on this host and nothing is
-// written.
+// Announced: DDS writers of publishers of this host that have no reader in DDS. They make the
+// topic visible there (`ros2 topic list`, and `echo` and `hz` without a type); nothing subscribes
+// to the publisher on this host and nothing is written.
 //
-//   announced ── a reader comes ──▶ outlet (takes the writer over) ── the last reader goes ──▶ announced, with a new writer
+//   announced ── a reader comes ──▶ in use ── the last reader goes ──▶ announced, with a new writer
 //
-// A new one, since an outlet's writer has a history, which the next reader would get beside the publisher's own.
-// One thread, the participant's. Called by bridge.cpp.
+// The writer is new because a used one has a history, which the next reader would get besides the
+// publisher's own. One thread, the participant's. Called by outward_routes.cpp.
 #pragma once
 
 #include <bridge/common/reaper.hpp>
@@ -22,7 +22,7 @@
 
 namespace agnocast::bridge {
 
-/// The writer of a publisher in DDS.
+/// Creates the DDS writer of a publisher.
 [[nodiscard]] DdsResult<std::unique_ptr<DdsWriter>> create_writer_of(DdsParticipant& participant,
                                                                      const Outlet& outlet);
 
@@ -31,11 +31,12 @@ class Announced {
   /// `reaper` ends the writers, and must outlive it.
   explicit Announced(Reaper& reaper) : reaper_(reaper) {}
 
-  /// Ends every writer whose publisher the plan neither announces nor has an outlet for, or has with another QoS.
+  /// Ends every writer whose publisher the plan neither announces nor writes, or for which the
+  /// plan has another QoS.
   void end_others(const Plan& plan);
-  /// Returns the writer of this publisher, which is not announced any longer; null if there is none.
+  /// Returns the writer of this publisher and stops announcing it; null if there is none.
   std::unique_ptr<DdsWriter> take_over(std::uint64_t publisher);
-  /// Makes the writers that the plan has and that are not there.
+  /// Creates the announced writers of the plan that do not exist yet.
   void open(const Plan& plan, DdsParticipant& participant, Refusals& refusals);
   void clear();
 

@@ -11,8 +11,8 @@
 namespace agnocast::bridge {
 namespace {
 
-// A gap that others have not filled when the own tap has brought so many messages since, nobody fills. Fewer than a
-// subscription may hold by default, so that the tap goes on.
+// If the own local reader has brought this many messages behind a gap, no other reader will fill
+// it. Fewer than a subscription may hold by default, so that the reader continues.
 constexpr std::size_t behind_gap_max = 32;
 
 }  // namespace
@@ -30,7 +30,7 @@ void Outlets::pass(GenericMessage message, const ReaderKey& tap, const CdrType& 
       const auto own = waiting_.find({publisher, tap});
       if (is_own && own != waiting_.end() &&
           own->second.messages.size() >= std::min(tap.depth, behind_gap_max))
-        catch_up(*outlet, publisher, true);  // before it pushes itself out
+        catch_up(*outlet, publisher, true);  // before it overwrites its own messages
       (void)keep(std::move(message), tap, type);
       catch_up(*outlet, publisher);
       const bool waits = waiting_.contains({publisher, tap});
@@ -66,7 +66,7 @@ bool Outlets::keep(GenericMessage message, const ReaderKey& tap, const CdrType& 
   if (is_new) queue.since = std::chrono::steady_clock::now();
   if (!tap.keep_all && queue.messages.size() >= tap.depth) drop_front(queue);
   if (held_bytes_ + bytes > held_bytes_max) {
-    lose(1, "too much waits for publishers that agnocastd has not told of yet");
+    lose(1, "too much waits for publishers that agnocastd has not announced yet");
     return is_new;
   }
   queue.bytes.push_back(bytes);
@@ -122,7 +122,7 @@ void Outlets::catch_up(OpenOutlet& outlet, std::uint64_t publisher, bool is_late
     GenericMessage message;
     bool is_own = false;
   };
-  std::map<std::uint64_t, Due> due;  // by sequence number; each tap may have it
+  std::map<std::uint64_t, Due> due;  // by sequence number; each local reader may have it
   for (auto& [key, queue] : waiting_) {
     if (key.first != publisher || key.second.of.key != outlet.plan.tap.of.key) continue;
     const bool is_own = key.second == outlet.plan.tap;
@@ -149,7 +149,7 @@ void Outlets::write_soon(const std::shared_ptr<OpenOutlet>& outlet) {
   outlet->is_held = true;
 }
 
-// One at a time: a writer that waits for its readers holds up the others' by no more.
+// One at a time: a writer that waits for its readers delays the others only by that.
 bool Outlets::write_waited(OpenOutlet& outlet) {
   GenericMessage message;
   {
@@ -210,7 +210,7 @@ bool Outlets::tidy(Time now) {
   }
   for (const std::uint64_t publisher : behind_gaps) {
     const std::shared_ptr<OpenOutlet>& outlet = open_.at(publisher);
-    // Who has it may wait for a reader in DDS; then the next time.
+    // Its owner may be waiting for a reader in DDS: then try the next time.
     const std::unique_lock order(outlet->order, std::try_to_lock);
     if (!order) continue;
     catch_up(*outlet, publisher, true);
@@ -235,7 +235,7 @@ bool Outlets::tidy(Time now) {
     late += queue.messages.size() + queue.dropped;
     return true;
   });
-  if (late != 0) lose(late, "agnocastd has not told of their publisher within a second");
+  if (late != 0) lose(late, "agnocastd has not announced their publisher within a second");
   return !ending_.empty() || !waiting_.empty();
 }
 
@@ -259,7 +259,7 @@ void Outlets::set_without(std::set<std::uint64_t> publishers) {
 
 bool Outlets::write(OpenOutlet& outlet, const GenericMessage& message) const {
   const CdrType& type = outlet.type->cdr;
-  // Its publisher may let it lead into the heap of another one, which may be for others than DDS.
+  // A publisher may let it refer to the heap of another one, whose messages may not be for DDS.
   const WindowSet within = windows_of(message);
   const std::size_t bytes = cdr_bytes(type, message.get(), &within);
   const auto written = outlet.writer->write(
@@ -275,25 +275,24 @@ bool Outlets::write(OpenOutlet& outlet, const GenericMessage& message) const {
   const bool would_block = written && *written == WriteOutcome::would_block;
   if (would_block && !outlet.is_over) {
     if (outlet.traffic.tells.now())
-      log_.write(LogLevel::notice, "keep-all holds a publisher up",
+      log_.write(LogLevel::notice, "keep-all blocks a publisher",
                  {{"topic", outlet.plan.tap.of.key.topic},
                   {"node", outlet.plan.node},
-                  {"why", "a reader in DDS does not acknowledge what it has got"}});
+                  {"why", "a reader in DDS does not acknowledge its messages"}});
     return false;
   }
   const std::uint64_t dropped =
       ++(would_block ? outlet.traffic.unacknowledged : outlet.traffic.refused);
   if (!outlet.traffic.tells.now()) return true;
-  log_.write(
-      LogLevel::warning, "message not written",
-      {{"topic", outlet.plan.tap.of.key.topic},
-       {"node", outlet.plan.node},
-       {"sequence", std::to_string(message.info().sequence)},
-       {"dropped", std::to_string(dropped)},
-       {"why", !written      ? written.error().text()
-               : would_block ? "a reader in DDS does not acknowledge what it has got"
-               : bytes == 0  ? "it leads out of its publisher's memory"
-                             : "it cannot be written as CDR, or there is no memory for it"}});
+  log_.write(LogLevel::warning, "message not written",
+             {{"topic", outlet.plan.tap.of.key.topic},
+              {"node", outlet.plan.node},
+              {"sequence", std::to_string(message.info().sequence)},
+              {"dropped", std::to_string(dropped)},
+              {"why", !written      ? written.error().text()
+                      : would_block ? "a reader in DDS does not acknowledge its messages"
+                      : bytes == 0  ? "it refers to memory outside its publisher's"
+                                   : "it cannot be written as CDR, or there is no memory for it"}});
   return true;
 }
 

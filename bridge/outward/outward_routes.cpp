@@ -29,7 +29,8 @@ void OutwardRoutes::end_all() {
   announced_.clear();
 }
 
-// A tap that goes on from the former agnocastd gets no history that it has had: the new outlets' writers need it.
+// A local reader that survives agnocastd gets no history twice: the new DDS writers need a new
+// reader.
 void OutwardRoutes::begin_anew() {
   std::erase_if(taps_, [](const auto& tap) { return tap.first.of.qos_class.transient_local; });
   end_all();
@@ -51,7 +52,7 @@ void OutwardRoutes::end_taps() {
       taps_, [&](const auto& tap) { return tap.second.is_over && !lingering.contains(tap.first); });
 }
 
-// Taps before writers: what comes between waits.
+// Local readers before DDS writers: messages in between wait.
 Errc OutwardRoutes::apply(const Plan& plan, std::span<const EndpointInfo> local) {
   std::set<std::uint64_t> without, present;
   for (const EndpointInfo& endpoint : local) {
@@ -84,7 +85,8 @@ void OutwardRoutes::close_others(const Plan& plan, const std::set<std::uint64_t>
   announced_.end_others(plan);
   for (auto& [key, tap] : taps_) tap.is_over = !plan.taps.contains(key);
   end_taps();
-  // A tap brings a history once. A publisher that was there before and had no outlet, or another one, needs it again.
+  // A local reader brings a history once. A publisher known before, without a DDS writer or with
+  // another, needs it again.
   for (const auto& [publisher, outlet] : plan.outlets) {
     if (outlet.tap.of.qos_class.transient_local && planned_for_.contains(publisher) &&
         !outlet_keys_.contains(publisher)) {
@@ -97,7 +99,8 @@ void OutwardRoutes::close_others(const Plan& plan, const std::set<std::uint64_t>
 Errc OutwardRoutes::open_taps(const Plan& plan) {
   std::vector<std::size_t> lane_taps(lanes_.size());
   for (const auto& [key, tap] : taps_) ++lane_taps[tap.lane];
-  // A tap has the messages of publishers beside its own as well, which shall not push out what it passes on.
+  // A local reader also gets messages of other publishers, which must not displace those that it
+  // passes on.
   const SubscriptionOptions options = SubscriptionOptions().depth_per_publisher();
   for (const ReaderKey& key : plan.taps) {
     if (taps_.contains(key)) continue;
@@ -138,7 +141,7 @@ void OutwardRoutes::open_outlets(const Plan& plan, TapsOfTopic former,
     open->plan = outlet;
     open->type = types_.at(topic.type);
     open->writer = std::move(*writer);
-    // A new one, whose first messages another tap may have.
+    // A new publisher, whose first messages another local reader may have.
     const std::set<ReaderKey>& taps = former[topic];
     open->has_begun = outlet.tap.of.qos_class.transient_local || planned_for_.contains(publisher) ||
                       taps.size() == taps.count(outlet.tap);
@@ -162,7 +165,7 @@ void OutwardRoutes::look(BridgeStatus& now) const {
   now.lost_early = outlets_.lost();
   now.announced = announced_.size();
   outlets_.for_each([&](std::uint64_t publisher, const OpenOutlet& outlet) {
-    // Asking a writer waits for what it writes.
+    // Asking a writer waits for its current write.
     if (!outlet.is_held) {
       outlet.matched = outlet.writer->matched();
       outlet.incompatible = outlet.writer->incompatible();

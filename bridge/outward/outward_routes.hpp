@@ -1,14 +1,14 @@
 // SPDX-License-Identifier: Apache-2.0
 //
-// OutwardRoutes: carries out what routes.hpp plans from this host to DDS.
+// OutwardRoutes: carries out the plans of routes.hpp from this host to DDS.
 //
-//   lanes   (nodes' threads, the library's) taps' messages ──▶ writers of their outlets; a topic's large messages hold
-//           up the other topics of its lane only
+//   lanes   (nodes' threads, the library's) messages of local readers ──▶ their DDS writers; large
+//           messages of a topic delay only the other topics of its lane
 //
-// A message is written from shared memory straight into the DDS sample: see outlets.hpp. Publishers that nobody in DDS
-// reads are announced only.
+// A message is written from shared memory directly into the DDS sample: see outlets.hpp.
+// Publishers without a reader in DDS are only announced.
 //
-// Everything but the taps' callbacks is run()'s thread.
+// Everything except the callbacks of local readers is run()'s thread.
 #pragma once
 
 #include <agnocast/agnocast.hpp>
@@ -40,7 +40,7 @@ namespace agnocast::bridge {
 class OutwardRoutes {
  public:
   using Lanes = std::vector<std::unique_ptr<Node>>;
-  /// All must outlive it. `lanes` have the subscriptions.
+  /// All must outlive it. `lanes` own the subscriptions.
   OutwardRoutes(DdsParticipant& participant, const Lanes& lanes, const MessageTypes& types,
                 const Log& log, Reaper& reaper, Refusals& refusals)
       : participant_(participant),
@@ -50,35 +50,36 @@ class OutwardRoutes {
         outlets_(log, reaper, [&participant] { participant.interrupt(); }),
         announced_(reaper) {}
 
-  /// Ends outlets that the plan has with another QoS, which cannot change while they live.
+  /// Ends DDS writers for which the plan has another QoS, which cannot change while they live.
   void end_changed(const Plan& plan);
-  /// `local` are the endpoints that the plan was made for. daemon_not_running: what is left of the plan is for later.
+  /// `local` are the endpoints of the plan. daemon_not_running: retry the rest of the plan later.
   [[nodiscard]] Errc apply(const Plan& plan, std::span<const EndpointInfo> local);
-  /// Ends all outlets; taps end with the next plan, if it has none for them.
+  /// Ends all DDS writers; local readers end with the next plan, unless it needs them.
   void end_all();
-  /// Another agnocastd is there: generations mean others from now on.
+  /// Call for a new agnocastd: generations mean other endpoints from now on.
   void begin_anew();
-  /// Ends what has had its time. Returns when there is something to do again.
+  /// Ends what is due. Returns when to call it again.
   std::optional<Time> tidy(Time now);
 
-  /// Adds writers to the nodes of this host that they are for.
+  /// Adds writers to the nodes of this host that own them.
   void tell(const NodesByName& nodes) const;
-  /// Adds what there is now.
+  /// Adds the current state.
   void look(BridgeStatus& now) const;
 
  private:
   struct OpenTap {
     std::size_t lane = 0;
     GenericSubscription::SharedPtr subscription;
-    bool is_over = false;  // not planned any more; ends when no outlet needs it
+    bool is_over = false;  // no longer planned; ends when no DDS writer needs it
   };
-  /// The taps that each topic has.
+  /// The local readers of each topic.
   using TapsOfTopic = std::map<TopicKey, std::set<ReaderKey>>;
 
   void close_others(const Plan& plan, const std::set<std::uint64_t>& present);
   void end_taps();
   [[nodiscard]] Errc open_taps(const Plan& plan);
-  /// `former` are the taps from before the plan. Adds to `without` the publishers whose writer could not be made.
+  /// `former` are the local readers before the plan. Adds publishers whose writer could not be
+  /// made to `without`.
   void open_outlets(const Plan& plan, TapsOfTopic former, std::set<std::uint64_t>& without);
 
   DdsParticipant& participant_;
@@ -88,10 +89,10 @@ class OutwardRoutes {
   Outlets outlets_;
   std::set<std::uint64_t> outlet_keys_;
   Announced announced_;
-  // Generations of the endpoints of this host that the newest plan was for.
+  // Generations of the endpoints of this host in the newest plan.
   std::set<std::uint64_t> planned_for_;
-  std::optional<Time> settle_at_;      // then taps may have to be ended
-  std::map<ReaderKey, OpenTap> taps_;  // end before the outlets that they write to
+  std::optional<Time> settle_at_;      // when local readers may have to end
+  std::map<ReaderKey, OpenTap> taps_;  // end before the DDS writers that they write to
 };
 
 }  // namespace agnocast::bridge

@@ -1,8 +1,9 @@
 // SPDX-License-Identifier: Apache-2.0
 //
-// PlanPace: when the bridge plans for what has changed in DDS. Others decide how often something changes there, and
-// a plan looks at everything: after each one there is a pause of several times its duration, so plans take a
-// part of the time only, and messages go on between them. A change that comes in the pause is owed a plan.
+// PlanPace: decides when the bridge plans for changes in DDS. Other participants decide how often
+// those come, and a plan reads everything: after each plan there is a pause of several times its
+// duration, so plans take only a part of the time and messages move in between. A change during
+// the pause is planned afterwards.
 #pragma once
 
 #include <algorithm>
@@ -14,25 +15,25 @@ namespace agnocast::bridge {
 class PlanPace {
  public:
   using Time = std::chrono::steady_clock::time_point;
-  /// Plans take a fifth of the time at most, and who is new waits for a second at most.
+  /// Plans take at most a fifth of the time, and a new endpoint waits at most a second.
   static constexpr int pause_factor = 4;
   static constexpr std::chrono::milliseconds pause_max{1'000};
 
   void changed() noexcept { is_owed_ = true; }
-  /// Whether something has changed since the newest plan that was made as a whole.
+  /// Returns whether something has changed since the newest complete plan.
   bool is_owed() const noexcept { return is_owed_; }
   bool is_due(Time now) const noexcept { return is_owed_ && next_ <= now; }
-  /// When it will be; nothing is owed: never.
+  /// Returns when the next plan is due; nothing if none is.
   std::optional<Time> due() const noexcept {
     return is_owed_ ? std::optional(next_) : std::nullopt;
   }
 
-  /// A plan was made, for all that has changed.
+  /// Call after a complete plan.
   void made(Time begin, Time end) noexcept {
     is_owed_ = false;
     next_ = end + std::min<Time::duration>(pause_factor * (end - begin), pause_max);
   }
-  /// It cannot be made before then. What is owed stays so.
+  /// Postpones the plan. Pending changes stay pending.
   void put_off(Time until) noexcept { next_ = until; }
 
  private:

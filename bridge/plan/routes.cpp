@@ -11,12 +11,13 @@
 namespace agnocast::bridge {
 namespace {
 
-// What a history that is not announced may be: DDS does not have to tell a writer's depth, and only Cyclone does.
+// The depth assumed for a history that is not announced: DDS need not announce it, and only
+// Cyclone does.
 constexpr std::size_t unknown_depth = 10;
-// A keep-last reader counts the messages of all its writers together, and what comes while the bridge makes endpoints
-// shall not push out what has come.
+// A keep-last reader counts the messages of all its writers together; messages that come while the
+// bridge creates endpoints must not displace earlier ones.
 constexpr std::size_t inlet_depth_min = 100;
-/// In few steps: with another depth an inlet is made anew.
+/// In few steps, because another depth makes a new DDS reader.
 std::size_t inlet_depth_of(std::size_t wanted) noexcept {
   std::size_t depth = inlet_depth_min;
   while (depth < wanted) depth *= 2;
@@ -25,13 +26,13 @@ std::size_t inlet_depth_of(std::size_t wanted) noexcept {
 
 const QosOverride no_override;
 
-/// Subscriptions of one class, who want the same of every writer.
+/// Subscriptions of one class, with the same requests to every writer.
 struct Wanting {
   std::size_t depth = 1;
   bool keep_all = false;
   std::set<std::string> nodes;
 };
-/// Everything about one topic name, by ROS types.
+/// All endpoints of one topic name, by ROS types.
 struct Side {
   std::map<std::string, std::vector<const EndpointInfo*>> publishers;
   std::map<std::string, std::map<QosClass, Wanting>> subscriptions;
@@ -44,13 +45,13 @@ QosClass class_of(const QoS& qos) noexcept {
 }
 QosClass class_of(const DdsQos& qos) noexcept { return {qos.reliable, qos.transient_local}; }
 
-/// DDS 1.4, 2.2.3: what is offered is at least what is requested.
+/// DDS 1.4, 2.2.3: the offer must be at least the request.
 bool serves(const QosClass& offered, const QosClass& requested) noexcept {
   return (offered.reliable || !requested.reliable) &&
          (offered.transient_local || !requested.transient_local);
 }
 
-/// Keep-all has the bound that agnocast gives it, which no depth may exceed.
+/// Keep-all has agnocast's bound, which no depth may exceed.
 std::size_t depth_of(const DdsQos& qos) noexcept {
   const std::size_t most = QoS(1).keep_all().depth();
   if (qos.keep_all) return most;
@@ -98,7 +99,7 @@ class Planner {
       const auto topic = ros_topic_of(remote.topic);
       const auto type = ros_type_of(remote.type);
       if (!topic || topic->kind != DdsTopicKind::topic || !type) continue;
-      const auto found = sides_.find(topic->name);  // only what this host has, or a rule
+      const auto found = sides_.find(topic->name);  // only names of this host or a rule
       if (found == sides_.end()) continue;
       if (remote.kind == Remote::Kind::writer) {
         found->second.writers[*type].push_back(&remote);
@@ -153,7 +154,7 @@ class Planner {
             full_name_of(publisher),
             overridden(own, said)};
   }
-  /// Only what a reader that comes would get.
+  /// Returns whether a later reader would get the topic: only then it is announced.
   bool may_be_announced(const TopicKey& key, const Verdict& verdict) {
     return situation_.announce && goes(verdict.direction, Direction::outward) &&
            has_ros_name(key) && !problem_of(key.type);
@@ -180,13 +181,14 @@ class Planner {
     const bool is_there = is_open(key, Direction::inward, verdict, side.writers, WhyNot::no_writer);
     if (is_there) {
       const auto found = side.writers.find(key.type);
-      std::vector<std::pair<const Remote*, QosClass>> places;  // writers, and their inlets
+      std::vector<std::pair<const Remote*, QosClass>>
+          places;  // writers, and the classes of their DDS readers
       std::map<QosClass, std::set<QosClass>> served_by;
       for (const Remote* const writer :
            found == side.writers.end() ? std::vector<const Remote*>() : found->second) {
         const QosClass offered = class_of(writer->qos);
         std::set<QosClass> served;
-        QosClass wanted{false, false};  // what one of them wants at least
+        QosClass wanted{false, false};  // the strongest request
         for (const auto& [own, wanting] : subscriptions) {
           if (!serves(offered, own)) continue;
           served.insert(own);
@@ -223,7 +225,7 @@ class Planner {
       }
       if (!any) not_bridged(key, Direction::inward, WhyNot::qos, "no writer in DDS matches");
     }
-    // For writers that are still to come.
+    // DDS readers for writers that are still to come.
     if (goes(verdict.direction, Direction::inward) && has_ros_name(key) && !problem_of(key.type)) {
       for (const auto& [wanted, wanting] : subscriptions) {
         const QosClass own = wanted;
@@ -237,13 +239,13 @@ class Planner {
       }
     }
     for (auto& [qos_class, inlet] : inlets) {
-      if (inlet.keep_all) inlet.depth = inlet_depth_min;  // it means nothing
+      if (inlet.keep_all) inlet.depth = inlet_depth_min;  // depth has no meaning for keep-all
       plan_.inlets[{key, qos_class}] = std::move(inlet);
     }
   }
 
-  /// Those that have a source keep it, so that nobody pushes another one out, but for what a participant has beyond its
-  /// share.
+  /// Writers with a remote publisher keep it, so that nobody displaces another's, except those of
+  /// a participant beyond its share.
   void choose(const TopicKey& key, std::vector<std::pair<const Remote*, QosClass>>& writers) {
     if (writers.size() <= sources_per_topic_max) return;
     using Writer = std::pair<const Remote*, QosClass>;
@@ -259,7 +261,8 @@ class Planner {
     });
     not_bridged(key, Direction::inward, WhyNot::too_many,
                 std::to_string(writers.size() - sources_per_topic_max) + " of " +
-                    std::to_string(writers.size()) + " writers have no place: a topic has " +
+                    std::to_string(writers.size()) +
+                    " writers do not fit: the limit for a topic is " +
                     std::to_string(sources_per_topic_max));
     writers.resize(sources_per_topic_max);
   }
@@ -271,7 +274,7 @@ class Planner {
     return verdict.rule != nullptr && verdict.rule->always;
   }
 
-  /// Whether there is something to bridge at all; says so if not.
+  /// Returns whether there is anything to bridge; records the reason if not.
   template <class Others>
   bool is_open(const TopicKey& key, Direction way, const Verdict& verdict, const Others& others,
                WhyNot nobody) {
@@ -280,20 +283,19 @@ class Planner {
       return false;
     }
     if (!has_ros_name(key)) {
-      not_bridged(key, way, WhyNot::no_ros_name, "no name of a message type in ROS: " + key.type);
+      not_bridged(key, way, WhyNot::no_ros_name, "not the name of a ROS message type: " + key.type);
       return false;
     }
     if (!others.contains(key.type) && !is_always(verdict)) {
       if (!others.empty()) {
-        not_bridged(key, way, WhyNot::other_type, "there it is " + others.begin()->first);
+        not_bridged(key, way, WhyNot::other_type, "in DDS it is " + others.begin()->first);
         return false;
       }
-      // Another bridge waits for a reader, and there is none of an unknown type.
+      // Another bridge waits for a reader, and nobody creates readers for an unknown type.
       const bool is_unknown = way == Direction::inward && problem_of(key.type);
-      not_bridged(key, way, nobody,
-                  is_unknown
-                      ? "messages of its type cannot be handled here: " + *problem_of(key.type)
-                      : "");
+      not_bridged(
+          key, way, nobody,
+          is_unknown ? "its message type is not available here: " + *problem_of(key.type) : "");
       return false;
     }
     const std::optional<std::string>& problem = problem_of(key.type);
@@ -342,7 +344,7 @@ std::string full_name_of(const EndpointInfo& endpoint) {
 }
 
 std::string reason_of(const Verdict& verdict) {
-  if (verdict.rule == nullptr) return "no rule speaks of it, and default says so";
+  if (verdict.rule == nullptr) return "no rule matches it, so default decides";
   return "the rule \"" + verdict.rule->topic + "\" in line " + std::to_string(verdict.rule->line);
 }
 

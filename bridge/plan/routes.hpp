@@ -1,34 +1,35 @@
 // SPDX-License-Identifier: Apache-2.0
 //
-// Routes: what the bridge has to have at one moment, from what there is on both sides. Pure: values in, a plan
-// out. Whoever carries it out compares it with what it has.
+// Routes: what the bridge must have at one moment, derived from the endpoints on both sides. Pure:
+// values in, a plan out. The caller compares the plan with what exists and carries it out.
 //
-// Outward, from agnocast to DDS, for a topic that remote readers and local publishers have:
+// Outward, from agnocast to DDS, for a topic with remote readers and local publishers:
 //
-//   publisher A ─┐                ┌─▶ outlet A: a DDS writer with A's QoS, in the name of A's node
-//                ├─ tap of their ─┤
-//   publisher B ─┘  QoS           └─▶ outlet B
+//   publisher A ─┐                   ┌─▶ DDS writer A, with A's QoS, owned by A's node
+//                ├─ local reader of ─┤
+//   publisher B ─┘  their QoS        └─▶ DDS writer B
 //
-// Inward, for a topic that remote writers and local subscriptions have:
+// Inward, for a topic with remote writers and local subscriptions:
 //
-//   remote writer C ─┐                    ┌─▶ source C: a publisher with C's QoS
-//                    ├─ inlet of what is ─┤
-//   remote writer D ─┘  requested of them └─▶ source D
+//   remote writer C ─┐                   ┌─▶ remote publisher C: a publisher here, with C's QoS
+//                    ├─ DDS reader with ─┤
+//   remote writer D ─┘  one request      └─▶ remote publisher D
 //
-// A class is reliability and durability. A tap (a subscription) requests what its publishers offer and keeps as much as
-// they do: one that kept more would have others' publishers retain more. An inlet (a DDS reader) requests what the
-// subscriptions that its writers serve request of them together. Both get messages of others too, and
-// pass on only what is of their own publishers or writers. So every message goes one way once, history comes where it is
-// offered and wanted, and best effort stays best effort. Publishers keep who they are on the other side.
+// A class is reliability and durability. A local reader (`tap`) requests what its publishers offer
+// and keeps as much: a deeper one would make other publishers retain more. A DDS reader (`inlet`)
+// requests the union of the requests of the subscriptions that its writers serve. Both get
+// messages of others too, and pass on only those of their own publishers or writers. So every
+// message goes one way once, history goes where it is offered and requested, and best effort stays
+// best effort. Each publisher keeps its identity.
 //
-// No loops: DDS does not give a participant its own samples, a tap passes on only outlets' publishers, and
-// whatever belongs to a bridge's process (is_bridge) is on neither list.
+// No loops: DDS gives a participant none of its own samples, a local reader passes on only
+// publishers with a DDS writer, and a bridge's own endpoints (is_bridge) are on neither list.
 //
-// Nothing is made for a topic that is not there on both sides, but for the inlets of what subscriptions request (two
-// bridges that both waited for the other one's endpoints would wait for ever), and for the announced writers, by which
-// readers in DDS find the topics of this host. If a rule says `always`, a publisher of
-// this host has its outlet although nobody reads it in DDS, and a remote writer its source although nobody subscribes
-// here.
+// Nothing is made for a topic that one side lacks, with two exceptions: DDS readers for the
+// requests of subscriptions (otherwise two bridges would wait for each other's endpoints for
+// ever), and announced writers, by which readers in DDS find the topics of this host. With the
+// rule `always`, a publisher of this host has its DDS writer (`outlet`) without a reader in DDS,
+// and a remote writer its remote publisher (`source`) without a subscription here.
 #pragma once
 
 #include <agnocast/abi/limits.hpp>
@@ -55,9 +56,9 @@ inline bool is_bridge(const EndpointInfo& endpoint) noexcept {
   return endpoint.node_name.starts_with(bridge_node);
 }
 
-/// "/ns/node"
+/// Returns "/ns/node".
 std::string full_name_of(const EndpointInfo& endpoint);
-/// For people.
+/// Returns the reason for a verdict, for people.
 std::string reason_of(const Verdict& verdict);
 
 struct QosClass {
@@ -67,9 +68,9 @@ struct QosClass {
   auto operator<=>(const QosClass&) const = default;
 };
 
-/// What may be bridged with each other: everything else is a topic of its own.
+/// Endpoints with this key may be bridged with each other; any other type is a topic of its own.
 struct TopicKey {
-  std::string topic, type;  ///< as ROS has them
+  std::string topic, type;  ///< in ROS form
 
   auto operator<=>(const TopicKey&) const = default;
 };
@@ -80,7 +81,7 @@ struct ClassKey {
 
   auto operator<=>(const ClassKey&) const = default;
 };
-/// What several share: a tap, or an inlet.
+/// The key of a shared reader: a local reader or a DDS reader.
 struct ReaderKey {
   ClassKey of;
   std::size_t depth = 1;
@@ -89,44 +90,44 @@ struct ReaderKey {
   auto operator<=>(const ReaderKey&) const = default;
 };
 struct Outlet {
-  ReaderKey tap;  ///< as the publisher has it
+  ReaderKey tap;  ///< with the publisher's QoS
   bool keep_all = false;
   std::size_t depth = 1;
   std::string node;  ///< full name
-  QosClass offered;  ///< in DDS: its tap's, unless a rule says otherwise
+  QosClass offered;  ///< in DDS: as its local reader, unless a rule overrides it
 };
 /// Another depth makes it another DDS reader.
 struct Inlet {
   std::size_t depth = 1;
   bool keep_all = false;
   std::set<std::string> nodes;  ///< full names, of the subscriptions that it serves
-  QosClass requested;           ///< in DDS: its class, unless a rule says otherwise
+  QosClass requested;           ///< in DDS: its class, unless a rule overrides it
 };
 struct Source {
   TopicKey key;
   QosClass qos_class;
   std::size_t depth = 1;
   bool keep_all = false;
-  QosClass inlet;  ///< the class of the inlet that reads it
+  QosClass inlet;  ///< the class of the DDS reader that reads it
 };
 
 enum class WhyNot : std::uint8_t {
-  rule,          ///< the configuration says so
-  no_reader,     ///< nobody in DDS reads it
-  no_writer,     ///< nobody in DDS writes it
-  no_server,     ///< of a service: nobody in DDS serves it
+  rule,          ///< the configuration excludes it
+  no_reader,     ///< it has no reader in DDS
+  no_writer,     ///< it has no writer in DDS
+  no_server,     ///< a service without a server in DDS
   other_type,    ///< in DDS it has another type
-  unknown_type,  ///< messages of the type cannot be handled here
-  no_ros_name,   ///< the type's name is none that ROS has
-  qos,           ///< who is there does not match: reliability or durability
-  too_many,      ///< more writers in DDS than a topic has sources
+  unknown_type,  ///< the message type is not available here
+  no_ros_name,   ///< the type's name is not a ROS name
+  qos,           ///< the endpoints do not match: reliability or durability
+  too_many,      ///< more writers in DDS than a topic may have remote publishers
 };
-/// An endpoint kind of a topic or service that this host has, and that does not go to or come from DDS.
+/// A topic or service of this host that is not bridged in one direction.
 struct Unbridged {
   std::string topic, type;
   Direction way = Direction::outward;
   WhyNot why = WhyNot::rule;
-  std::string detail;  ///< for people: the rule, the other type, what was searched
+  std::string detail;  ///< for people: the rule, the other type, the searched paths
   bool is_service = false;
 
   bool operator==(const Unbridged&) const = default;
@@ -137,7 +138,8 @@ QoS qos_of(const QosClass& qos_class, std::size_t depth, bool keep_all);
 
 struct Plan {
   std::map<std::uint64_t, Outlet> outlets;  ///< by generation of the publisher
-  /// By the same: publishers that nobody in DDS reads, and whose writers are announced there; `tap` is not made.
+  /// With the same key: publishers without a reader in DDS whose writers are announced; `tap` is not
+  /// made.
   std::map<std::uint64_t, Outlet> announced;
   std::set<ReaderKey> taps;
   std::map<ClassKey, Inlet> inlets;
@@ -150,23 +152,23 @@ struct Situation {
   std::span<const EndpointInfo> local;  ///< of any domain and process
   const DdsParticipant::Remotes* remote = nullptr;
   std::span<const Rule> rules;
-  /// Why messages of a ROS type cannot be handled here; nothing if they can. Asked once for each type that may be
-  /// bridged.
+  /// Returns why messages of a ROS type are not available here; nothing if they are. Called once
+  /// for each type that may be bridged.
   std::function<std::optional<std::string>(const std::string& type)> problem_of_type;
-  Direction otherwise = Direction::both;  ///< of topics that no rule speaks of
-  /// Whether a remote writer has its source: of too many those keep theirs.
+  Direction otherwise = Direction::both;  ///< for topics that no rule matches
+  /// Returns whether a remote writer has its remote publisher: if there are too many, it keeps it.
   std::function<bool(const Guid& writer)> has_source = {};
-  bool announce = false;  ///< publishers that nobody reads have a writer in DDS as well
+  bool announce = false;  ///< give publishers without a reader a writer in DDS as well
 };
 
-/// Other hosts have as many writers as they like: half of the publishers that a topic may have here, so that those of
-/// this host find their places.
+/// Other hosts may have any number of writers: half of the publishers that a topic may have here,
+/// which leaves room for those of this host.
 inline constexpr std::size_t sources_per_topic_max = abi::publisher_count_max / 2;
 
-/// When a topic has too many writers, those that one participant has beyond this give way to others'.
+/// If a topic has too many writers, one participant's writers beyond this give way to others'.
 inline constexpr std::size_t sources_of_participant_share = sources_per_topic_max / 2;
 
-/// Looks at everything there is, and costs n log n of it.
+/// Reads all endpoints, in n log n.
 Plan plan_of(const Situation& situation);
 
 }  // namespace agnocast::bridge

@@ -1,10 +1,10 @@
 // SPDX-License-Identifier: Apache-2.0
 //
-// Rules: which topics are bridged, which way and with which QoS, as the [[topic]] tables of the configuration say it.
-// Pure.
+// Rules: which topics are bridged, in which direction and with which QoS, from the [[topic]]
+// tables of the configuration. Pure.
 //
-// The first rule that matches decides; when none does, the default direction. So a bridge for chosen topics alone has
-// `default = "none"`.
+// The first rule that matches decides, else the default direction. A bridge for selected topics
+// only has `default = "none"`.
 #pragma once
 
 #include <cstddef>
@@ -16,7 +16,7 @@
 
 namespace agnocast::bridge {
 
-/// As a bit set: both is outward and inward.
+/// A bit set: both is outward and inward.
 enum class Direction : std::uint8_t {
   none = 0,
   outward = 1,  ///< from agnocast to DDS
@@ -27,10 +27,10 @@ constexpr bool goes(Direction allowed, Direction way) noexcept {
   return (static_cast<unsigned>(allowed) & static_cast<unsigned>(way)) != 0;
 }
 
-/// What a rule says of an endpoint in DDS; what it does not say follows who is there.
+/// The QoS that a rule sets for an endpoint in DDS; the rest follows the other side.
 struct QosOverride {
   std::optional<bool> reliable, transient_local;
-  std::optional<std::size_t> depth;  // of keep-last
+  std::optional<std::size_t> depth;  // for keep-last
 
   bool operator==(const QosOverride&) const = default;
 };
@@ -38,14 +38,14 @@ struct QosOverride {
 struct Rule {
   std::string topic;  // pattern, agnocast/topic_pattern.hpp
   Direction direction = Direction::both;
-  std::uint32_t line = 0;     // of the file, for people
-  std::string type = {};      // only of this one, as ROS has it; empty: of any
-  QosOverride to_dds = {};    // what writers there offer
-  QosOverride from_dds = {};  // what readers there request
-  bool always = false;        // also while nobody is on the other side; the pattern is a name then
+  std::uint32_t line = 0;     // line in the file, for people
+  std::string type = {};      // only this type, in ROS form; empty: any
+  QosOverride to_dds = {};    // offered by DDS writers
+  QosOverride from_dds = {};  // requested by DDS readers
+  bool always = false;        // even without an endpoint there; needs a full name
 };
 
-/// What the rules say of a topic, and which of them: null when none speaks of it.
+/// The direction for a topic, and the rule that sets it; null: no rule matches.
 struct Verdict {
   Direction direction = Direction::both;
   const Rule* rule = nullptr;

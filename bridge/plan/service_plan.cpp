@@ -14,13 +14,13 @@
 namespace agnocast::bridge {
 namespace {
 
-/// Nothing unless `type` is that part of a service's type.
+/// Returns the service type; nothing unless `type` is that part of one.
 std::optional<std::string> service_of(const std::string& type, std::string_view part) {
   if (!type.ends_with(part)) return std::nullopt;
   return type.substr(0, type.size() - part.size());
 }
 
-/// Both endpoints of a server or a client in DDS are of one participant.
+/// Both endpoints of a server or a client in DDS belong to one participant.
 struct Ends {
   std::set<Guid> requests, replies;  // participants
 
@@ -75,7 +75,7 @@ class ServicePlanner {
       const auto topic = ros_topic_of(remote.topic);
       const auto part = ros_type_of(remote.type);
       if (!topic || topic->kind == DdsTopicKind::topic || !part) continue;
-      const auto service = services_.find(topic->name);  // only what this host has
+      const auto service = services_.find(topic->name);  // only services of this host
       if (service == services_.end()) continue;
       const bool is_request = topic->kind == DdsTopicKind::request;
       const auto type = service_of(*part, is_request ? "_Request" : "_Response");
@@ -91,7 +91,7 @@ class ServicePlanner {
   void not_bridged(const ServiceKey& key, Direction way, WhyNot why, std::string detail) {
     plan_.unbridged.push_back({key.service, key.type, way, why, std::move(detail), true});
   }
-  /// Whether rules and type allow it; says so if not.
+  /// Returns whether rules and type allow the route; records the reason if not.
   bool is_open(const ServiceKey& key, Direction way) {
     const Verdict verdict =
         verdict_of(situation_.rules, key.service, key.type, situation_.otherwise);
@@ -99,7 +99,7 @@ class ServicePlanner {
       not_bridged(key, way, WhyNot::rule, reason_of(verdict));
     } else if (!dds_type_of(key.type + "_Request") ||
                !dds_topic_of({DdsTopicKind::request, key.service})) {
-      not_bridged(key, way, WhyNot::no_ros_name, "no name of a service type in ROS: " + key.type);
+      not_bridged(key, way, WhyNot::no_ros_name, "not the name of a ROS service type: " + key.type);
     } else if (const auto problem = problem_of(key.type)) {
       not_bridged(key, way, WhyNot::unknown_type, *problem);
     } else {
@@ -115,7 +115,7 @@ class ServicePlanner {
       not_bridged(key, Direction::inward, WhyNot::no_server, {});
     } else {
       not_bridged(key, Direction::inward, WhyNot::other_type,
-                  "there it is " + there.begin()->first);
+                  "in DDS it is " + there.begin()->first);
     }
     return false;
   }

@@ -1,16 +1,16 @@
 // SPDX-License-Identifier: Apache-2.0
 //
-// Which services the bridge has to have, as routes.hpp says it of topics. Pure.
+// ServicePlan: the services that the bridge must route, as routes.hpp does for topics. Pure.
 //
-//   served   servers of this host:   client there ─▶ DDS reader, writer ─▶ a client here ─▶ server
+//   served   servers of this host:   client in DDS ─▶ DDS reader, writer ─▶ a client here ─▶ server
 //   asked    servers in DDS, clients of this host, and no server here:
-//                                    client ─▶ a service here ─▶ DDS writer, reader ─▶ server there
+//                                    client ─▶ a service here ─▶ DDS writer, reader ─▶ server in DDS
 //
-// One route for each service and type, whoever and how many there are. Servers wait and clients come: if both waited for the
-// other side, two hosts with nothing but agnocast would never meet. And a service is never both: a request that goes
-// out would come in again by another bridge, without end. So a client is answered by its own host's servers if there
-// are any. A rule's "out" offers services of this host to DDS, its
-// "in" those of DDS to this host.
+// There is one route for each service and type, for any number of endpoints. Served routes wait
+// for clients in DDS: if they waited for the other side, two hosts with only agnocast would never
+// meet. A service is never both: a request that goes out would come in again through another
+// bridge, without end. So a host's own servers, if any, answer its clients. A rule's "out" offers
+// services of this host to DDS, its "in" offers those of DDS to this host.
 #pragma once
 
 #include <bridge/plan/routes.hpp>
@@ -29,8 +29,8 @@ struct ServiceKey {
   auto operator<=>(const ServiceKey&) const = default;
 };
 struct ServiceRoute {
-  std::set<std::string> nodes;  ///< of this host, full names: whose servers or clients it is for
-  std::set<Guid> servers;       ///< of an asked one: the participants in DDS that serve it
+  std::set<std::string> nodes;  ///< nodes of this host with the servers or clients, full names
+  std::set<Guid> servers;       ///< if asked: the participants in DDS that serve it
 };
 struct ServicePlan {
   std::map<ServiceKey, ServiceRoute> served, asked;

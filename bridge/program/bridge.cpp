@@ -13,7 +13,7 @@
 namespace agnocast::bridge {
 namespace {
 
-// Writing is copying and sending: more threads than this are rarely busy at once.
+// Writing means copying and sending: more than four threads are rarely busy at once.
 constexpr std::size_t lanes_max = 4;
 
 OutwardRoutes::Lanes make_lanes() {
@@ -90,15 +90,15 @@ DdsResult<void> Bridge::run() {
 }
 
 void Bridge::move(const DdsParticipant::Ready& ready) {
-  // Discovery first: who has written is known before what he has written.
+  // Discovery first: a writer must be known before its samples are taken.
   if (ready.discovery) planner_.note(participant_->discovered());
   if (ready.discovery || std::find(ready.readers.begin(), ready.readers.end(),
                                    discovery_info_.reader()) != ready.readers.end())
     discovery_info_.hear();
-  // Each of them renews something: none may be left out because another one has changed.
+  // Both calls renew something, so neither may be skipped because the other one found a change.
   const bool is_local_new = renew_local();
   const bool are_rules_new = planner_.renew_rules();
-  // The plan may end some of them; inward_ knows which are left.
+  // The plan may end readers; inward_ knows those that remain.
   const std::vector<DdsReader*> readers(ready.readers.begin(), ready.readers.end());
   if (is_local_new || are_rules_new || planner_.is_due(std::chrono::steady_clock::now())) plan();
   for (DdsReader* const reader : readers) {
@@ -116,7 +116,7 @@ bool Bridge::renew_local() {
 
 void Bridge::take_from(DdsReader& inlet) {
   std::vector<DdsSample> taken = InwardRoutes::take(inlet);
-  // Of a writer that came since run() looked.
+  // Samples of a writer that came after run() read the discovery.
   if (inward_.has_strangers(taken)) {
     planner_.note(participant_->discovered());
     if (planner_.is_due(std::chrono::steady_clock::now())) plan();

@@ -1,17 +1,17 @@
 // SPDX-License-Identifier: Apache-2.0
 //
-// Bridge: what agnocast-bridge is made of, and the loop that turns it.
+// Bridge: the parts of agnocast-bridge, and its main loop.
 //
 //   watch thread     sleeps until endpoints of this host change ──────────┐
-//   run()            sleeps until DDS or the graph has something: plans,  ◀┘  has the routes make and end endpoints;
-//                    has what inlets received published
+//   run()            sleeps until DDS or the graph has something: plans,  ◀┘
+//                    lets the routes create and end endpoints, and publish received messages
 //   lanes            (nodes' threads, the library's) outward_routes.hpp
 //   Cyclone's        inward_routes.hpp
 //
 //   HostWatch, Marker ──▶ Planner ──▶ OutwardRoutes, InwardRoutes, ServiceRoutes ──▶ DiscoveryInfo, StatusCollector
 //
-// Idle, none of our threads wakes. What goes wrong with one message or one endpoint is counted and logged, and the others
-// go on.
+// While nothing happens, none of our threads wakes. A failure of one message or endpoint is
+// counted and logged, and the others continue.
 #pragma once
 
 #include <bridge/common/linger.hpp>
@@ -45,47 +45,48 @@
 namespace agnocast::bridge {
 
 struct BridgeOptions {
-  std::uint32_t domain = 0;  ///< of DDS, and of the endpoints of this host that are bridged
+  std::uint32_t domain = 0;  ///< of DDS and of the bridged endpoints of this host
   std::vector<Rule> rules;
   std::vector<std::string> type_paths;  ///< see try_find_message_type
   RosGraph::Speak speak = RosGraph::Speak::detect;
-  Direction otherwise = Direction::both;  ///< of topics that no rule speaks of
-  bool announce = true;  ///< publishers that nobody in DDS reads have a writer there as well
-  /// Called by run() at least that often, for who watches whether it turns; 0: never.
+  Direction otherwise = Direction::both;  ///< for topics that no rule matches
+  bool announce = true;  ///< give publishers without a reader in DDS a DDS writer as well
+  /// run() calls `alive` at least this often, for a watchdog; 0: never.
   std::chrono::nanoseconds alive_interval{0};
   std::function<void()> alive = {};
 };
 
 class Bridge {
  public:
-  /// Joins the DDS domain. This process must have the same domain in ROS_DOMAIN_ID. `log` must outlive it.
+  /// Joins the DDS domain, which must be that of ROS_DOMAIN_ID. `log` must outlive the bridge.
   [[nodiscard]] static DdsResult<std::unique_ptr<Bridge>> create(BridgeOptions options,
                                                                  const Log& log);
   ~Bridge();
   Bridge(const Bridge&) = delete;
   Bridge& operator=(const Bridge&) = delete;
 
-  /// Until stop(). Errors: what Cyclone DDS refused of the participant itself. Throws std::bad_alloc when there is no
-  /// memory to plan with; then it can only be destroyed.
+  /// Runs until stop(). Errors: failures of the DDS participant itself. Throws std::bad_alloc if
+  /// there is no memory to plan with; then the bridge can only be destroyed.
   [[nodiscard]] DdsResult<void> run();
-  /// Any thread. run() returns soon.
+  /// Makes run() return soon. Any thread.
   void stop() noexcept;
-  /// From now on these rules hold; what another one had made otherwise is made anew. Any thread.
+  /// Replaces the rules; routes that the old rules made differently are made again. Any thread.
   void set_rules(std::vector<Rule> rules, Direction otherwise, bool announce);
-  /// What there is now, as run() sees it; nothing when it does not say so for `patience`. One thread, not run()'s.
+  /// Returns run()'s status; nothing if it does not answer within `patience`. One thread, not
+  /// run()'s.
   std::optional<BridgeStatus> status(std::chrono::milliseconds patience);
 
  private:
   Bridge(BridgeOptions options, const Log& log, OutwardRoutes::Lanes lanes,
          std::unique_ptr<DdsParticipant> participant, std::unique_ptr<RosGraph> graph);
-  /// What a turn of run() does with what it was woken for.
+  /// Handles the events that woke run().
   void move(const DdsParticipant::Ready& ready);
-  /// Whether there is something new on this host.
+  /// Returns whether the endpoints of this host have changed.
   bool renew_local();
   void take_from(DdsReader& inlet);
   void plan();
   Planner::CarriedOut carry_out(const Planner::Plans& plans);
-  /// How long run() may sleep.
+  /// Ends what is over, and returns how long run() may sleep.
   std::chrono::nanoseconds tidy();
 
   const std::chrono::nanoseconds alive_interval_;

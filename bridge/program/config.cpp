@@ -14,45 +14,45 @@
 namespace agnocast::bridge {
 namespace {
 
-// DDS has ports for so many (RTPS 2.3, 9.6.1.1), and ROS says the same.
+// DDS has ports for this many domains (RTPS 2.3, 9.6.1.1), and ROS has the same limit.
 constexpr std::int64_t domain_max = 232;
 
-// DDS keeps that many for each reader; more is a mistake.
+// DDS keeps this many samples for each reader; a larger depth is a mistake.
 constexpr std::int64_t depth_max = 100'000;
 
 constexpr ConfigKey keys[] = {
-    {"domain", "0 to 232; else ROS_DOMAIN_ID, else 0",
-     "The domain of DDS and of the nodes of this host that are bridged"},
+    {"domain", "0 to 232; default: ROS_DOMAIN_ID, else 0",
+     "The domain of DDS and of the bridged nodes of this host"},
     {"discovery_info", R"("humble", "iron" or "detect")",
-     "Layout of ros_discovery_info that is spoken: until Humble, since Iron, or as most others do"},
+     "Layout of ros_discovery_info: until Humble, since Iron, or that of most other participants"},
     {"type_paths", R"(["/opt/robot/lib"])",
-     "Where libraries of message packages are, beside AMENT_PREFIX_PATH"},
-    {"log_level", R"("error", "warning", "notice", "info" or "debug")", "What is logged"},
+     "Directories with libraries of message packages, besides AMENT_PREFIX_PATH"},
+    {"log_level", R"("error", "warning", "notice", "info" or "debug")", "The level of the log"},
     {"default", R"("both", "out", "in" or "none")",
-     "The direction of topics and services that no rule speaks of"},
+     "The direction of topics and services that no rule matches"},
     {"announce", "true or false",
-     "Announce a publisher of this host in DDS also while nobody there reads it, so that ros2 topic "
+     "Announce a publisher of this host in DDS even without a reader there, so that ros2 topic "
      "list shows its topic"},
     {"topic.name", R"("/lidar/**")",
-     "Topics and services that the rule is of; the first rule that matches decides"},
+     "Topics and services to which the rule applies; the first rule that matches decides"},
     {"topic.type", R"("std_msgs/msg/String")", "Only topics or services of this type"},
     {"topic.direction", R"("both", "out", "in" or "none")",
      "out: from this host to DDS, in: from DDS to this host"},
     {"topic.always", "true or false",
-     "Also while nobody is on the other side: a publisher of this host is written to DDS although "
-     "nobody reads it "
-     "there, and what is written there is published here although nobody subscribes"},
+     "Bridge even without an endpoint on the other side: messages of this host are written to DDS "
+     "without a reader "
+     "there, and messages from there are published here without a subscription"},
     {"topic.to_dds.reliability", R"("reliable" or "best_effort")",
-     "What writers in DDS offer; else what the publisher does"},
-    {"topic.to_dds.durability", R"("transient_local" or "volatile")", "The same"},
-    {"topic.to_dds.depth", "1 to 100000", "Of their history, which is keep-last then"},
+     "Offered by DDS writers; default: as the publisher offers"},
+    {"topic.to_dds.durability", R"("transient_local" or "volatile")", "As reliability"},
+    {"topic.to_dds.depth", "1 to 100000", "Depth of their history, which is then keep-last"},
     {"topic.from_dds.reliability", R"("reliable" or "best_effort")",
-     "What readers in DDS request; else what the writer offers"},
-    {"topic.from_dds.durability", R"("transient_local" or "volatile")", "The same"},
-    {"topic.from_dds.depth", "1 to 100000", "Of their history"},
+     "Requested by DDS readers; default: as the writer offers"},
+    {"topic.from_dds.durability", R"("transient_local" or "volatile")", "As reliability"},
+    {"topic.from_dds.depth", "1 to 100000", "Depth of their history"},
 };
 
-/// "known here: a, b": the keys below `prefix`.
+/// Returns "known here: a, b": the keys below `prefix`.
 std::string known_below(std::string_view prefix) {
   std::string text = "known here: ", last;
   for (const ConfigKey& key : keys) {
@@ -83,12 +83,13 @@ class Reader {
       } else if (name == "log_level") {
         config_.log_level = log_level_of(node.value_or(std::string()));
         if (!config_.log_level)
-          report(node.source(), name, "this is no level",
+          report(node.source(), name, "this is not a level",
                  R"(write "error", "warning", "notice", "info" or "debug")");
       } else if (name == "default") {
         read_direction(node, "default", config_.bridge.otherwise);
       } else if (name == "announce") {
-        if (!node.is_boolean()) report(node.source(), name, "this is neither", "write true or false");
+        if (!node.is_boolean())
+          report(node.source(), name, "this is not a boolean", "write true or false");
         config_.bridge.announce = node.value_or(true);
       } else if (name == "topic") {
         read_topics(node);
@@ -109,7 +110,8 @@ class Reader {
   void read_domain(const toml::node& node) {
     const auto* const number = node.as_integer();
     if (number == nullptr || number->get() < 0 || number->get() > domain_max)
-      return report(node.source(), "domain", "this is no domain", "write a number from 0 to 232");
+      return report(node.source(), "domain", "this is not a domain",
+                    "write a number from 0 to 232");
     config_.domain = static_cast<std::uint32_t>(number->get());
   }
   void read_layout(const toml::node& node) {
@@ -121,19 +123,19 @@ class Reader {
     } else if (text == "detect") {
       config_.bridge.speak = RosGraph::Speak::detect;
     } else {
-      report(node.source(), "discovery_info", "this is no layout",
+      report(node.source(), "discovery_info", "this is not a layout",
              R"(write "humble", "iron" (and what came later) or "detect")");
     }
   }
   void read_paths(const toml::node& node) {
     const auto* const list = node.as_array();
     if (list == nullptr)
-      return report(node.source(), "type_paths", "this is no list",
+      return report(node.source(), "type_paths", "this is not a list",
                     R"(write directories: ["/opt/robot/lib"])");
     for (const toml::node& element : *list) {
       const std::string path = element.value_or(std::string());
       if (path.empty() || path[0] != '/') {
-        report(element.source(), "type_paths", "this is no absolute path",
+        report(element.source(), "type_paths", "this is not an absolute path",
                R"(write directories: ["/opt/robot/lib"])");
       } else {
         config_.bridge.type_paths.push_back(path);
@@ -143,12 +145,12 @@ class Reader {
   void read_topics(const toml::node& node) {
     const auto* const list = node.as_array();
     if (list == nullptr)
-      return report(node.source(), "topic", "this is no table", "write [[topic]]");
+      return report(node.source(), "topic", "this is not a table", "write [[topic]]");
     for (const toml::node& element : *list) {
       if (const auto* const table = element.as_table()) {
         read_topic(*table);
       } else {
-        report(element.source(), "topic", "this is no table", "write [[topic]]");
+        report(element.source(), "topic", "this is not a table", "write [[topic]]");
       }
     }
   }
@@ -163,24 +165,25 @@ class Reader {
     } else if (text == "none") {
       direction = Direction::none;
     } else {
-      report(node.source(), key, "this is no direction", R"(write "both", "out", "in" or "none")");
+      report(node.source(), key, "this is not a direction",
+             R"(write "both", "out", "in" or "none")");
     }
   }
-  /// One of two words; the first is true.
+  /// Reads one of two words; the first means true.
   void read_choice(const toml::node& node, const std::string& key, const char* yes, const char* no,
                    std::optional<bool>& value) {
     const std::string text = node.value_or(std::string());
     if (text == yes || text == no) {
       value = text == yes;
     } else {
-      report(node.source(), key, "this is none",
+      report(node.source(), key, "this is not a known value",
              std::string("write \"") + yes + "\" or \"" + no + '"');
     }
   }
   void read_qos(const toml::node& node, const std::string& where, QosOverride& qos) {
     const auto* const table = node.as_table();
     if (table == nullptr)
-      return report(node.source(), where, "this is no table",
+      return report(node.source(), where, "this is not a table",
                     R"(write { reliability = "best_effort", depth = 1 })");
     for (const auto& [key, value] : *table) {
       const std::string name = where + '.' + std::string(key.str());
@@ -191,7 +194,7 @@ class Reader {
       } else if (key.str() == "depth") {
         const auto* const number = value.as_integer();
         if (number == nullptr || number->get() < 1 || number->get() > depth_max) {
-          report(value.source(), name, "this is no depth",
+          report(value.source(), name, "this is not a depth",
                  "write a number from 1 to " + std::to_string(depth_max));
         } else {
           qos.depth = static_cast<std::size_t>(number->get());
@@ -216,13 +219,13 @@ class Reader {
       } else if (name == "topic.type") {
         rule.type = text;
         if (!dds_type_of(text))
-          report(node.source(), name, "this is no type of ROS",
+          report(node.source(), name, "this is not a ROS type",
                  R"(write it as "std_msgs/msg/String")");
       } else if (name == "topic.direction") {
         read_direction(node, name, rule.direction);
       } else if (name == "topic.always") {
         if (!node.is_boolean())
-          report(node.source(), name, "this is neither", "write true or false");
+          report(node.source(), name, "this is not a boolean", "write true or false");
         rule.always = node.is_boolean() && node.value_or(false);
       } else if (name == "topic.to_dds") {
         read_qos(node, name, rule.to_dds);
@@ -238,10 +241,11 @@ class Reader {
   }
   void check_always(const Rule& rule, const toml::table& table) {
     if (!dds_topic_of({DdsTopicKind::topic, rule.topic}))
-      report(table.source(), "topic.always", "it is said of a pattern, which names no topic",
+      report(table.source(), "topic.always", "it needs the name of one topic, not a pattern",
              R"(write the whole name: name = "/map")");
     if (goes(rule.direction, Direction::inward) && rule.type.empty())
-      report(table.source(), "topic.always", "nobody says its type while nobody subscribes",
+      report(table.source(), "topic.always",
+             "the type is unknown while the topic has no subscription",
              R"(write type = "nav_msgs/msg/OccupancyGrid", or direction = "out")");
   }
 

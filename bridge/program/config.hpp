@@ -1,16 +1,16 @@
 // SPDX-License-Identifier: Apache-2.0
 //
-// Config: bridge.toml. A mistake is reported with file, line, column, what is wrong and what to write.
+// Config: bridge.toml. An error names file, line and column, the mistake, and the correct form.
 //
-//   domain = 0                       # of ROS; ROS_DOMAIN_ID if it is not written
-//   default = "none"                 # of topics that no rule speaks of
+//   domain = 0                       # of ROS; default: ROS_DOMAIN_ID
+//   default = "none"                 # for topics that no rule matches
 //
-//   [[topic]]                        # the first that matches decides
+//   [[topic]]                        # the first match decides
 //   name = "/lidar/**"
 //   direction = "out"                # "both", "out" (agnocast to DDS), "in", "none"
 //   to_dds = { reliability = "best_effort", depth = 1 }
 //
-// config_keys() has all of them.
+// config_keys() lists all keys.
 #pragma once
 
 #include <base/log.hpp>
@@ -28,23 +28,23 @@
 namespace agnocast::bridge {
 
 using ConfigError = config::Mistake;
-/// For the manual page and the example.
+/// One key, for the manual page and the example.
 struct ConfigKey {
   std::string_view name;
-  std::string_view value;  ///< what may be written
+  std::string_view value;  ///< the valid values
   std::string_view meaning;
 };
 std::span<const ConfigKey> config_keys() noexcept;
 
-/// `domain` stays empty when the file does not say it.
+/// `domain` stays empty if the file does not set it.
 struct Config {
   std::optional<std::uint32_t> domain;
   std::optional<agnocast::LogLevel> log_level;
   BridgeOptions bridge;
 };
-/// Reads a file. All mistakes at once, in the order of the file.
+/// Reads a file. Returns all mistakes, in the order of the file.
 [[nodiscard]] tl::expected<Config, std::vector<ConfigError>> load_config(const std::string& path);
-/// The same of a text; `name` stands for the file in errors.
+/// Does the same with a text; `name` stands for the file in errors.
 [[nodiscard]] tl::expected<Config, std::vector<ConfigError>> parse_config(const std::string& text,
                                                                           const std::string& name);
 

@@ -26,7 +26,7 @@ void DiscoveryInfo::say(std::span<const EndpointInfo> local,
                         const std::function<void(const NodesByName&)>& add) {
   std::map<std::pair<std::string, std::string>, RosNode> nodes;
   NodesByName by_name;
-  // By which other bridges know this one.
+  // The node by which other bridges recognize this one.
   nodes[{"/", std::string(bridge_node)}] = {"/", std::string(bridge_node), {}, {}};
   for (const EndpointInfo& endpoint : local) {
     if (endpoint.domain != domain_ || is_bridge(endpoint)) continue;

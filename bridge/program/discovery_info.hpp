@@ -1,7 +1,7 @@
 // SPDX-License-Identifier: Apache-2.0
 //
-// DiscoveryInfo: hears and says which nodes have which endpoints, as ROS 2 does it (ros_discovery_info; ros_graph.hpp), and
-// says to the log what goes wrong with it. One thread, run()'s.
+// DiscoveryInfo: exchanges the nodes and their endpoints with other participants, as ROS 2 does
+// (ros_discovery_info; ros_graph.hpp), and logs failures. One thread, run()'s.
 #pragma once
 
 #include <agnocast/graph.hpp>
@@ -22,9 +22,9 @@ class DiscoveryInfo {
       : domain_(domain), graph_(graph), log_(log), refusals_(refusals) {}
 
   const DdsReader* reader() const noexcept { return graph_.reader(); }
-  /// Takes what others said.
+  /// Takes the messages of other participants.
   void hear();
-  /// Says which nodes this host has in the domain, with the endpoints that `add` gives them.
+  /// Publishes the nodes of this host in the domain, with the endpoints that `add` gives them.
   void say(std::span<const EndpointInfo> local, const std::function<void(const NodesByName&)>& add);
 
  private:
@@ -32,7 +32,7 @@ class DiscoveryInfo {
   RosGraph& graph_;
   const Log& log_;
   Refusals& refusals_;
-  std::uint64_t refused_told_ = 0;  // messages, when it was said last
+  std::uint64_t refused_told_ = 0;  // count in the last log line
   Seldom tells_refused_;
 };
 

@@ -54,7 +54,7 @@ void HostWatch::daemon_is(bool there, const std::string& why) {
   log_.write(LogLevel::warning, "agnocastd is not there", {{"why", why}});
 }
 
-// That agnocastd goes, the marker is told; this thread hears of it when it is back.
+// The marker is notified when agnocastd ends; this thread notices when it is back.
 void HostWatch::watch() try {
   using std::chrono::milliseconds;
   while (!stops_) {
@@ -69,7 +69,7 @@ void HostWatch::watch() try {
       wake_();
     } else if (!now) {
       daemon_is(false, text_of(now.error()));
-      if (now.error().code == Errc::daemon_not_running) continue;  // it was waited for
+      if (now.error().code == Errc::daemon_not_running) continue;  // wait() has slept already
       std::unique_lock lock(pause_mutex_);
       paused_.wait_for(lock, daemon_interval, [this] { return stops_.load(); });
     }

@@ -1,7 +1,8 @@
 // SPDX-License-Identifier: Apache-2.0
 //
-// HostWatch: what there is on this host, and whether the bridge goes on: a thread that sleeps until endpoints of this host
-// change, or agnocastd is back, and then wakes the thread that has to look. Idle, it does not wake.
+// HostWatch: the endpoints of this host, and whether the bridge may continue. A thread sleeps
+// until endpoints of this host change or agnocastd is back, and then wakes run(). While nothing
+// happens, it does not wake.
 #pragma once
 
 #include <agnocast/graph.hpp>
@@ -21,26 +22,26 @@ namespace agnocast::bridge {
 
 class HostWatch {
  public:
-  /// `log` must outlive it. `wake` is called when there is something new, or when it stops; by any thread.
+  /// `log` must outlive it. `wake` is called by any thread when something is new or it stops.
   HostWatch(const Log& log, std::function<void()> wake) : log_(log), wake_(std::move(wake)) {}
   ~HostWatch();
   HostWatch(const HostWatch&) = delete;
   HostWatch& operator=(const HostWatch&) = delete;
 
   void start();
-  /// What there is now; nothing if the last call said so already. Any thread.
+  /// Returns the newest snapshot; nothing if the last call returned it already. Any thread.
   std::optional<GraphSnapshot> take_latest();
 
-  /// Whether agnocastd answers, as a thread has heard it; said when it changes. Any thread.
+  /// Records whether agnocastd answers, as a thread noticed it; logs a change. Any thread.
   void daemon_is(bool there, const std::string& why);
   bool has_daemon() const noexcept { return daemon_ == Daemon::there; }
 
   /// Any thread.
   void stop() noexcept;
   bool stops() const noexcept { return stops_; }
-  /// agnocastd has revoked this process, for good: only another process can go on. Stops. Any thread.
+  /// Stops: agnocastd has revoked this process, so only a new one can continue. Any thread.
   void revoke() noexcept;
-  /// Waits for the thread. Throws what it has thrown, and std::runtime_error if this process was revoked.
+  /// Waits for the thread. Throws its exception, or std::runtime_error after a revocation.
   void join();
 
  private:
@@ -51,13 +52,13 @@ class HostWatch {
   const Log& log_;
   const std::function<void()> wake_;
   Graph graph_;
-  std::mutex latest_mutex_;              // of the next one
+  std::mutex latest_mutex_;              // guards latest_
   std::optional<GraphSnapshot> latest_;  // not taken yet
   std::atomic<Daemon> daemon_{Daemon::unknown};
   std::atomic<bool> stops_{false}, is_revoked_{false};
   std::mutex pause_mutex_;
   std::condition_variable paused_;
-  std::exception_ptr failed_;  // thread_, which has ended
+  std::exception_ptr failed_;  // exception that ended thread_
   std::thread thread_;
 };
 

@@ -1,6 +1,7 @@
 // SPDX-License-Identifier: Apache-2.0
 //
-// LimitsLog: says to the log how often others in DDS were beyond a limit (limits.hpp). One thread, run()'s.
+// LimitsLog: logs how often other participants in DDS exceeded a limit (limits.hpp). One thread,
+// run()'s.
 #pragma once
 
 #include <bridge/common/log.hpp>
@@ -16,7 +17,7 @@ class LimitsLog {
   /// Both must outlive it.
   LimitsLog(const Limits& limits, const Log& log) : limits_(limits), log_(log) {}
 
-  /// Writes what was refused, if that is more than it said before and it has not just spoken.
+  /// Logs the refusals if there are more than in the last line and that line is not too recent.
   void write() {
     std::uint64_t all = 0;
     for (const LimitRow& row : limit_table) all += limits_.refused(row.limit);
@@ -27,13 +28,13 @@ class LimitsLog {
       if (const std::uint64_t refused = limits_.refused(row.limit); refused != 0)
         text += (text.empty() ? "" : ", ") + std::string(row.name) + ' ' + std::to_string(refused);
     }
-    log_.write(LogLevel::warning, "beyond a limit", {{"refused", text}});
+    log_.write(LogLevel::warning, "limit exceeded", {{"refused", text}});
   }
 
  private:
   const Limits& limits_;
   const Log& log_;
-  std::uint64_t told_ = 0;  // refusals when it was said last
+  std::uint64_t told_ = 0;  // refusals in the last log line
   Seldom tells_;
 };
 

@@ -1,9 +1,10 @@
 // SPDX-License-Identifier: Apache-2.0
 //
-// agnocast-bridge: options, configuration, and the bridge until SIGTERM or SIGINT. Says to a service manager that it
-// is ready and that it turns, and on a socket what it has. SIGHUP: the configuration again.
+// agnocast-bridge: options, configuration, and the bridge until SIGTERM or SIGINT. It reports to a
+// service manager, serves its status on a socket, and reads the configuration again on SIGHUP.
 //
-// Exit status: 0 ended by a signal, or what was asked for is printed · 1 it cannot run here · 2 wrong usage.
+// Exit status: 0 ended by a signal, or printed the requested text · 1 cannot run here · 2 wrong
+// usage.
 
 #include <base/clock.hpp>
 #include <base/log.hpp>
@@ -34,7 +35,7 @@ namespace agnocast::bridge {
 namespace {
 
 constexpr std::uint32_t domain_max = 232;
-// The loop that answers also moves messages; it is back within milliseconds.
+// The loop that answers also moves messages; it answers within milliseconds.
 constexpr std::chrono::milliseconds status_patience(1'000);
 
 int complain(const std::string& what, const std::string& hint) {
@@ -42,13 +43,13 @@ int complain(const std::string& what, const std::string& hint) {
   return 1;
 }
 
-/// complaint() in pieces, where there may be no memory to put them together.
+/// Prints complaint() in pieces, for lack of memory to put them together.
 void complain_in_pieces(const char* what, const char* why, const char* hint) noexcept {
   for (const char* const piece : {"agnocast-bridge: ", what, why, "\nhint: ", hint, "\n"})
     (void)say_on_stderr(piece);
 }
 
-/// Without memory nothing can be tidied, and what a dead bridge leaves is cleaned up by those who have some.
+/// Without memory nothing can be cleaned up; the peers clean up after a dead bridge.
 [[noreturn]] void end_at_once(const char* why) noexcept {
   complain_in_pieces("", why, "systemctl status agnocast-bridge");
   std::_Exit(1);
@@ -70,7 +71,7 @@ agnocast::LogLevel level_of(LogLevel level) {
   return agnocast::LogLevel::debug;
 }
 
-/// The log of all our threads. Peers decide how often an event comes: of each, and of each topic, a few lines.
+/// The log of all threads. Peers cause events, so the lines of each event and topic are limited.
 class SharedLog {
  public:
   explicit SharedLog(agnocast::LogLevel level)
@@ -101,7 +102,7 @@ class SharedLog {
   agnocast::Log log_;
 };
 
-/// What is written, what the command line says in its place, and the domain of the environment.
+/// Returns the file, overridden by the command line, with the domain of the environment.
 tl::expected<Config, std::vector<ConfigError>> configuration(const Options& options) {
   Config config;
   if (const auto file = choose_config_file(options)) {
@@ -117,9 +118,9 @@ tl::expected<Config, std::vector<ConfigError>> configuration(const Options& opti
       char* end = nullptr;
       const unsigned long domain = std::strtoul(text, &end, 10);
       if (*end != '\0' || domain > domain_max)
-        return tl::unexpected(
-            std::vector<ConfigError>{{"ROS_DOMAIN_ID", 0, 0, "", in_quotes(text) + " is no domain",
-                                      "ROS_DOMAIN_ID=0 agnocast-bridge"}});
+        return tl::unexpected(std::vector<ConfigError>{{"ROS_DOMAIN_ID", 0, 0, "",
+                                                        in_quotes(text) + " is not a domain",
+                                                        "ROS_DOMAIN_ID=0 agnocast-bridge"}});
       config.domain = static_cast<std::uint32_t>(domain);
     }
   }
@@ -132,13 +133,13 @@ void read_again(const Options& options, const BridgeOptions& before, Bridge& bri
   auto config = configuration(options);
   if (!config) {
     for (const ConfigError& error : config.error())
-      log.write(LogLevel::warning, "configuration not taken over",
+      log.write(LogLevel::warning, "configuration rejected",
                 {{"where", error.where()}, {"why", error.what}, {"remedy", error.remedy}});
     return;
   }
   if (config->bridge.domain != before.domain || config->bridge.speak != before.speak ||
       config->bridge.type_paths != before.type_paths)
-    log.write(LogLevel::warning, "only a restart changes this",
+    log.write(LogLevel::warning, "only a restart changes these keys",
               {{"keys", "domain, discovery_info, type_paths"}});
   shared.set_level(config->log_level.value_or(agnocast::LogLevel::info));
   bridge.set_rules(std::move(config->bridge.rules), config->bridge.otherwise,
@@ -146,7 +147,7 @@ void read_again(const Options& options, const BridgeOptions& before, Bridge& bri
   log.write(LogLevel::notice, "configuration read again");
 }
 
-/// To be called before any thread is made, so that all of them leave these to the one that waits for them.
+/// Call before creating threads, so that only the thread that waits for these signals gets them.
 sigset_t block_signals() {
   sigset_t waited;
   sigemptyset(&waited);
@@ -156,13 +157,13 @@ sigset_t block_signals() {
   return waited;
 }
 
-/// The bridge tells a service manager that it turns, if that wants to know.
+/// Makes the bridge notify a service manager's watchdog, if there is one.
 void tell_watchdog(BridgeOptions& bridge) {
   std::uint64_t watchdog_us = 0;
   if (::sd_watchdog_enabled(0, &watchdog_us) > 0) {
     bridge.alive_interval = std::chrono::microseconds(watchdog_us / 2);
     bridge.alive = [said_ns = std::uint64_t{0}, watchdog_us]() mutable {
-      // Every message turns the loop; the manager is told four times in an interval.
+      // Every message wakes the loop; the manager is notified four times in an interval.
       const std::uint64_t now_ns = monotonic_ns();
       if (now_ns - said_ns < watchdog_us * 1000 / 4) return;
       said_ns = now_ns;
@@ -171,7 +172,7 @@ void tell_watchdog(BridgeOptions& bridge) {
   }
 }
 
-/// Why it ended; empty: a signal said so. SIGHUP is for `read_configuration`.
+/// Returns why the bridge ended; empty: by a signal. SIGHUP calls `read_configuration`.
 std::string run_until_signal(Bridge& bridge, const sigset_t& waited,
                              const std::function<void()>& read_configuration) {
   std::thread signals([&] {
@@ -179,7 +180,7 @@ std::string run_until_signal(Bridge& bridge, const sigset_t& waited,
       try {
         read_configuration();
       } catch (const std::exception& error) {
-        complain_in_pieces("the configuration is not read: ", error.what(),
+        complain_in_pieces("the configuration cannot be read: ", error.what(),
                            "systemctl reload agnocast-bridge");
       }
     }
@@ -211,7 +212,7 @@ int run(const Options& options) {
     return checked ? 0 : complain(checked.error().text(), "correct it, or: unset CYCLONEDDS_URI");
   }
   const std::string domain = std::to_string(config->bridge.domain);
-  // The library has socket and domain of its process.
+  // The library takes the socket and the domain from the environment.
   if (options.socket) ::setenv("AGNOCAST_SOCKET", options.socket->c_str(), 1);
   ::setenv("ROS_DOMAIN_ID", domain.c_str(), 1);
 
@@ -227,10 +228,9 @@ int run(const Options& options) {
   const std::string path = choose_status_path(
       options.status_socket.value_or(variable == nullptr ? "" : variable), in_force.domain);
   const auto no_status = [&](const StatusSocket::Failure& failure) {
-    log.write(LogLevel::warning, "no socket for the status",
-              {{"path", path}, {"why", failure.why}});
+    log.write(LogLevel::warning, "no status socket", {{"path", path}, {"why", failure.why}});
   };
-  // Before DDS sees one that may not be here.
+  // Before DDS sees a bridge that may not run here.
   auto taken = StatusSocket::take(path);
   if (!taken && taken.error().is_taken)
     return complain("another agnocast-bridge serves this domain: " + taken.error().why,
@@ -238,7 +238,7 @@ int run(const Options& options) {
   if (!taken) no_status(taken.error());
   auto bridge = Bridge::create(std::move(config->bridge), log);
   if (!bridge)
-    return complain("DDS: " + bridge.error().text(), "look at CYCLONEDDS_URI and the network");
+    return complain("DDS: " + bridge.error().text(), "check CYCLONEDDS_URI and the network");
   const std::unique_ptr<StatusSocket> status = taken ? std::move(*taken) : nullptr;
   if (status != nullptr) {
     const auto listens = status->listen([&bridge] {
@@ -248,7 +248,7 @@ int run(const Options& options) {
     if (!listens) no_status(listens.error());
   }
 
-  // Before the thread, since nothing may throw between its begin and its end; signals wait for it.
+  // Log before the thread starts, since nothing may throw while it runs; signals wait for it.
   log.write(LogLevel::notice, "ready", {{"domain", domain}});
   (void)::sd_notify(0, ("READY=1\nSTATUS=bridging domain " + domain).c_str());
   const std::string failure = run_until_signal(
@@ -263,7 +263,7 @@ int run(const Options& options) {
 
 int main(int argc, char** argv) {
   using namespace agnocast::bridge;
-  // Threads and destructors of libraries allocate too.
+  // Threads and destructors of libraries allocate as well.
   std::set_terminate([] {
     try {
       if (const auto thrown = std::current_exception()) std::rethrow_exception(thrown);

@@ -10,7 +10,7 @@
 namespace agnocast::bridge {
 namespace {
 
-// On it each bridge has its marker.
+// The topic of the markers of all bridges.
 constexpr const char* marker_topic = "/_agnocast_bridge";
 
 std::string node_name_of(const Guid& participant) {
@@ -46,13 +46,13 @@ bool Marker::show_oneself() {
 }
 
 void Marker::note_refusal(Refusals& refusals) const {
-  if (refusal_) refusals.note("endpoint by which other bridges see this one", refusal_->why);
+  if (refusal_) refusals.note("marker for other bridges", refusal_->why);
 }
 
 Marker::Role Marker::find_role(const GraphSnapshot& local) {
-  if (local.incarnation == 0) return Role::unknown;  // the graph will tell
-  // Without a marker, since the configuration of agnocastd does not allow it, nobody stands by for this one, as this one
-  // for nobody. What else is in the way passes.
+  if (local.incarnation == 0) return Role::unknown;  // a later snapshot tells
+  // If the configuration of agnocastd forbids the marker, no bridge stands by for this one, nor
+  // this one for another. Any other refusal passes.
   if (!show_oneself()) return refusal_->code == Errc::access_denied ? Role::active : Role::unknown;
   const EndpointInfo* own = nullptr;
   const EndpointInfo* oldest = nullptr;
@@ -67,12 +67,12 @@ Marker::Role Marker::find_role(const GraphSnapshot& local) {
   if (oldest != own) {
     standby_for_ = oldest->pid;
     if (!was_for)
-      log_.write(LogLevel::notice, "stands by: another bridge of this domain is here",
+      log_.write(LogLevel::notice, "standby: another bridge serves this domain",
                  {{"pid", std::to_string(oldest->pid)}});
     return Role::standby;
   }
   if (was_for)
-    log_.write(LogLevel::notice, "takes over: the other bridge of this domain is gone",
+    log_.write(LogLevel::notice, "active: the other bridge of this domain has ended",
                {{"pid", std::to_string(*was_for)}});
   return Role::active;
 }

@@ -1,10 +1,10 @@
 // SPDX-License-Identifier: Apache-2.0
 //
-// Marker: two bridges of one domain at one daemon would double every message. So each has an endpoint that the others see,
-// the marker, before anything else, and has routes only if no older marker is there: a snapshot with its own has all that
-// are older.
+// Marker: two bridges of one domain at one daemon would double every message. So each bridge first
+// creates an endpoint that the others see, the marker, and has routes only if there is no older
+// marker: a snapshot with its own marker contains all older ones.
 //
-// One thread, run()'s; the marker's connection says to HostWatch what becomes of agnocastd.
+// One thread, run()'s; the marker's connection reports changes of agnocastd to HostWatch.
 #pragma once
 
 #include <agnocast/agnocast.hpp>
@@ -24,26 +24,26 @@ namespace agnocast::bridge {
 
 class Marker {
  public:
-  /// `participant` has a name that no other bridge has. `watch` and `log` must outlive it.
+  /// `participant` gives a name that no other bridge has. `watch` and `log` must outlive it.
   Marker(std::uint32_t domain, const Guid& participant, HostWatch& watch, const Log& log);
 
-  /// Active: nothing of this domain was here first.
+  /// Active: no other bridge of this domain was here first.
   enum class Role : std::uint8_t { unknown, active, standby };
-  /// By what there is on this host; makes the marker first, if there is none.
+  /// Returns the role by the endpoints of this host; creates the marker first if there is none.
   Role find_role(const GraphSnapshot& local);
-  /// The pid of the bridge that is active in our place, as find_role() found last.
+  /// Returns the pid of the bridge that serves the domain instead, as of the last find_role().
   std::optional<std::uint32_t> standby_for() const noexcept { return standby_for_; }
 
   bool is_there() const noexcept { return subscription_ != nullptr; }
-  /// Notes why there is none, if it could not be made.
+  /// Notes why there is no marker, if it could not be created.
   void note_refusal(Refusals& refusals) const;
-  /// Whether agnocastd, which is there, did not make it.
+  /// Returns whether agnocastd refused the marker.
   bool is_refused() const noexcept {
     return refusal_ && refusal_->code != Errc::daemon_not_running;
   }
 
  private:
-  /// What all bridges of this domain can see of this one; false if it is not there yet.
+  /// Creates the marker; returns false if it does not exist yet.
   bool show_oneself();
 
   struct Refusal {

@@ -18,7 +18,7 @@ namespace {
 constexpr const char* help_hint = "agnocast-bridge --help";
 constexpr std::uint32_t domain_max = 232;
 
-// What the parser writes to.
+// The variables that the parser fills.
 struct Values {
   std::string config, socket, status_socket, log_level;
   std::uint32_t domain = 0;
@@ -27,27 +27,27 @@ struct Values {
 
 void describe(CLI::App& app, Values& values) {
   app.add_option("--config", values.config,
-                 "configuration; else /etc/agnocast/bridge-N.toml of the --domain N, else "
-                 "/etc/agnocast/bridge.toml, if it exists")
+                 "configuration; default: /etc/agnocast/bridge-N.toml for --domain N, else "
+                 "/etc/agnocast/bridge.toml, if that exists")
       ->type_name("FILE");
   app.add_option("--domain", values.domain,
-                 "of DDS, and of the nodes of this host that are bridged, 0 to 232; else as the "
-                 "configuration says, else ROS_DOMAIN_ID, else 0")
+                 "domain of DDS and of the bridged nodes of this host, 0 to 232; default: the "
+                 "configuration's, else ROS_DOMAIN_ID, else 0")
       ->check(CLI::Range(0U, domain_max))
       ->type_name("N");
-  app.add_option("--socket", values.socket, "where agnocastd listens; else AGNOCAST_SOCKET")
+  app.add_option("--socket", values.socket, "the socket of agnocastd; default: AGNOCAST_SOCKET")
       ->type_name("PATH");
   app.add_option("--status-socket", values.status_socket,
-                 "where agnocast-ctl bridge asks; else AGNOCAST_BRIDGE_SOCKET, else "
+                 "the status socket for agnocast-ctl bridge; default: AGNOCAST_BRIDGE_SOCKET, else "
                  "bridge-N.sock in $RUNTIME_DIRECTORY or beside agnocastd's socket")
       ->type_name("PATH");
   app.add_option("--log-level", values.log_level,
                  "error, warning, notice, info (the default) or debug")
       ->type_name("LEVEL");
   app.add_flag("--check-config", values.check_config,
-               "look for mistakes in the configuration and in CYCLONEDDS_URI, and end");
+               "check the configuration and CYCLONEDDS_URI, and end");
   app.add_flag("--version", values.version, "print the version and end");
-  app.set_help_flag("--help", "print this and end");
+  app.set_help_flag("--help", "print this help and end");
 }
 
 std::string section(const char* title, const std::vector<HelpText>& texts) {
@@ -73,7 +73,7 @@ std::vector<HelpText> option_texts() {
   std::vector<HelpText> texts;
   for (const CLI::Option* const option : app.get_options()) {
     const bool has_value = option->get_expected_max() != 0;
-    // Behind the colon stands what is checked, which the meaning says as well.
+    // The text after the colon is the check, which the meaning contains as well.
     const std::string value = has_value ? option->get_type_name() : std::string();
     texts.push_back(
         {option->get_name(), value.substr(0, value.find(':')), option->get_description()});
@@ -83,19 +83,20 @@ std::vector<HelpText> option_texts() {
 
 std::vector<HelpText> environment_texts() {
   return {
-      {"AGNOCAST_SOCKET", "", "where agnocastd listens"},
-      {"AGNOCAST_BRIDGE_SOCKET", "", "where agnocast-ctl bridge asks"},
+      {"AGNOCAST_SOCKET", "", "the socket of agnocastd"},
+      {"AGNOCAST_BRIDGE_SOCKET", "", "the status socket for agnocast-ctl bridge"},
       {"ROS_DOMAIN_ID", "", "the domain"},
       {"CYCLONEDDS_URI", "", "configuration of Cyclone DDS: interfaces, peers, multicast"},
-      {"AMENT_PREFIX_PATH", "", "where libraries of message packages are, beside type_paths"},
-      {"RUNTIME_DIRECTORY, NOTIFY_SOCKET, WATCHDOG_USEC", "", "what systemd says"},
+      {"AMENT_PREFIX_PATH", "",
+       "directories with libraries of message packages, besides type_paths"},
+      {"RUNTIME_DIRECTORY, NOTIFY_SOCKET, WATCHDOG_USEC", "", "set by systemd"},
   };
 }
 
 std::vector<HelpText> exit_texts() {
   return {
-      {"0", "", "ended by SIGTERM or SIGINT, or what was asked for is printed"},
-      {"1", "", "it cannot run here: configuration, DDS, or another bridge of this domain"},
+      {"0", "", "ended by SIGTERM or SIGINT, or printed the requested text"},
+      {"1", "", "cannot run here: configuration, DDS, or another bridge of this domain"},
       {"2", "", "wrong usage"},
   };
 }
@@ -103,8 +104,8 @@ std::vector<HelpText> exit_texts() {
 std::variant<Options, Exit> parse_options(int argc, const char* const* argv) {
   Values values;
   CLI::App app(
-      "Topics and services of this host in a DDS domain, as ROS 2 has them, and the other way "
-      "round.",
+      "Connects topics and services of this host with a DDS domain, in the way of ROS 2 "
+      "nodes.",
       "agnocast-bridge");
   describe(app, values);
   app.footer(section("Signals", {{"SIGHUP", "", "read the configuration again"},
@@ -141,7 +142,7 @@ std::variant<Options, Exit> parse_options(int argc, const char* const* argv) {
     if (!options.log_level)
       return Exit{2, "",
                   complaint("--log-level: " + in_quotes(values.log_level) +
-                                " is no level; known: " + std::string(log_level_names),
+                                " is not a level; use one of " + std::string(log_level_names),
                             "agnocast-bridge --log-level info")};
   }
   return options;
@@ -150,7 +151,7 @@ std::variant<Options, Exit> parse_options(int argc, const char* const* argv) {
 std::optional<std::string> choose_config_file(const Options& options,
                                               const std::string& directory) {
   if (options.config) return options.config;
-  // A file that exists but cannot be read is an error for whoever reads it, not a reason to go on.
+  // A file that exists but cannot be read is an error for the reader, not a reason to skip it.
   const auto exists = [](const std::string& path) { return ::access(path.c_str(), F_OK) == 0; };
   if (options.domain) {
     const std::string own = directory + "/bridge-" + std::to_string(*options.domain) + ".toml";

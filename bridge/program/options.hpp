@@ -1,7 +1,7 @@
 // SPDX-License-Identifier: Apache-2.0
 //
-// Options: the command line of agnocast-bridge. --help and agnocast-bridge(8) are made from the same table. Nothing
-// here prints or exits: what to print and the status are values.
+// Options: the command line of agnocast-bridge. --help and agnocast-bridge(8) are made from the
+// same table. This file does not print or exit: it returns the text and the exit status.
 #pragma once
 
 #include <base/log.hpp>
@@ -21,31 +21,31 @@ struct Options {
   bool check_config = false;
 };
 
-/// The program is to end at once.
+/// Tells the program to end at once.
 struct Exit {
   int status = 0;
   std::string out;  // for stdout
   std::string err;  // for stderr
 };
 
-/// "agnocast-bridge: what\nhint: command\n"
+/// Returns "agnocast-bridge: WHAT\nhint: COMMAND\n".
 std::string complaint(const std::string& what, const std::string& hint);
 
-/// An option, a variable of the environment, or an exit status, for --help and the manual page.
+/// An option, an environment variable or an exit status, for --help and the manual page.
 struct HelpText {
   std::string name;
-  std::string value;  // what an option takes; empty: nothing
+  std::string value;  // an option's value; empty: none
   std::string meaning;
 };
 std::vector<HelpText> option_texts();
 std::vector<HelpText> environment_texts();
 std::vector<HelpText> exit_texts();
 
-/// Exit status 0 for --help and --version, 2 for wrong usage.
+/// Returns an Exit with status 0 for --help and --version, with 2 for wrong usage.
 std::variant<Options, Exit> parse_options(int argc, const char* const* argv);
 
-/// The file that is read when --config does not say one: that of the domain which --domain says, else the one of
-/// all; nothing when it is not there. `directory` is /etc/agnocast but for tests.
+/// Returns the configuration file: --config, else that of the --domain, else the common one;
+/// nothing if it does not exist. `directory` differs only in tests.
 std::optional<std::string> choose_config_file(const Options& options,
                                               const std::string& directory = "/etc/agnocast");
 

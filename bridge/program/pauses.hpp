@@ -7,9 +7,9 @@
 
 namespace agnocast::bridge {
 
-/// When nothing happens: for ever.
+/// When nothing happens: practically for ever.
 inline constexpr auto no_end = std::chrono::hours(24 * 365);
-/// Between two looks for a daemon that is not there.
+/// Between two attempts to reach an absent daemon.
 inline constexpr std::chrono::milliseconds daemon_interval(1'000);
 
 }  // namespace agnocast::bridge

@@ -12,7 +12,7 @@
 namespace agnocast::bridge {
 namespace {
 
-// Writers that came and went since the newest plan, and get their source all the same.
+// Bound for writers that came and went since the newest plan and still get their remote publisher.
 constexpr std::size_t gone_writers_max = 1'000;
 
 Time soon() { return std::chrono::steady_clock::now() + daemon_interval; }
@@ -60,7 +60,7 @@ bool Planner::is_due(Time now) const { return (again_ && *again_ <= now) || pace
 
 bool Planner::plan(const DdsParticipant::Remotes& remotes, const CarryOut& carry_out) {
   again_.reset();
-  // While the daemon is away whatever is made here would wait for it, and everything that flows for this thread.
+  // While the daemon is absent, creating an endpoint would block this thread and all its traffic.
   if (connection_state() == ConnectionState::reconnecting) {
     again_ = soon();
     pace_.put_off(*again_);

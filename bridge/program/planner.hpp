@@ -1,15 +1,17 @@
 // SPDX-License-Identifier: Apache-2.0
 //
-// Planner: when the bridge plans, and from what. The plans themselves are pure: routes.hpp, service_plan.hpp.
+// Planner: decides when to plan, and from what. The plans themselves are pure: routes.hpp,
+// service_plan.hpp.
 //
-//   endpoints of this host, rules     have changed: at once
-//   DDS                               has changed: as PlanPace says
-//   agnocastd did not answer, or there was no place: again after a while
+//   endpoints of this host or rules changed             plan at once
+//   DDS changed                                         plan when PlanPace allows
+//   agnocastd did not answer, or a table was full       plan again after a while
 //
-// A writer that came and went since the last look may have been matched with an inlet that was there already: it gets its
-// source, which then lingers. So there is a plan with those that are gone before the one without them.
+// A writer that came and went since the last plan may have matched an existing DDS reader: it
+// still gets its publisher here, which then lingers. So a plan with such writers precedes the plan
+// without them.
 //
-// One thread, run()'s, but for set_rules().
+// One thread, run()'s, except for set_rules().
 #pragma once
 
 #include <agnocast/graph.hpp>
@@ -33,7 +35,7 @@ namespace agnocast::bridge {
 
 class Planner {
  public:
-  /// Which topics, which way: what a configuration that is read again may change.
+  /// The topics and directions: the part that a reload of the configuration may change.
   struct Rules {
     std::vector<Rule> list;
     Direction otherwise = Direction::both;
@@ -42,42 +44,43 @@ class Planner {
   struct Plans {
     Plan topics;
     ServicePlan services;
-    // Another bridge of the domain is active now, and has what we had: nothing lingers.
+    // Another bridge of the domain is active now and serves our routes: nothing lingers.
     bool ends_all = false;
   };
   struct CarriedOut {
-    bool is_whole = true;            // false: agnocastd did not answer, what is left is for later
-    std::optional<Time> again = {};  // then there may be room for what there was none for
+    bool is_whole = true;            // false: agnocastd did not answer, retry the rest later
+    std::optional<Time> again = {};  // when to retry what did not fit
   };
   using CarryOut = std::function<CarriedOut(const Plans&)>;
   using HasSource = std::function<bool(const Guid& writer)>;
 
-  /// All references must outlive it. `has_source` says whether a remote writer has its source.
+  /// All references must outlive it. `has_source` tells if a remote writer has a publisher here.
   Planner(std::uint32_t domain, Rules rules, Marker& marker, MessageTypes& types, PlanPace& pace,
           Refusals& refusals, HasSource has_source);
 
-  /// From now on these rules hold, when renew_rules() has seen them. Any thread.
+  /// Replaces the rules, once renew_rules() has been called. Any thread.
   void set_rules(Rules rules);
-  /// Whether there are others than before.
+  /// Returns whether the rules were replaced.
   bool renew_rules();
-  /// What there is on this host now. True if it is another agnocastd that says so.
+  /// Takes the endpoints of this host. Returns true if they come from another agnocastd.
   bool renew_local(GraphSnapshot local);
-  /// Remembers what changed in DDS, for the next plan.
+  /// Remembers changes in DDS for the next plan.
   void note(const std::vector<RemoteChange>& changes);
 
-  /// Whether something is to be planned, if nothing changes on this host.
+  /// Returns whether to plan although nothing changes on this host.
   bool is_due(Time now) const;
-  /// When it will be; never, if nothing is owed.
+  /// Returns when that will be; nothing if no plan is pending.
   std::optional<Time> due() const { return earliest(again_, pace_.due()); }
-  /// Plans for these and has it carried out. False if agnocastd is away: it is for later.
+  /// Plans for `remotes` and carries it out. Returns false if agnocastd is absent: retry later.
   bool plan(const DdsParticipant::Remotes& remotes, const CarryOut& carry_out);
 
   std::span<const EndpointInfo> local() const noexcept { return local_.endpoints; }
-  /// Of the newest plan.
+  /// The topics and services that the newest plan does not bridge.
   const std::vector<Unbridged>& unbridged() const noexcept { return unbridged_; }
 
  private:
-  /// Whether all of it could be planned and made; if not, what comes of writers without a source waits for the next one.
+  /// Returns whether everything was planned and made; if not, unplaced messages wait for the next
+  /// plan.
   bool plan_once(const DdsParticipant::Remotes& remotes, const CarryOut& carry_out);
   Situation situation(const DdsParticipant::Remotes& remotes);
 
@@ -89,10 +92,10 @@ class Planner {
   const HasSource has_source_;
   Rules rules_;
   GraphSnapshot local_;
-  std::vector<Remote> gone_writers_;  // since the newest whole plan, without a source
-  std::optional<Time> again_;         // then, whatever happens until then
+  std::vector<Remote> gone_writers_;  // since the newest complete plan, without a publisher here
+  std::optional<Time> again_;         // plan again at this time
   std::vector<Unbridged> unbridged_;
-  std::mutex next_mutex_;            // of the next one
+  std::mutex next_mutex_;            // guards next_rules_
   std::optional<Rules> next_rules_;  // not in force yet
 };
 

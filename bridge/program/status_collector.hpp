@@ -1,7 +1,7 @@
 // SPDX-License-Identifier: Apache-2.0
 //
-// StatusCollector: puts together what the parts of the bridge have at one moment (status.hpp). Another thread asks;
-// run()'s thread, which all parts belong to, answers.
+// StatusCollector: collects the state of all parts of the bridge at one moment (status.hpp).
+// Another thread asks; run()'s thread, which owns all parts, answers.
 #pragma once
 
 #include <base/clock.hpp>
@@ -26,7 +26,7 @@ namespace agnocast::bridge {
 
 class StatusCollector {
  public:
-  /// What it looks at.
+  /// The parts that it reads.
   struct Parts {
     DdsParticipant& participant;
     const RosGraph& ros_graph;
@@ -41,9 +41,9 @@ class StatusCollector {
   /// All parts must outlive it.
   StatusCollector(std::uint32_t domain, const Parts& parts) : domain_(domain), parts_(parts) {}
 
-  /// Nothing when run()'s thread does not answer for `patience`. One thread, not run()'s.
+  /// Returns run()'s status; nothing if it does not answer within `patience`. One other thread.
   std::optional<BridgeStatus> ask(std::chrono::milliseconds patience);
-  /// Answers, if somebody asks. run()'s thread.
+  /// Answers a pending request, if there is one. run()'s thread.
   void answer();
 
  private:
@@ -52,7 +52,7 @@ class StatusCollector {
   const std::uint32_t domain_;
   const Parts parts_;
   const std::uint64_t since_ns_ = monotonic_ns();
-  std::mutex mutex_;  // of the next two
+  std::mutex mutex_;  // guards the next two
   bool is_asked_ = false;
   std::optional<BridgeStatus> answer_;
   std::condition_variable answered_;

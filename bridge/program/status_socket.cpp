@@ -34,12 +34,12 @@ namespace {
 
 constexpr std::size_t reader_count_max = 16;
 constexpr std::uint64_t patience_ms = 5'000;
-// Who asks more often gets the same again.
+// Readers that ask more often get the same answer again.
 constexpr std::uint64_t answer_interval_ms = 50;
-// Who has taken nothing for so long gives up its place to one that waits for it.
+// A reader that has taken nothing for this long loses its place to a waiting one.
 constexpr std::uint64_t turn_ms = 100;
-// accept fails at once where there are no descriptors, as long as somebody waits; so does a turn where there is no
-// memory: between two attempts.
+// The pause after a failure: accept() fails at once without free descriptors as long as a client
+// waits, and so does a round of the loop without memory.
 constexpr std::uint64_t retry_interval_ms = 100;
 
 struct ReaderOf {
@@ -47,9 +47,9 @@ struct ReaderOf {
   std::shared_ptr<const std::string> text;
   std::size_t sent = 0;
   std::uint64_t end_ms = 0;
-  std::uint64_t moved_ms = 0;  // when it last took something
+  std::uint64_t moved_ms = 0;  // when it last took data
 
-  /// Whether there is more to send.
+  /// Sends as much as fits; returns whether there is more to send.
   bool send() {
     while (sent < text->size()) {
       const ssize_t count =
@@ -63,9 +63,9 @@ struct ReaderOf {
   }
 };
 
-// Before Linux 6.16 a reader may send descriptors, which are closed with its connection, and that takes as long
-// as it likes (base/closing.hpp). Threads of their own wait for it; who comes meanwhile is served until there
-// are too many.
+// Before Linux 6.16 a reader may send descriptors; they are closed with its connection, which
+// takes as long as their owner likes (base/closing.hpp). Separate threads wait for that; new
+// readers are served until there are too many such threads.
 class Closings {
  public:
   bool is_full() const { return count_->load(std::memory_order_relaxed) >= reader_count_max; }
@@ -79,7 +79,7 @@ class Closings {
         close_by_ending_thread({&one, 1});
         count->fetch_sub(1, std::memory_order_relaxed);
       }).detach();
-    } catch (const std::system_error&) {  // no thread left: it stays, and counts
+    } catch (const std::system_error&) {  // no thread available: it stays open and counts
     }
     static_cast<void>(fd.release());
   }
@@ -137,7 +137,7 @@ StatusSocket::~StatusSocket() {
     thread_.join();
   }
   if (socket_) ::unlink(path_.c_str());
-  // Those who wait to be accepted go with it.
+  // Clients that wait in the accept queue are closed with the socket.
   if (socket_ && !refuses_descriptors(socket_.get())) close_without_waiting(std::move(socket_));
 }
 
@@ -146,7 +146,7 @@ void StatusSocket::serve() {
   Closings closings;
   std::shared_ptr<const std::string> latest;
   std::uint64_t made_ms = 0;
-  std::uint64_t accept_ms = 0;  // not before; until then who comes waits in the queue of the socket
+  std::uint64_t accept_ms = 0;  // accept no one before; clients wait in the socket's queue
   const auto goes_on = [&] {
     std::uint64_t now = monotonic_ms();
     int wait_ms = -1;
@@ -210,7 +210,7 @@ void StatusSocket::serve() {
     try {
       ends = !goes_on();
     } catch (const std::exception&) {
-      // No memory. Whoever has just asked hears nothing, and may ask again.
+      // No memory. The client that has just asked gets no answer and may ask again.
       pollfd stop{stop_.get(), POLLIN, 0};
       ends = ::poll(&stop, 1, static_cast<int>(retry_interval_ms)) > 0;
     }
@@ -221,7 +221,7 @@ void StatusSocket::serve() {
 std::string choose_status_path(const std::string& named, std::uint32_t domain) {
   if (!named.empty()) return named;
   const std::string name = "/bridge-" + std::to_string(domain) + ".sock";
-  // systemd lists several, separated by colons.
+  // systemd may list several directories, separated by colons.
   if (const char* const made = std::getenv("RUNTIME_DIRECTORY"); made != nullptr && *made == '/')
     return std::string(made).substr(0, std::string(made).find(':')) + name;
   const std::string daemon = socket_path();

@@ -1,11 +1,12 @@
 // SPDX-License-Identifier: Apache-2.0
 //
-// StatusSocket: gives who connects one text, then closes. A thread of its own sleeps in poll() until somebody comes;
-// it writes without waiting, to a few at a time, and gives up on who does not read. What a client sends is not read.
+// StatusSocket: sends one text to each client that connects, then closes. A thread of its own
+// sleeps in poll(). It writes without blocking to a few clients at a time, and drops those that do
+// not read. It never reads what a client sends.
 //
-//   PATH        a stream socket, for the group: who may look at the daemon may look at the bridge
-//   PATH.lock   locked as long as the bridge lives, so that there is one of a domain, and a socket that a dead one
-//               left can be replaced
+//   PATH        a stream socket with the mode of the daemon's: its group may read the status
+//   PATH.lock   locked while the bridge lives, so that a domain has one bridge, which may replace
+//               a socket that a dead one left
 #pragma once
 
 #include <base/unique_fd.hpp>
@@ -22,13 +23,14 @@ namespace agnocast::bridge {
 class StatusSocket {
  public:
   struct Failure {
-    bool is_taken = false;  ///< another bridge has it
+    bool is_taken = false;  ///< another bridge holds the lock
     std::string why;
   };
-  /// Takes the lock beside it: one bridge has it. Refuses a directory in which other users could replace either.
+  /// Takes the lock beside the socket: one bridge holds it. Refuses a directory that other users
+  /// may write.
   [[nodiscard]] static tl::expected<std::unique_ptr<StatusSocket>, Failure> take(
       const std::string& path);
-  /// Once. `answer` is called by the thread, at most every 50 ms.
+  /// Call once. The thread calls `answer` at most every 50 ms.
   [[nodiscard]] tl::expected<void, Failure> listen(std::function<std::string()> answer);
   /// Removes the socket.
   ~StatusSocket();
@@ -45,8 +47,8 @@ class StatusSocket {
   std::thread thread_;
 };
 
-/// --status-socket or AGNOCAST_BRIDGE_SOCKET (`named`; empty: neither), else in the directory that systemd made for
-/// us, else beside the daemon's socket.
+/// Returns the path of the socket: `named` (--status-socket or AGNOCAST_BRIDGE_SOCKET; empty:
+/// neither), else one in the directory from systemd, else one beside the daemon's socket.
 std::string choose_status_path(const std::string& named, std::uint32_t domain);
 
 }  // namespace agnocast::bridge

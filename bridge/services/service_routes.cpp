@@ -15,14 +15,14 @@
 namespace agnocast::bridge {
 namespace {
 
-// How long a request waits until the way to its server and back is there.
+// How long a request waits until the routes to its server and back exist.
 constexpr std::chrono::seconds patience{1};
-// Many clients' requests go over one endpoint, in bursts: more than the 10 that ROS has for one client.
+// One endpoint carries requests of many clients, in bursts: more than ROS's 10 for one client.
 constexpr std::int32_t service_depth = 1'000;
 QoS service_qos() { return QoS(100); }
-// What is taken of one reader before others have their turn.
+// Bound for one take from a reader, before others get their turn.
 constexpr std::size_t takes_max = 64;
-// Requests that servers in DDS have not answered: the oldest of more are forgotten.
+// Requests that servers in DDS have not answered: beyond this the oldest are dropped.
 constexpr std::size_t requests_max = 1'000;
 
 DdsQos qos_with(std::string user_data) {
@@ -45,13 +45,13 @@ DdsResult<WriteOutcome> write(DdsWriter& writer, const BridgedType& type,
       std::int64_t{now.tv_sec} * 1'000'000'000 + now.tv_nsec);
 }
 
-/// Of whom a writer is: the first 12 bytes of its GUID.
+/// Returns the participant of a writer: the first 12 bytes of its GUID.
 Guid participant_of(Guid writer) noexcept {
   std::fill(writer.bytes.begin() + 12, writer.bytes.end(), std::uint8_t{0});
   return writer;
 }
 
-/// Client id and number, which are in front of the body; nothing if the payload is too short.
+/// Returns client id and number from in front of the body; nothing if the payload is too short.
 std::optional<ServiceHeader> header_of(std::span<const std::byte> payload) {
   constexpr std::size_t encapsulation_bytes = 4;
   if (payload.size() < encapsulation_bytes + 16) return std::nullopt;
@@ -69,7 +69,8 @@ std::optional<ServiceHeader> header_of(std::span<const std::byte> payload) {
 }
 
 std::string why_not(const DdsResult<WriteOutcome>& written) {
-  return written ? "it cannot be written as CDR, leads out of its publisher's memory, or there is no "
+  return written ? "it cannot be written as CDR, refers to memory outside its publisher's, or "
+                   "there is no "
                    "memory for it"
                  : written.error().text();
 }
@@ -112,7 +113,7 @@ Errc ServiceRoutes::apply(const ServicePlan& plan) {
       serve(key, route, type_of_service(key));
     if (const auto open = served_.find(key); open != served_.end()) {
       open->second.plan = route;
-      open->second.next_look = {};  // what is new may be the way back of what is kept
+      open->second.next_look = {};  // new endpoints may be reply routes of kept requests
     }
   }
   for (const auto& [key, route] : plan.asked) {
@@ -305,7 +306,7 @@ std::optional<Time> ServiceRoutes::send_kept(Time now) {
   return next;
 }
 
-// In their order, but for those whose clients cannot be answered yet: these hold up nobody else's.
+// In order, except for requests whose clients cannot be answered yet: these block no others.
 bool ServiceRoutes::look_at_kept(Served& served, Time now) {
   const auto answering = served.answering;
   ServiceTraffic& traffic = answering->traffic;
@@ -316,7 +317,7 @@ bool ServiceRoutes::look_at_kept(Served& served, Time now) {
   };
   bool has_server = served.client->service_is_ready(), any = false;
   served.has_room = true;
-  std::map<Guid, bool> ways;  // back
+  std::map<Guid, bool> ways;  // reply routes
   const auto has_way = [&](const Guid& writer) {
     const auto [way, is_new] = ways.try_emplace(writer);
     if (is_new) way->second = can_be_answered(served, writer);
@@ -333,7 +334,7 @@ bool ServiceRoutes::look_at_kept(Served& served, Time now) {
     if (has_server && !served.has_room)
       return drop_after(std::max(kept.end, served.under_way.newest() + UnderWay::patience),
                         traffic.refused, "the server takes no more");
-    return drop_after(kept.end, traffic.timed_out, "no way to the server and back");
+    return drop_after(kept.end, traffic.timed_out, "no route to the server and back");
   };
   std::erase_if(served.kept, [&](const Kept& kept) {
     if (!is_done(kept)) return false;
@@ -344,7 +345,7 @@ bool ServiceRoutes::look_at_kept(Served& served, Time now) {
   return any;
 }
 
-/// A response that its client's reader is not yet known for would be lost.
+/// A response would be lost as long as its client's reader is not known.
 bool ServiceRoutes::can_be_answered(Served& served, const Guid& writer) const {
   const auto& remotes = participant_.remotes();
   const auto client = remotes.find(writer);
@@ -414,7 +415,8 @@ ServiceRoutes::Sent ServiceRoutes::send_on(Served& served, const Kept& kept, Tim
   return Sent::dropped;
 }
 
-// What their clients hear is that a service has ended, so the route is made anew; requests that others have got end with it.
+// The clients learn that the service has ended because the route is made again; other pending
+// requests end, too.
 bool ServiceRoutes::is_in_vain(Asking& asking, const std::set<Guid>& servers) {
   const std::lock_guard lock(asking.mutex);
   return std::any_of(asking.pending.begin(), asking.pending.end(), [&](const auto& entry) {
@@ -457,7 +459,7 @@ void ServiceRoutes::answer(Asked& asked, const Raw& raw) {
                    "it has no client id and number");
   if (told->client_id != asking.client_id) return;  // all clients of a service share the topic
   {
-    // Another server was first, or nobody asked.
+    // Another server was faster, or the request never existed.
     const std::lock_guard lock(asking.mutex);
     if (!asking.pending.contains(told->sequence_number))
       return void(++asking.traffic.unasked);

@@ -1,16 +1,18 @@
 // SPDX-License-Identifier: Apache-2.0
 //
-// ServiceRoutes: carries out what service_plan.hpp plans, and moves requests and responses, in rmw_cyclonedds' form: in
-// front of the body are the client's id and its request's number, which a server gives back.
+// ServiceRoutes: carries out the plans of service_plan.hpp, and moves requests and responses, in
+// the form of rmw_cyclonedds: before the body are the client's id and its request's number, which
+// the server returns.
 //
-//   served   a request comes: kept until it can be sent on, then sent by a client here, whose callback writes the
-//            response under the id and number of the request
-//   asked    a service here gets a request: written under an id of the bridge's own and the next number; the response with
-//            that id and number is its answer
+//   served   a request from DDS is kept until a client here can send it; that client's callback
+//            writes the response under the id and number of the request
+//   asked    a service here gets a request and writes it under an id of the bridge's own and the
+//            next number; the response with that id and number is its answer
 //
-// A request that nobody can take in time is dropped and counted, as it would be lost on a network; whoever asked
-// decides how long to wait, so as long as a server takes requests, others wait for their turn. Nobody tells when it has
-// room: what is kept is looked at again by and by (room.hpp). Everything but callbacks is run()'s thread.
+// A request without a server in time is dropped and counted, as it would be lost on a network. Its
+// client decides how long to wait, so while a server takes requests, others wait for their turn.
+// Nothing signals room: kept requests are tried again at intervals (room.hpp). Everything except
+// callbacks is run()'s thread.
 #pragma once
 
 #include <agnocast/agnocast.hpp>
@@ -52,14 +54,14 @@ struct BridgedService {
   }
 };
 
-/// One route, since it exists. Any thread.
+/// One route, since its creation. Any thread.
 struct ServiceTraffic {
   using Counter = std::atomic<std::uint64_t>;
   Counter requests{0}, request_bytes{0}, responses{0}, response_bytes{0};
   Counter malformed{0}, refused{0}, timed_out{0}, forgotten{0}, unasked{0};  // see ServiceNumbers
   Counter last_ns{0};
   const std::uint64_t since_ns = monotonic_ns();
-  Seldom tells;  // the log
+  Seldom tells;  // limits log lines
 
   void count_request(std::size_t size) noexcept { count(requests, request_bytes, size); }
   void count_response(std::size_t size) noexcept { count(responses, response_bytes, size); }
@@ -88,15 +90,15 @@ class ServiceRoutes {
         reaper_(reaper),
         refusals_(refusals) {}
 
-  /// daemon_not_running: what is left of the plan is for later.
+  /// Returns daemon_not_running if the rest of the plan has to be retried later.
   [[nodiscard]] Errc apply(const ServicePlan& plan);
-  /// Takes what those readers have that are its own.
+  /// Takes samples from those readers that are its own.
   void move(std::span<DdsReader* const> ready);
-  /// Sends on what was taken, if it is time to look at it. When it is next; nothing is kept: never.
+  /// Sends kept requests when due. Returns when to call it again; nothing if none is kept.
   std::optional<Time> send_kept(Time now);
-  /// Adds endpoints in DDS to the nodes of this host that they are for.
+  /// Adds endpoints in DDS to the nodes of this host that they serve.
   void tell(const NodesByName& nodes) const;
-  /// All of them, as they are now.
+  /// Returns the current state of all routes.
   std::vector<BridgeStatus::ServiceNow> look() const;
 
   std::size_t size() const noexcept { return served_.size() + asked_.size(); }
@@ -110,14 +112,14 @@ class ServiceRoutes {
     Guid writer;
     Time end;
   };
-  /// What callbacks use; it outlives the route as long as they do.
+  /// The part that callbacks use; it outlives the route as long as they do.
   struct Answering {
     BridgedService type;
     std::unique_ptr<DdsWriter> responses;
     ServiceTraffic traffic;
     std::string service;
   };
-  /// A request that the server had no room for, as it will be sent.
+  /// A request that the server had no room for, ready to be sent.
   struct Decoded {
     std::shared_ptr<const Raw> request;
     ServiceHeader header;
@@ -131,11 +133,12 @@ class ServiceRoutes {
     std::deque<Kept> kept;
     std::size_t kept_bytes = 0;
     std::map<Guid, std::size_t> kept_of;  // messages, by participant
-    // Clients in DDS that have an ear for responses: participant and USER_DATA, when others were at this version.
+    // Clients in DDS with a reader for responses: participant and USER_DATA, as of this version of
+    // the remotes.
     std::set<std::pair<Guid, std::string>> ways_back;
     std::uint64_t ways_back_at = 0;
-    std::optional<Decoded> next;  // of kept
-    bool has_room = true;         // at the last look at kept
+    std::optional<Decoded> next;  // one of kept
+    bool has_room = true;         // at the last attempt
     Time next_look;
     std::chrono::nanoseconds interval{0};
     UnderWay under_way;
@@ -146,11 +149,11 @@ class ServiceRoutes {
     std::uint64_t client_id = 0;
     ServiceTraffic traffic;
     std::string service;
-    std::mutex mutex;  // of the rest
+    std::mutex mutex;  // guards the rest
     std::int64_t newest = 0;
     struct Pending {
       GenericServiceRequest request;
-      std::set<Guid> servers;  // that may have got it
+      std::set<Guid> servers;  // that may have received it
     };
     std::set<Guid> servers;  // in DDS now
     std::map<std::int64_t, Pending> pending;
@@ -173,18 +176,19 @@ class ServiceRoutes {
   void refuse(const std::string& what, const Failure& why);
   void keep_requests(const ServiceKey& key);
   void take_responses(Asked& asked);
-  /// Whether one was sent.
+  /// Returns whether a request was sent.
   bool look_at_kept(Served& served, Time now);
   enum class Sent : std::uint8_t { sent, dropped, no_server, no_room };
   Sent send_on(Served& served, const Kept& kept, Time now);
   void answer(Asked& asked, const Raw& response);
   bool can_be_answered(Served& served, const Guid& writer) const;
-  /// False, and counted, when there is no room for it.
+  /// Keeps a request; returns false, and counts it, if there is no room.
   bool keep(Served& served, std::shared_ptr<Raw> request, const Guid& writer);
-  /// Drops the newest request of the client that has most, for one of a client that has less; false if that is nobody.
+  /// Drops the newest request of the client with most, for a client with less; returns false if
+  /// there is none.
   bool make_place(Served& served, const Guid& client);
   void forget(Served& served, const Kept& kept);
-  /// Whether a request waits for servers that are all gone.
+  /// Returns whether a request waits for servers that are all gone.
   static bool is_in_vain(Asking& asking, const std::set<Guid>& servers);
   static void write_request(const Log& log, Asking& asking, GenericServiceRequest request);
   static void dropped(const Log& log, ServiceTraffic& traffic, ServiceTraffic::Counter& reason,
@@ -198,11 +202,11 @@ class ServiceRoutes {
   Refusals& refusals_;
   std::map<ServiceKey, Served> served_;
   std::map<ServiceKey, Asked> asked_;
-  std::set<ServiceKey> keeping_;  // of served_, those that keep requests
-  std::size_t kept_bytes_ = 0;    // of all of them; at most held_bytes_max, as of topics
+  std::set<ServiceKey> keeping_;  // those of served_ that keep requests
+  std::size_t kept_bytes_ = 0;    // of all of them; at most held_bytes_max, as for topics
   std::unordered_map<const DdsReader*, ServiceKey> served_by_, asked_by_;
   std::uint32_t ids_ = 0;
-  Errc refusal_ = Errc::ok;  // the last one of agnocastd in this apply()
+  Errc refusal_ = Errc::ok;  // agnocastd's last refusal in this apply()
 };
 
 }  // namespace agnocast::bridge

@@ -1,9 +1,10 @@
 // SPDX-License-Identifier: Apache-2.0
 //
-// UnderWay: the requests that a server here has got and not answered. A server drops answers of which the bridge has not
-// read as many as the server is deep, so no more requests than that are under way, unless they have taken longer than
-// `patience` and so are not about to be answered all at once. A server that never answers shall not cost memory without
-// end: of too many the oldest is forgotten, and one more is under way for it.
+// UnderWay: the requests that a server here has received and not answered. A server drops unread
+// answers beyond its depth, so no more requests than that are pending at once, except those that
+// take longer than `patience`, whose answers will not come all together. A server that never
+// answers must not cost unlimited memory: of too many, the oldest is dropped, and one more may be
+// pending for it.
 #pragma once
 
 #include <agnocast/agnocast.hpp>
@@ -19,12 +20,12 @@
 
 namespace agnocast::bridge {
 
-/// One thread's; completions may end on any.
+/// One thread; the owners of completions may end on any thread.
 class UnderWay {
  public:
   using Time = std::chrono::steady_clock::time_point;
   static constexpr std::size_t unanswered_max = 1'000;
-  /// As deep as servers are that say nothing else.
+  /// The default depth of servers.
   static std::size_t at_once_max() noexcept { return ServicesQoS().depth(); }
   static constexpr std::chrono::seconds patience{1};
 
@@ -41,7 +42,8 @@ class UnderWay {
     slow_ = sent_.size();
     return true;
   }
-  /// One more, after has_room(), unanswered while its completion is there. The one to forget, if they are too many.
+  /// Adds a request, after has_room(), pending while its completion lives. Returns one to drop if
+  /// there are too many.
   std::optional<std::int64_t> add(std::int64_t request, std::weak_ptr<const void> completion,
                                   Time now) {
     sent_.push_back({request, std::move(completion)});
@@ -49,10 +51,10 @@ class UnderWay {
     if (sent_.size() <= unanswered_max) return std::nullopt;
     const std::int64_t oldest = sent_.front().request;
     sent_.pop_front();
-    --slow_;  // it was one of them
+    --slow_;  // the oldest was a slow one
     return oldest;
   }
-  /// When the last one was sent.
+  /// Returns when the last one was sent.
   Time newest() const noexcept { return newest_; }
 
  private:
@@ -61,7 +63,7 @@ class UnderWay {
     std::weak_ptr<const void> completion;
   };
   std::deque<Sent> sent_;
-  std::size_t slow_ = 0;  // how many of them are not waited for: the oldest
+  std::size_t slow_ = 0;  // the oldest ones, which are no longer waited for
   Time newest_;
 };
 

@@ -36,7 +36,7 @@ tl::unexpected<Problem> wrong_usage(std::string what, std::string why,
   return problem(Status::wrong_usage, std::move(what), std::move(why), std::move(hint));
 }
 
-// "hint: did you mean …": the word that is spelt most alike, or the help.
+// Returns the hint for an unknown word: the known word with the closest spelling, or `otherwise`.
 std::string meant(std::string_view word, const std::vector<std::string>& known,
                   const std::string& before, const std::string& otherwise) {
   const std::vector<std::string_view> views(known.begin(), known.end());
@@ -46,12 +46,12 @@ std::string meant(std::string_view word, const std::vector<std::string>& known,
 
 struct Found {
   const Command* command = nullptr;
-  std::vector<std::string> rest;  // the words that are not the command's own
-  std::string noun;               // for help of a noun
+  std::vector<std::string> rest;  // the words other than noun and verb
+  std::string noun;               // for the help of one noun
 };
 
-// Whether the next word is this option's value, whichever command it belongs to. Where commands
-// disagree (-t) it is not, as long as the command is not known.
+// Returns whether the next word is this option's value, for any command. Where commands disagree
+// (-t), it is not: the command is not known yet.
 bool takes_value(std::string_view word, std::span<const Command> commands) {
   bool takes = false, is_flag = false;
   const auto look_at = [&](const Option& option) {
@@ -65,7 +65,7 @@ bool takes_value(std::string_view word, std::span<const Command> commands) {
   return takes && !is_flag;
 }
 
-// The first words that are no options are noun and verb.
+// Returns the command: the first words that are not options are its noun and verb.
 Outcome<Found> find_command(std::span<const std::string> words, std::span<const Command> commands) {
   Found found;
   std::string noun, verb;
@@ -98,7 +98,7 @@ Outcome<Found> find_command(std::span<const std::string> words, std::span<const 
       found.rest.push_back(word);
     }
   }
-  // What may have been meant, each as it can be run.
+  // Candidates for the hint, each as the user can run it.
   std::vector<std::string> nouns, verbs;
   for (const Command& command : commands) {
     if (command.verb == "list") nouns.push_back(plural_of(command.noun));
@@ -156,12 +156,12 @@ Outcome<std::uint64_t> domain_of(const std::string& what, const std::string& tex
   if (!number || *number > domain_max)
     return wrong_usage(
         what,
-        in_quotes(text) + " is no domain; it is a number from 0 to " + std::to_string(domain_max),
+        in_quotes(text) + " is not a domain; use a number from 0 to " + std::to_string(domain_max),
         "ROS_DOMAIN_ID=0 agnocast-ctl topic list");
   return *number;
 }
 
-/// Whether a value is what its option wants; if not, why.
+/// Returns why `value` is not valid for its option; nothing if it is valid.
 std::optional<std::string> complaint_of(const Option& option, const std::string& value) {
   const auto bound = [](double number) {
     char text[32];
@@ -179,7 +179,7 @@ std::optional<std::string> complaint_of(const Option& option, const std::string&
       if (number && static_cast<double>(*number) >= option.least &&
           static_cast<double>(*number) <= option.most)
         return std::nullopt;
-      return in_quotes(value) + " is no whole number from " + bound(option.least) +
+      return in_quotes(value) + " is not a whole number from " + bound(option.least) +
              (std::isinf(option.most) ? " upwards" : " to " + bound(option.most));
     }
     case Option::Kind::real: {
@@ -187,7 +187,7 @@ std::optional<std::string> complaint_of(const Option& option, const std::string&
       if (number && *number <= option.most &&
           (option.least == 0 ? *number > 0 : *number >= option.least))
         return std::nullopt;
-      return in_quotes(value) + " is no number " + (option.least == 0 ? "above " : "from ") +
+      return in_quotes(value) + " is not a number " + (option.least == 0 ? "above " : "from ") +
              bound(option.least) + (std::isinf(option.most) ? "" : " to " + bound(option.most));
     }
     case Option::Kind::word: {
@@ -195,17 +195,17 @@ std::optional<std::string> complaint_of(const Option& option, const std::string&
       if (std::find(words.begin(), words.end(), value) != words.end()) return std::nullopt;
       std::string known;
       for (const std::string& word : words) known += (known.empty() ? "" : ", ") + word;
-      return in_quotes(value) + " is not known; known: " + known;
+      return in_quotes(value) + " is unknown; use one of " + known;
     }
   }
   return std::nullopt;
 }
 
-// CLI11 reads the options of one command; nouns and verbs are ours.
+// CLI11 parses the options of one command; find_command() parses noun and verb.
 class Parser {
  public:
   explicit Parser(const Command& command) : command_(command) {
-    app_.allow_extras();  // so that we can say what is unknown, and what was meant
+    app_.allow_extras();  // refuse_extras() suggests a known option
     app_.set_help_flag("-h,--help");
     app_.add_option("SUBJECTS", arguments_.subjects);
     for (const Option* const option : command.options) add(*option);
@@ -217,15 +217,15 @@ class Parser {
   Outcome<std::variant<Arguments, Answer>> parse(std::vector<std::string> words,
                                                  const Surroundings& around) {
     const std::string help = full_name(command_) + " --help";
-    // Behind "--" nothing is an option.
+    // After "--" no word is an option.
     const auto mark = std::find(words.begin(), words.end(), "--");
     std::vector<std::string> plain(mark == words.end() ? mark : mark + 1, words.end());
     words.erase(mark, words.end());
     for (std::string& word : words) {
-      // Its value is never the next word.
+      // The next word is never its value.
       if (word == "--json") word += around.out_is_terminal ? "=pretty" : "=short";
     }
-    std::reverse(words.begin(), words.end());  // as CLI11 wants a vector
+    std::reverse(words.begin(), words.end());  // CLI11 expects a vector in reverse order
     try {
       app_.parse(words);
     } catch (const CLI::CallForHelp&) {
@@ -296,7 +296,7 @@ class Parser {
     }
     if (read < arguments_.subjects.size())
       return wrong_usage(escaped(arguments_.subjects[read]),
-                         full_name(command_) + " takes no such word", help);
+                         full_name(command_) + " takes no such argument", help);
     return {};
   }
 

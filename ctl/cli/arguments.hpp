@@ -1,12 +1,12 @@
 // SPDX-License-Identifier: Apache-2.0
 //
-// Arguments: the command line as values. Pure but for the environment, which comes in as a value.
+// Arguments: the command line as values. Pure: the environment comes in as a value.
 //
 //   agnocast-ctl NOUN [VERB] [NAME…] [OPTION…]
 //
-// Which nouns and verbs there are, and which options each takes, is the table of commands.hpp; a
-// plural noun is short for its `list`. Values are checked here once, against what option.hpp says of
-// them, so a command asks and never finds nonsense.
+// The table of commands.hpp lists the nouns and verbs and the options of each; a plural noun is
+// short for its `list`. Values are checked here once, against option.hpp, so that a command finds
+// only valid ones.
 #pragma once
 
 #include <ctl/cli/option.hpp>
@@ -24,11 +24,11 @@ namespace agnocast::ctl {
 
 struct Command;
 
-/// Where the daemon that root starts listens.
+/// The socket of the daemon that root starts.
 inline constexpr const char* system_socket = "/run/agnocast/agnocastd.sock";
-/// Where any other user's does, in $XDG_RUNTIME_DIR.
+/// The socket of any other user's daemon, below $XDG_RUNTIME_DIR.
 inline constexpr const char* user_socket = "/agnocast/agnocastd.sock";
-// ROS 2's own bound; a higher one has no DDS ports.
+// ROS 2's own limit; a higher domain has no DDS ports.
 inline constexpr std::uint64_t domain_max = 232;
 
 enum class Json : std::uint8_t { no, compact, pretty };
@@ -44,28 +44,28 @@ struct Arguments {
   std::map<const Option*, std::string> given;
 
   bool has(const Option& option) const { return given.count(&option) != 0; }
-  /// The value that was given, else the option's own, else an empty text.
+  /// Returns the given value, else the option's default, else an empty text.
   std::string text(const Option& option) const;
-  /// The same as numbers; 0 when there is none.
+  /// Return the value as a number; 0 when there is none.
   std::uint64_t whole(const Option& option) const;
   double real(const Option& option) const;
-  /// Empty when there are fewer.
+  /// Returns an empty text when there are fewer subjects.
   std::string subject(std::size_t index) const {
     return index < subjects.size() ? subjects[index] : std::string();
   }
 };
 
-/// What is outside of us.
+/// The environment of the command.
 struct Surroundings {
   std::optional<std::string> agnocast_socket;
   std::optional<std::string> xdg_runtime_dir;
   std::optional<std::string> ros_domain_id;
-  bool has_system_socket = false;  // there is something at /run/agnocast/agnocastd.sock
+  bool has_system_socket = false;  // something exists at /run/agnocast/agnocastd.sock
   bool out_is_terminal = false;
   static Surroundings of_process();
 };
 
-/// A text that was asked for (--help, --version): print it and end well.
+/// A text that the user asked for (--help, --version): print it and exit with status 0.
 struct Answer {
   std::string text;
 };
@@ -74,10 +74,10 @@ Outcome<std::variant<Arguments, Answer>> parse_arguments(std::span<const std::st
                                                          std::span<const Command> commands,
                                                          const Surroundings& around);
 
-/// The socket that is meant: the one that is named (--socket), else as the environment says.
+/// Returns the socket to use: `named` (--socket), else the one that the environment selects.
 std::string choose_socket(const std::string& named, const Surroundings& around);
 
-/// "agnocast-ctl topic info", and with what stands behind it: "agnocast-ctl topic info NAME".
+/// Return "agnocast-ctl topic info", and the usage with its subjects: "topic info NAME".
 std::string full_name(const Command& command);
 std::string usage_of(const Command& command);
 std::string plural_of(std::string_view noun);

@@ -1,7 +1,7 @@
 // SPDX-License-Identifier: Apache-2.0
 //
-// Commands: what agnocast-ctl can do. One row in command_table.cpp is one command; a function that
-// looks at the system and prints is the rest of it. Help, manual and completion are made from the rows.
+// Commands: one row of command_table.cpp is one command, with the function that carries it out.
+// Help, manual and completion are made from the rows.
 #pragma once
 
 #include <ctl/cli/arguments.hpp>
@@ -19,16 +19,16 @@ struct Command {
   std::string_view verb;  // empty: the noun is the whole command
   std::string_view summary;
   std::span<const Subject* const> subjects;
-  std::span<const Option* const> options;  // besides those that all take
+  std::span<const Option* const> options;  // besides the common ones
   Outcome<void> (*run)(const Arguments&, Console&);
   std::string_view description;  // sentences, for the manual
   std::string_view examples;     // lines
 };
 
-/// All of them, in the order of help and manual.
+/// All commands, in the order of help and manual.
 extern const std::span<const Command> all_commands;
 
-// One of them each; what it does is in the table.
+// One function for each command; the table describes them.
 Outcome<void> show_status(const Arguments& arguments, Console& console);
 Outcome<void> list_topics(const Arguments& arguments, Console& console);
 Outcome<void> show_topic(const Arguments& arguments, Console& console);

@@ -9,8 +9,8 @@
 namespace agnocast::ctl {
 
 void Console::object(const Object& object, Json form) {
-  // Names are any bytes a client chose; what is no UTF-8 is replaced, not refused.
-  // ASCII alone: what turns the direction of writing in a terminal is escaped.
+  // Names are any bytes that a client chose: invalid UTF-8 is replaced, not refused. The output is
+  // ASCII: characters that reverse a terminal's direction of writing are escaped.
   line(object.dump(form == Json::pretty ? 2 : -1, ' ', true, Object::error_handler_t::replace));
 }
 

@@ -1,9 +1,9 @@
 // SPDX-License-Identifier: Apache-2.0
 //
-// The commands that take part, as agnocast-ctl itself has them: it becomes agnocast-ctl-topic.
+// The commands that publish or subscribe, as agnocast-ctl has them: they exec agnocast-ctl-topic.
 //
-// They need the library, a parser of YAML and, to publish, the heap hook, which has to be in the
-// process from its start. All that in this program would cost every other command its time to load.
+// They need the library, a YAML parser and, to publish, the heap hook, which has to be in the
+// process from its start. Linked into this program, they would slow the start of every command.
 
 #include <base/text.hpp>
 #include <ctl/cli/commands.hpp>
@@ -29,12 +29,12 @@ Outcome<void> become_other(const Arguments& arguments) {
   std::vector<char*> argv;
   for (std::string& word : words) argv.push_back(word.data());
   argv.push_back(nullptr);
-  // Beside this one where it was built; elsewhere where it is installed, being no command of its own.
+  // Beside this program in the build tree; in libexec when installed, since it is no user command.
   for (const std::filesystem::path& directory : {own, own / AGNOCAST_LIBEXEC_FROM_BIN})
     ::execv((directory / program).c_str(), argv.data());
   return problem(Status::failed, program,
                  "cannot be started from " + escaped(own.string()) + ": " + std::strerror(errno),
-                 "install all of agnocast");
+                 "install all packages of agnocast");
 }
 
 }  // namespace

@@ -10,7 +10,7 @@ namespace {
 
 constexpr std::size_t line_columns = 100;
 
-/// Rows of two columns; what is too long for the second goes on below it.
+/// Rows of two columns; the second column is wrapped.
 class Rows {
  public:
   void add(std::string left, std::string_view right) {
@@ -54,7 +54,7 @@ class Rows {
 };
 
 constexpr Option version{"--version", "print version and layout of shared memory"};
-constexpr Option help{"-h,--help", "print this; after a command, its options"};
+constexpr Option help{"-h,--help", "print this help; after a command, that of the command"};
 constexpr const Option* common[] = {&options::socket, &options::json, &options::json_form, &version,
                                     &help};
 
@@ -86,7 +86,7 @@ std::string spelling_of(const Option& option) {
 
 std::string meaning_of(const Option& option) {
   std::string text(option.meaning);
-  if (!option.otherwise.empty()) text += "; else " + std::string(option.otherwise);
+  if (!option.otherwise.empty()) text += "; default: " + std::string(option.otherwise);
   return text;
 }
 
@@ -101,10 +101,10 @@ std::string help_of(std::span<const Command> commands, std::string_view noun) {
     rows.add(usage_of(command), command.summary);
     examples += indented(command.examples.substr(0, command.examples.find('\n')));
   }
-  return "Looks at agnocast: topics, nodes, processes, messages, shared heaps. Looking never "
+  return "Inspects agnocast: topics, nodes, processes, messages, shared heaps. Inspection never "
          "disturbs.\n\n"
          "Usage: agnocast-ctl NOUN [VERB] [NAME] [OPTION...]\n\n" +
-         rows.text() + "\nPlural nouns are short for list: " + plurals + ".\n\nOptions of all:\n" +
+         rows.text() + "\nPlural nouns are short for list: " + plurals + ".\n\nCommon options:\n" +
          options_text(common) + "\nExamples:\n" + examples +
          "\nExit status: 0 done, 1 failed, 2 wrong usage, 3 daemon not reachable, 4 no such topic, "
          "node\nor process, 5 permission denied, 6 a check of doctor or verify failed, 124 timed "
@@ -122,7 +122,7 @@ std::string help_of(const Command& command) {
     text += rows.text() + '\n';
   }
   if (!command.options.empty()) text += "Options:\n" + options_text(command.options) + '\n';
-  text += "Options of all:\n" + options_text(common);
+  text += "Common options:\n" + options_text(common);
   return text + "\nExamples:\n" + indented(command.examples);
 }
 

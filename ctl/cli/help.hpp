@@ -1,6 +1,6 @@
 // SPDX-License-Identifier: Apache-2.0
 //
-// Help: what --help prints, from the table of commands.
+// Help: the text of --help, made from the table of commands.
 #pragma once
 
 #include <ctl/cli/commands.hpp>
@@ -11,15 +11,15 @@
 
 namespace agnocast::ctl {
 
-/// Of everything, or of one noun.
+/// Return the help of all commands, of one noun, or of one command.
 std::string help_of(std::span<const Command> commands, std::string_view noun);
 std::string help_of(const Command& command);
 
-/// "-n, --number COUNT".
+/// Returns "-n, --number COUNT".
 std::string spelling_of(const Option& option);
-/// Its meaning, its words and its default.
+/// Returns the option's meaning and its default.
 std::string meaning_of(const Option& option);
-/// The options that all take, as help shows them.
+/// Returns the options that all commands take, as help shows them.
 std::span<const Option* const> common_options() noexcept;
 
 }  // namespace agnocast::ctl

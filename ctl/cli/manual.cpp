@@ -16,7 +16,7 @@ using mdoc::heading;
 using mdoc::lines_of;
 using mdoc::plain;
 
-/// ".It Fl n , Fl Fl number Ar COUNT".
+/// Returns ".It Fl n , Fl Fl number Ar COUNT".
 std::string item_of(const Option& option) {
   std::string item = ".It " + mdoc::flags_of(option.names);
   if (option.value.starts_with('[')) {
@@ -61,20 +61,20 @@ std::string section_of(const Command& command) {
 }  // namespace
 
 std::string manual_of(std::span<const Command> commands, const std::string& date) {
-  std::string text = heading("agnocast-ctl", "1", "look at agnocast, and administer it", date);
+  std::string text = heading("agnocast-ctl", "1", "inspect and administer agnocast", date);
   text +=
       ".Sh SYNOPSIS\n.Nm\n.Ar noun\n.Op Ar verb\n.Op Ar name ...\n.Op Ar option ...\n"
-      ".Sh DESCRIPTION\n.Nm\nlooks at topics, nodes, processes, messages and shared heaps.\n"
-      "Looking never disturbs: nothing subscribes unless its description says so.\n"
+      ".Sh DESCRIPTION\n.Nm\ninspects topics, nodes, processes, messages and shared heaps.\n"
+      "Inspection never disturbs: a command subscribes only if its description says so.\n"
       "A plural noun is short for its list:\n.Cm topics\nis\n.Cm topic list .\n"
-      ".Sh OPTIONS\nAll commands take these.\n" +
+      ".Sh OPTIONS\nAll commands take these options.\n" +
       list_of(common_options()) + ".Sh COMMANDS\n";
   for (const Command& command : commands) text += section_of(command);
   return text +
          ".Sh ENVIRONMENT\n.Bl -tag -width Ds\n"
-         ".It Ev AGNOCAST_SOCKET\nwhere agnocastd listens.\n"
-         ".It Ev ROS_DOMAIN_ID\nthe ROS domain; else 0.\n"
-         ".It Ev NO_COLOR\nwithout bold headings on a terminal.\n.El\n"
+         ".It Ev AGNOCAST_SOCKET\nthe socket of agnocastd.\n"
+         ".It Ev ROS_DOMAIN_ID\nthe ROS domain; default: 0.\n"
+         ".It Ev NO_COLOR\ndisables bold headings on a terminal.\n.El\n"
          ".Sh EXIT STATUS\n.Bl -tag -width Ds\n"
          ".It 0\ndone.\n.It 1\nfailed.\n.It 2\nwrong usage.\n.It 3\nthe daemon cannot be reached.\n"
          ".It 4\nno such topic, node or process.\n.It 5\npermission denied.\n"
@@ -84,10 +84,10 @@ std::string manual_of(std::span<const Command> commands, const std::string& date
 
 std::string manual_of_errors(const std::string& date) {
   std::string text =
-      heading("agnocast-errors", "7", "what can go wrong with agnocast, and what to do", date) +
+      heading("agnocast-errors", "7", "errors of agnocast, their causes and remedies", date) +
       ".Sh DESCRIPTION\nEvery error that a user can see has a code.\nPrograms print the sentence "
       "and the "
-      "remedy;\n.Ql agnocast-ctl explain CODE\nprints what is here.\n.Bl -tag -width Ds\n";
+      "remedy;\n.Ql agnocast-ctl explain CODE\nprints the entry below.\n.Bl -tag -width Ds\n";
   constexpr Errc codes[] = {
 #define AGNOCAST_CODE(name, sentence, cause, remedy) Errc::name,
       AGNOCAST_ERROR_TABLE(AGNOCAST_CODE)

@@ -1,6 +1,6 @@
 // SPDX-License-Identifier: Apache-2.0
 //
-// Manual: pages in mdoc(7), from the tables that help and errors are made from.
+// Manual: pages in mdoc(7), made from the tables of help and errors.
 #pragma once
 
 #include <ctl/cli/commands.hpp>
@@ -10,9 +10,9 @@
 
 namespace agnocast::ctl {
 
-/// agnocast-ctl(1): a section for each command. `date` as mdoc has it: "November 21, 2026".
+/// Returns agnocast-ctl(1), a section a command. `date` in mdoc's form: "November 21, 2026".
 std::string manual_of(std::span<const Command> commands, const std::string& date);
-/// agnocast-errors(7): every code.
+/// Returns agnocast-errors(7), with every code.
 std::string manual_of_errors(const std::string& date);
 
 }  // namespace agnocast::ctl

@@ -1,6 +1,6 @@
 // SPDX-License-Identifier: Apache-2.0
 //
-// Options of the commands that take part: ros2's letters and words.
+// Options of the commands that publish or subscribe, with ros2's letters and words.
 #pragma once
 
 #include <ctl/cli/option.hpp>
@@ -12,7 +12,7 @@ namespace options {
 // Quality of service.
 inline constexpr Option qos_profile{
     "--qos-profile",
-    "a preset, which the other --qos options change",
+    "a preset that the other --qos options modify",
     Kind::word,
     "PROFILE",
     {},
@@ -31,7 +31,7 @@ inline constexpr Option qos_history{"--qos-history",
                                     0,
                                     "keep_last keep_all system_default"};
 inline constexpr Option qos_reliability{"--qos-reliability",
-                                        "what happens to messages that are not read in time",
+                                        "whether delivery is reliable or best effort",
                                         Kind::word,
                                         "WORD",
                                         {},
@@ -39,7 +39,7 @@ inline constexpr Option qos_reliability{"--qos-reliability",
                                         0,
                                         "reliable best_effort system_default best_available"};
 inline constexpr Option qos_durability{"--qos-durability",
-                                       "whether late joiners get what was published before",
+                                       "whether late joiners get earlier messages",
                                        Kind::word,
                                        "WORD",
                                        {},
@@ -47,61 +47,65 @@ inline constexpr Option qos_durability{"--qos-durability",
                                        0,
                                        "volatile transient_local system_default best_available"};
 
-// What is printed of a message.
-inline constexpr Option field{"--field", "this part alone: pose.position.x, points[2]", Kind::text,
-                              "PLACE"};
-inline constexpr Option csv{"--csv", "all values of a message on a line, between commas"};
-inline constexpr Option raw{"--raw", "the bytes of the message object, in hexadecimal"};
-inline constexpr Option no_arr{"--no-arr", "of arrays only type and length"};
-inline constexpr Option no_str{"--no-str", "of strings only their length"};
-inline constexpr Option full_length{"-f,--full-length", "arrays and strings to their end"};
+// The part of a message to print.
+inline constexpr Option field{"--field", "print only this part: pose.position.x, points[2]",
+                              Kind::text, "PLACE"};
+inline constexpr Option csv{"--csv",
+                            "print the values of a message on one line, separated by commas"};
+inline constexpr Option raw{"--raw", "print the bytes of the message object in hexadecimal"};
+inline constexpr Option no_arr{"--no-arr", "print only type and length of arrays"};
+inline constexpr Option no_str{"--no-str", "print only the length of strings"};
+inline constexpr Option full_length{"-f,--full-length", "print arrays and strings in full"};
 inline constexpr Option truncate_length{
-    "-l,--truncate-length", "of arrays and strings at most so much; JSON is whole without it",
-    Kind::whole, "COUNT", "128"};
+    "-l,--truncate-length",
+    "print at most COUNT elements or characters; without it JSON is complete", Kind::whole, "COUNT",
+    "128"};
 inline constexpr Option filter{"--filter",
-                               "only messages for which this holds: 'm.data > 3 and m.ok'",
+                               "print only messages for which this is true: 'm.data > 3 and m.ok'",
                                Kind::text, "EXPRESSION"};
 inline constexpr Option message_info{"-i,--include-message-info",
-                                     "with time stamps and sequence numbers"};
+                                     "also print time stamps and sequence numbers"};
 
-// How long.
+// When to end.
 inline constexpr Option once_echo{"--once", "end after the first message"};
 inline constexpr Option message_count{
-    "-n,--number", "end after so many messages", Kind::whole, "COUNT", {}, 1};
+    "-n,--number", "end after COUNT messages", Kind::whole, "COUNT", {}, 1};
 inline constexpr Option timeout{"--timeout",
-                                "end after so many seconds, with status 124 if too little came",
+                                "end after SECONDS, with status 124 if too few messages arrived",
                                 Kind::real, "SECONDS"};
 
-// Publishing.
-inline constexpr Option once_pub{"-1,--once", "one message, and end"};
+// Publishing and calling.
+inline constexpr Option once_pub{"-1,--once", "publish one message and end"};
 inline constexpr Option rate{"-r,--rate", "messages a second", Kind::real, "RATE", "1", 0, 1e6};
 inline constexpr Option call_rate{
-    "-r,--rate", "call again and again, so many times a second", Kind::real, "RATE", {}, 0, 1e6};
+    "-r,--rate", "call repeatedly, RATE times a second", Kind::real, "RATE", {}, 0, 1e6};
 inline constexpr Option times{
-    "-t,--times", "end after so many messages", Kind::whole, "COUNT", {}, 1};
+    "-t,--times", "end after COUNT messages", Kind::whole, "COUNT", {}, 1};
 inline constexpr Option wait_matching{
     "-w,--wait-matching-subscriptions",
-    "publish when so many subscriptions are there; else 1 with --once and --times, 0 without",
-    Kind::whole, "COUNT"};
+    "wait for COUNT subscriptions; default: 1 with --once or --times, else 0", Kind::whole,
+    "COUNT"};
 inline constexpr Option max_wait{"--max-wait-time-secs",
-                                 "wait no longer for them; then end with status 124", Kind::real,
-                                 "SECONDS"};
-inline constexpr Option keep_alive{"--keep-alive", "stay so long after the last message",
-                                   Kind::real, "SECONDS", "0.1"};
+                                 "wait at most SECONDS for them, then end with status 124",
+                                 Kind::real, "SECONDS"};
+inline constexpr Option keep_alive{"--keep-alive",
+                                   "stay connected for SECONDS after the last message", Kind::real,
+                                   "SECONDS", "0.1"};
 inline constexpr Option print_each{"-p,--print", "print every N-th message; 0: none", Kind::whole,
                                    "N", "1"};
-inline constexpr Option from_stdin{"--stdin", "the values come from standard input"};
+inline constexpr Option from_stdin{"--stdin", "read the values from standard input"};
 inline constexpr Option yaml_file{
-    "--yaml-file", "each document of this file is a message, sent in turn", Kind::text, "FILE"};
-inline constexpr Option node_name{"--node-name", "what the node is called", Kind::text, "NAME"};
+    "--yaml-file", "publish each document of this file as a message, in order", Kind::text, "FILE"};
+inline constexpr Option node_name{"--node-name", "the name of the node", Kind::text, "NAME"};
 
 }  // namespace options
 
 namespace subjects {
 
-inline constexpr Subject optional_type{"TYPE", "such as std_msgs/msg/String; else the topic's",
+inline constexpr Subject optional_type{"TYPE", "such as std_msgs/msg/String; default: the topic's",
                                        Names::types, Subject::Count::optional};
-inline constexpr Subject values{"VALUES", "YAML: '{data: hello}'; else a default message",
+inline constexpr Subject values{"VALUES",
+                                "YAML: '{data: hello}'; default: a message of default values",
                                 Names::none, Subject::Count::optional};
 
 }  // namespace subjects

@@ -1,10 +1,10 @@
 // SPDX-License-Identifier: Apache-2.0
 //
-// Problem: why a command did not do what was asked, as a value; main() prints it in the two lines
-// that all our programs use and ends with its status.
+// Problem: the reason why a command failed, as a value; main() prints it in the two lines that all
+// our programs use and exits with its status.
 //
 //   agnocast-ctl: what: why
-//   hint: a command, or what to do
+//   hint: a command, or an instruction
 #pragma once
 
 #include <agnocast/error.hpp>
@@ -24,7 +24,7 @@ enum class Status : std::uint8_t {
   no_such_thing = 4,
   permission_denied = 5,
   check_failed = 6,
-  timed_out = 124,  // as timeout(1) says it
+  timed_out = 124,  // as timeout(1) exits
 };
 
 struct Problem {
@@ -32,7 +32,7 @@ struct Problem {
   std::string what;
   std::string why;
   std::string hint;
-  Errc code = Errc::ok;  // what the daemon, or the way to it, said
+  Errc code = Errc::ok;  // from the daemon or the connection
 };
 
 template <class T>

@@ -2,7 +2,7 @@
 
 #include <ctl/cli/screen.hpp>
 
-// Functions, so that their names can be qualified.
+// Functions instead of macros, so that their names can be qualified.
 #define NCURSES_NOMACROS 1
 #include <curses.h>
 #include <unistd.h>
@@ -11,7 +11,7 @@
 
 namespace agnocast::ctl {
 
-// newterm() says when TERM is unknown; initscr() would end the program.
+// newterm() reports an unknown TERM; initscr() would end the program.
 Screen::Screen() {
   SCREEN* const screen = ::newterm(nullptr, stdout, stdin);
   if (screen == nullptr) return;

@@ -1,6 +1,6 @@
 // SPDX-License-Identifier: Apache-2.0
 //
-// Screen: a terminal whose lines are replaced again and again. All of ncurses is behind this.
+// Screen: a terminal whose lines are redrawn repeatedly. It hides all of ncurses.
 #pragma once
 
 #include <string>
@@ -11,25 +11,25 @@ namespace agnocast::ctl {
 
 class Screen {
  public:
-  /// Takes the terminal over; it is as before when this object ends.
+  /// Takes over the terminal; the destructor restores it.
   Screen();
   ~Screen();
   Screen(const Screen&) = delete;
   Screen& operator=(const Screen&) = delete;
 
-  /// False when the terminal cannot be used (TERM unknown).
+  /// Returns false when the terminal cannot be used (TERM unknown).
   bool works() const noexcept { return works_; }
   struct Line {
     std::string text;
     bool strong = false;
   };
-  /// From the top; what does not fit is cut.
+  /// Draws the lines from the top, and cuts those that do not fit.
   void draw(const std::vector<Line>& lines);
-  /// A key that was pressed, or 0; does not wait. Letters as they are.
+  /// Returns the character of a key that was pressed, or 0; does not wait.
   char key();
-  /// How many lines it has now.
+  /// Returns the current number of lines.
   int height() const;
-  /// Asks for a word on the last line; ended by Enter, given up by Escape.
+  /// Asks for a word on the last line. Enter ends it; Escape returns an empty word.
   std::string ask(std::string_view question);
 
  private:

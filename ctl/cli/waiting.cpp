@@ -21,7 +21,7 @@ Waiting::Waiting() {
   signals_ = UniqueFd(::signalfd(-1, &wanted, SFD_CLOEXEC | SFD_NONBLOCK));
 }
 
-// What has arrived is read away, or it would end the process now.
+// Reads pending signals, which would otherwise end the process as soon as they are unblocked.
 Waiting::~Waiting() {
   signalfd_siginfo info;
   while (::read(signals_.get(), &info, sizeof info) > 0) {

@@ -1,7 +1,7 @@
 // SPDX-License-Identifier: Apache-2.0
 //
-// Waiting: how a command that goes on waits: until it is time, or somebody ends it. SIGINT and SIGTERM
-// then only end the waiting, so that the command says its last words and ends well.
+// Waiting: how a command that repeats waits for its next round or its end. SIGINT and SIGTERM only
+// end the wait, so that the command can print its last lines and exit with status 0.
 #pragma once
 
 #include <base/unique_fd.hpp>
@@ -18,11 +18,11 @@ class Waiting {
   Waiting(const Waiting&) = delete;
   Waiting& operator=(const Waiting&) = delete;
 
-  /// False when it is to end.
+  /// Returns false when the command is to end.
   bool sleep_ms(int milliseconds) const { return wait(-1, milliseconds) != Event::end; }
 
   enum class Event : unsigned char { time, input, end };
-  /// Until then, or until `fd` (-1: none) can be read.
+  /// Waits for a signal, for `fd` (-1: none) to become readable, or until the time is over.
   Event wait(int fd, int milliseconds) const;
 
  private:

@@ -1,10 +1,10 @@
 // SPDX-License-Identifier: Apache-2.0
 //
-// access: who may publish and subscribe, why, and what one user may and has.
+// access: which users may publish and subscribe, why, and the permissions and quotas of one user.
 //
-// The daemon says which rule decides and whom it names; what names and numbers mean to this host, who may connect,
-// and whether a user is among those who are named is found here, from the databases of users and groups and from
-// the socket itself.
+// The daemon names the rule that decides and the users in it. This file finds the rest from the
+// databases of users and groups and from the socket: the meaning of names and numbers on this
+// host, the users that may connect, and whether a given user is one of those named.
 
 #include <base/names.hpp>
 #include <base/text.hpp>
@@ -45,17 +45,17 @@ std::string group_name(gid_t gid) {
   return found == nullptr ? std::string() : found->gr_name;
 }
 
-/// A user or group, as this host knows it: whichever of both is unknown is left out.
+/// A user or group as this host knows it; an unknown name or number stays empty.
 struct Someone {
   bool is_group = false;
   std::string name;
   std::optional<std::uint32_t> id;
-  std::string written;  // in the rule
+  std::string written;  // as written in the rule
 
   static Someone user(uid_t uid) { return {false, user_name(uid), uid, {}}; }
   static Someone group(gid_t gid) { return {true, group_name(gid), gid, {}}; }
 
-  /// "user lidar (uid 1001)"
+  /// Returns "user lidar (uid 1001)".
   std::string words() const {
     const std::string kind = is_group ? "group" : "user", number = is_group ? "gid " : "uid ";
     if (name.empty()) return number + std::to_string(id.value_or(0));
@@ -71,7 +71,7 @@ struct Someone {
   }
 };
 
-/// "user:lidar", "uid:1001", "group:video", "gid:44".
+/// Parses "user:lidar", "uid:1001", "group:video", "gid:44".
 std::optional<Someone> someone_of(const std::string& written) {
   const std::size_t colon = written.find(':');
   if (colon == std::string::npos) return std::nullopt;
@@ -94,11 +94,11 @@ std::optional<Someone> someone_of(const std::string& written) {
   return who;
 }
 
-/// Who may do one thing, and why.
+/// The users and groups that may do one thing, and why.
 struct Allowed {
   bool everybody = false;
   std::vector<Someone> who;
-  bool has_more = false;  // than the daemon's answer has room for
+  bool has_more = false;  // more than fit into the daemon's answer
   std::uint32_t line = 0;
   std::string pattern;
   std::string why;
@@ -110,7 +110,7 @@ struct Allowed {
     if (has_more) all += ", and more";
     return all.empty() ? "nobody" : all;
   }
-  /// The same users and groups, however they are written.
+  /// Returns whether both name the same users and groups, however they are written.
   bool same_as(const Allowed& other) const {
     const auto all_in = [](const Allowed& these, const Allowed& those) {
       return std::all_of(these.who.begin(), these.who.end(), [&](const Someone& one) {
@@ -140,9 +140,8 @@ Allowed allowed_by(const wire::AccessIs& is) {
     allowed.why = "rule " + in_quotes(allowed.pattern) + ", line " + std::to_string(is.line) +
                   " of the configuration";
   } else {
-    allowed.why = is.rule_count == 0
-                      ? "there are no rules"
-                      : "none of " + counted(is.rule_count, "rule") + " speaks of it";
+    allowed.why = is.rule_count == 0 ? "there are no rules"
+                                     : "none of " + counted(is.rule_count, "rule") + " matches it";
   }
   constexpr std::string_view separator = ", ";
   std::string_view rest = is.principals;
@@ -159,7 +158,7 @@ Allowed allowed_by(const wire::AccessIs& is) {
   return allowed;
 }
 
-/// Who may connect: what stands at the path, as the kernel reads it.
+/// The file at the socket's path, whose mode decides who may connect.
 struct SocketFile {
   bool is_there = false;
   mode_t mode = 0;
@@ -189,7 +188,7 @@ struct User {
   Someone who;
   std::vector<gid_t> groups;
 
-  /// Which of them this user is; nothing: none of them.
+  /// Returns which of `others` includes this user; nullptr: none.
   const Someone* among(const std::vector<Someone>& others) const {
     const auto found = std::find_if(others.begin(), others.end(), [&](const Someone& one) {
       if (!one.id) return false;
@@ -214,7 +213,7 @@ Outcome<User> user_named(const std::string& name) {
   const passwd* const found = number ? ::getpwuid(*number) : ::getpwnam(name.c_str());
   if (found == nullptr) {
     if (number) return User{Someone::user(*number), {}};
-    return problem(Status::no_such_thing, in_quotes(name), "this host knows no such user",
+    return problem(Status::no_such_thing, in_quotes(name), "this host has no such user",
                    "getent passwd");
   }
   const std::string known = found->pw_name;
@@ -228,7 +227,7 @@ Outcome<User> user_named(const std::string& name) {
   return user;
 }
 
-/// What one user may; `allowed` has no value where the answer names more than it has room for.
+/// The permission of one user; `allowed` is empty if the daemon's answer was cut short.
 struct Verdict {
   std::optional<bool> allowed;
   std::string why;
@@ -242,11 +241,11 @@ struct Verdict {
 Verdict verdict_on(const User& user, const Allowed& allowed) {
   if (allowed.everybody) return {true, "everybody may"};
   if (const Someone* const one = user.among(allowed.who)) return {true, "as " + one->words()};
-  if (allowed.has_more) return {std::nullopt, "the rule names more than is shown here"};
-  return {false, allowed.who.empty() ? "nobody may" : "is not among them"};
+  if (allowed.has_more) return {std::nullopt, "the rule names more users than are shown here"};
+  return {false, allowed.who.empty() ? "nobody may" : "is not one of them"};
 }
 Verdict verdict_on_door(const User& user, const SocketFile& socket) {
-  // Of the three parts of a mode the first that is about somebody counts, and root may do without.
+  // The first part of a mode that applies decides, as in the kernel; root may always connect.
   if (user.who.id == 0U) return {true, "root may always"};
   const bool is_owner = user.who.id == socket.owner.id;
   const bool is_member = !is_owner && user.among({socket.group}) != nullptr;
@@ -256,16 +255,16 @@ Verdict verdict_on_door(const User& user, const SocketFile& socket) {
                                                 : "as neither its owner nor in its group"};
 }
 
-/// Another topic of a process that publishes the one in question, to which others may subscribe: they
-/// read the same heap. The daemon lets no process have both, unless its rules were changed since.
+/// Another topic of a process that publishes this one, with other permitted subscribers: they read
+/// the same heap. The daemon lets no process publish both, unless its rules have changed since.
 struct Beside {
   std::string topic;
   std::uint32_t pid = 0;
   Allowed subscribe;
 
   std::string why() const {
-    return escaped(topic) + ", which process " + std::to_string(pid) +
-           " publishes as well (" + subscribe.why + "); restart it";
+    return escaped(topic) + ", which process " + std::to_string(pid) + " also publishes (" +
+           subscribe.why + "); restart it";
   }
   Object object() const {
     return {{"topic", topic}, {"pid", pid}, {"subscribe", subscribe.object()}};
@@ -358,7 +357,7 @@ std::uint64_t endpoints_of_user(const Look& look, const std::vector<Endpoint>& e
       }));
 }
 
-/// What else the publishers' processes publish for other readers.
+/// Returns the other topics that the publishers' processes publish for other readers.
 Outcome<std::vector<Beside>> topics_beside(Look& look, const Report& report) {
   std::vector<Beside> all;
   const auto publishes = [](const Topic& topic, std::uint64_t client) {

@@ -1,7 +1,7 @@
 // SPDX-License-Identifier: Apache-2.0
 //
-// bridge list, bridge info: which topics and services bridges to DDS have, what goes over it, and what is not bridged and why. Rates are
-// what was counted between two looks.
+// bridge list, bridge info: the topics and services that the bridges to DDS carry, their traffic,
+// and those that are not bridged, with the reason. Rates come from the counters of two looks.
 
 #include <base/text.hpp>
 #include <ctl/cli/commands.hpp>
@@ -20,7 +20,7 @@
 namespace agnocast::ctl {
 namespace {
 
-/// What one endpoint did between two looks.
+/// The traffic of one endpoint between two looks.
 struct Rate {
   double messages_hz = 0, bytes_per_second = 0;
 };
@@ -47,7 +47,7 @@ Rates rates_between(const std::vector<BridgeState>& before, const std::vector<Br
   return rates;
 }
 
-/// Endpoints of one topic and way.
+/// The endpoints of one topic and direction.
 struct Route {
   std::string topic, type;
   bool is_out = true;
@@ -111,17 +111,17 @@ std::string age_words(const std::optional<std::uint64_t>& age_ns) {
   return age_ns ? time_for_people(*age_ns) : "-";
 }
 
-/// For people: the reason, and what is known of it.
+/// Returns the reason with its details, for people.
 std::string why_words(const BridgeLack& lack) {
   const std::pair<const char*, const char*> words[] = {
-      {"rule", "the configuration says so"},
-      {"no_reader", "nobody in DDS reads it"},
-      {"no_writer", "nobody in DDS writes it"},
-      {"no_server", "nobody in DDS serves it"},
+      {"rule", "a rule of the configuration excludes it"},
+      {"no_reader", "it has no reader in DDS"},
+      {"no_writer", "it has no writer in DDS"},
+      {"no_server", "it has no server in DDS"},
       {"other_type", "it has another type in DDS"},
-      {"unknown_type", "messages of its type cannot be handled here"},
+      {"unknown_type", "its message type is not available here"},
       {"no_ros_name", "it has no name in ROS"},
-      {"too_many", "DDS has more writers than a topic has places"},
+      {"too_many", "DDS has more writers than a topic may have publishers"},
       {"qos", "reliability or durability do not match"}};
   std::string text = escaped(lack.why);
   for (const auto& [why, meaning] : words) {
@@ -238,7 +238,7 @@ void print_list(const std::vector<BridgeState>& bridges, const Rates& rates, boo
   for (const BridgeState& bridge : bridges) {
     const std::string domain = std::to_string(bridge.domain);
     for (const Route& route : routes_of(bridge, rates)) {
-      // A reader that waits for a writer: what is not bridged says so.
+      // A reader without a writer: the list of topics that are not bridged shows it.
       if (!is_verbose && route.endpoints + route.matched + route.dropped() == 0) continue;
       has_routes = true;
       table.add({domain, escaped(route.topic), escaped(route.type), way_word(route.is_out),
@@ -278,19 +278,19 @@ void print_list(const std::vector<BridgeState>& bridges, const Rates& rates, boo
   }
   if (alone != 0)
     console.line("\nnot shown: " + std::to_string(alone) +
-                 " that nobody in DDS has, or that a rule leaves out (-v)");
+                 " without a peer in DDS, or excluded by a rule (-v)");
   for (const BridgeState& bridge : bridges) {
     const std::string name = "\nthe bridge of domain " + std::to_string(bridge.domain) + " (pid " +
                              std::to_string(bridge.pid) + ") ";
-    if (!bridge.has_daemon) console.line(name + "has no daemon");
+    if (!bridge.has_daemon) console.line(name + "is not connected to a daemon");
     if (bridge.standby_for)
-      console.line(name + "stands by for pid " + std::to_string(*bridge.standby_for));
+      console.line(name + "is on standby for pid " + std::to_string(*bridge.standby_for));
     if (bridge.announced != 0)
       console.line(name + "announces " + counted(bridge.announced, "publisher") +
-                   " in DDS that nobody reads there");
+                   " in DDS without a reader there");
     if (bridge.lost_early != 0)
       console.line(name + "has lost " + counted(bridge.lost_early, "message") +
-                   " of publishers that it had not heard of in time");
+                   " of publishers that were announced to it too late");
     if (bridge.discovery_info_refused != 0)
       console.line(name + "has refused " + counted(bridge.discovery_info_refused, "message") +
                    " about nodes in DDS (ros_discovery_info)");
@@ -315,7 +315,7 @@ std::string qos_words(const BridgeQos& qos) {
          depth;
 }
 
-/// Of one name in one bridge, a topic's or a service's; empty when it is not known there.
+/// The facts of one bridge about one topic or service; empty if it does not know the name.
 struct About {
   const BridgeState* bridge = nullptr;
   std::vector<const BridgeEndpoint*> endpoints;
@@ -326,7 +326,7 @@ struct About {
 };
 
 void print_service(const BridgeService& service, Console& console) {
-  console.line((service.is_out ? "\nService to DDS, served by " : "\nService from DDS, for ") +
+  console.line((service.is_out ? "\nService to DDS, server: " : "\nService from DDS, client: ") +
                list_of(service.nodes));
   console.line("  Type: " + escaped(service.type));
   console.line(std::string("  In DDS: ") +
@@ -345,8 +345,9 @@ void print_service(const BridgeService& service, Console& console) {
                  std::to_string(service.timed_out) + " timed out, " +
                  std::to_string(service.forgotten) + " forgotten");
   if (service.unasked != 0)
-    console.line("  Unasked: " + counted(service.unasked, "response") + " that nobody waits for");
-  console.line("  Since: " + duration_for_people(service.age_ns));
+    console.line("  Unasked: " + counted(service.unasked, "response") +
+                 " without a pending request");
+  console.line("  Age: " + duration_for_people(service.age_ns));
 }
 
 void print_about(const About& about, Console& console) {
@@ -357,13 +358,13 @@ void print_about(const About& about, Console& console) {
                counted(bridge.participants, "other participant", "other participants"));
   for (const BridgeEndpoint* const endpoint : about.endpoints) {
     console.line(std::string("\n") + (endpoint->is_out ? "To DDS: " : "From DDS: ") +
-                 (endpoint->node.empty() ? "a writer of no node" : escaped(endpoint->node)));
+                 (endpoint->node.empty() ? "a writer without a node" : escaped(endpoint->node)));
     console.line("  Type: " + escaped(endpoint->type));
     console.line("  Writer in DDS: " + escaped(endpoint->guid));
     console.line("  QoS: " + qos_words(endpoint->qos));
     if (endpoint->is_out)
       console.line("  Matched: " + counted(endpoint->matched, "reader") + ", " +
-                   std::to_string(endpoint->incompatible) + " refused for their QoS");
+                   std::to_string(endpoint->incompatible) + " refused because of their QoS");
     console.line(
         "  Messages: " + std::to_string(endpoint->messages) + ", " +
         bytes_for_people(endpoint->bytes) + ", the last one " +
@@ -371,18 +372,19 @@ void print_about(const About& about, Console& console) {
     if (endpoint->unacknowledged + endpoint->refused != 0)
       console.line("  Dropped: " + std::to_string(endpoint->unacknowledged) +
                    " not acknowledged, " + std::to_string(endpoint->refused) + " refused");
-    console.line("  Since: " + duration_for_people(endpoint->age_ns));
+    console.line("  Age: " + duration_for_people(endpoint->age_ns));
   }
   for (const BridgeInlet* const inlet : about.inlets) {
     console.line("\nReader in DDS: " + escaped(inlet->guid) + ", for " + list_of(inlet->nodes));
     console.line("  Type: " + escaped(inlet->type));
     console.line("  QoS: " + qos_words(inlet->qos));
     console.line("  Matched: " + counted(inlet->matched, "writer") + ", " +
-                 std::to_string(inlet->incompatible) + " refused for their QoS");
+                 std::to_string(inlet->incompatible) + " refused because of their QoS");
     if (inlet->malformed + inlet->without_source + inlet->overflow != 0)
       console.line("  Dropped: " + std::to_string(inlet->malformed) + " malformed, " +
-                   std::to_string(inlet->without_source) + " of writers without a publisher here, " +
-                   std::to_string(inlet->overflow) + " beyond a limit");
+                   std::to_string(inlet->without_source) +
+                   " of writers without a publisher here, " + std::to_string(inlet->overflow) +
+                   " over a limit");
   }
   for (const BridgeTap* const tap : about.taps) {
     if (tap->lost != 0)
@@ -484,12 +486,11 @@ Outcome<void> show_bridged(const Arguments& arguments, Console& console) {
       all.push_back(std::move(about));
   }
   if (all.empty())
-    return problem(
-        Status::no_such_thing, escaped(topic),
-        "no bridge knows of it: nobody on this host has a topic or service of that name in "
-        "a domain with a bridge",
-        "agnocast-ctl topic list --all-domains; agnocast-ctl service list "
-        "--all-domains");
+    return problem(Status::no_such_thing, escaped(topic),
+                   "no bridge knows it: this host has no topic or service of that name in "
+                   "a domain with a bridge",
+                   "agnocast-ctl topic list --all-domains; agnocast-ctl service list "
+                   "--all-domains");
   if (arguments.json == Json::no) {
     for (const About& about : all) print_about(about, console);
     return {};

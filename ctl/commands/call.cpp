@@ -1,7 +1,7 @@
 // SPDX-License-Identifier: Apache-2.0
 //
-// service call: a client whose request is written on the command line, in a file or on standard input,
-// and that prints the response.
+// service call: a client that takes its request from the command line, a file or standard input,
+// and prints the response.
 
 #include <agnocast/generic_service.hpp>
 #include <agnocast/relay.hpp>
@@ -49,7 +49,7 @@ class Caller {
       console_.line("waiting for service to become available...");
       (void)write_out();
     }
-    auto waited = wait([&] { return client_.service_is_ready(); }, deadline, "nobody serves it");
+    auto waited = wait([&] { return client_.service_is_ready(); }, deadline, "it has no server");
     if (!waited) return waited;
     request.set_times(wall_time_ns());
     const Value asked = Value::of(type_.request.members(), request.message.get());
@@ -79,7 +79,7 @@ class Caller {
  private:
   template <class Condition>
   Outcome<void> wait(Condition condition, Clock::time_point deadline, const char* otherwise) {
-    // Whether a service is ready is asked for: nothing says it to callbacks.
+    // Readiness is polled: callbacks are not notified of it.
     constexpr std::chrono::milliseconds step{20};
     const std::string name = escaped(client_.get_service_name());
     while (!condition()) {

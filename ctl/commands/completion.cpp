@@ -25,13 +25,13 @@ const Option* option_named(const Command* command, std::string_view word) {
   return found == command->options.end() ? nullptr : *found;
 }
 
-/// What the words before the cursor say.
+/// The state of the command line in front of the cursor.
 struct Place {
   std::string noun, verb;
   const Command* command = nullptr;
   const Option* wants_value = nullptr;
   std::size_t subjects = 0;
-  bool only_subjects = false;  // behind "--"
+  bool only_subjects = false;  // after "--"
 };
 
 Place place_of(std::span<const std::string> words, std::span<const Command> commands) {
@@ -106,8 +106,8 @@ std::vector<std::string> completions_of(std::span<const std::string> words,
       if (command.noun == place.noun && place.verb.empty()) all.emplace(command.verb);
     }
   }
-  // A shell takes over what is offered as it is. Names come from whoever may connect, and in a process's
-  // name anything may stand: only what means nothing to a shell is offered.
+  // A shell inserts completions as they are. Any connected user chooses names, and a process name
+  // may hold any character, so only names without special meaning to a shell are offered.
   const auto is_harmless = [](char c) {
     return (c >= 'a' && c <= 'z') || (c >= 'A' && c <= 'Z') || (c >= '0' && c <= '9') ||
            std::string_view("_/.:-").find(c) != std::string_view::npos;

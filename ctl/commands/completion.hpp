@@ -1,8 +1,8 @@
 // SPDX-License-Identifier: Apache-2.0
 //
-// Completion: what may stand where the cursor is. The shells' scripts (ctl/completions/) hand over the
-// words and print what comes back; everything is known here, from the table of commands and, for names,
-// from the daemon. Without one there are no names, and no word about it.
+// Completion: the words that may stand at the cursor. The shell scripts (ctl/completions/) pass
+// the words and print the result; this file derives it from the table of commands and, for names,
+// from the daemon. Without a daemon it offers no names and prints no error.
 #pragma once
 
 #include <ctl/cli/commands.hpp>
@@ -14,14 +14,14 @@
 
 namespace agnocast::ctl {
 
-/// Names of one kind, now.
+/// Returns the current names of one kind.
 using NameSource = std::function<std::vector<std::string>(Names)>;
 
-/// `words` are those behind the program, the last one as far as it is typed. What may stand for it.
+/// Returns the words that may replace the last of `words`, the arguments up to the cursor.
 std::vector<std::string> completions_of(std::span<const std::string> words,
                                         std::span<const Command> commands, const NameSource& names);
 
-/// Those of the daemon at this socket; of codes and levels without it.
+/// Returns the names that the daemon at this socket knows; codes and levels need no daemon.
 std::vector<std::string> names_from(const std::string& socket, Names kind);
 
 }  // namespace agnocast::ctl

@@ -1,6 +1,6 @@
 // SPDX-License-Identifier: Apache-2.0
 //
-// topic delay: how old messages are by the stamp in their header when they arrive.
+// topic delay: the age of messages on arrival, by the stamp in their header.
 
 #include <agnocast/generic.hpp>
 #include <base/text.hpp>
@@ -30,7 +30,7 @@ class Delays {
     if (delays_.size() > window_) delays_.pop_front();
     is_new_ = true;
   }
-  /// Nothing before the first message.
+  /// Prints nothing before the first message.
   void print(Console& console, Json json) {
     if (delays_.empty()) return;
     if (!std::exchange(is_new_, false)) {
@@ -65,7 +65,7 @@ class Delays {
   bool is_new_ = false;
 };
 
-/// Waits until somebody uses the topic; nothing when a signal comes first.
+/// Waits until the topic has an endpoint; returns nothing if a signal comes first.
 Outcome<std::optional<TopicNow>> wait_for_topic(const Arguments& arguments, Live& live) {
   for (bool first = true;; first = false) {
     auto now = topic_now(arguments);
@@ -73,7 +73,7 @@ Outcome<std::optional<TopicNow>> wait_for_topic(const Arguments& arguments, Live
     if (now.error().status != Status::no_such_thing) return tl::unexpected(now.error());
     if (first)
       note("topic " + escaped(fully_qualified(arguments.subject(0))) +
-           " is not there yet; waiting for it");
+           " does not exist yet; waiting for it");
     if (!live.run_until(Live::Clock::now() + std::chrono::milliseconds(100)))
       return std::optional<TopicNow>();
   }

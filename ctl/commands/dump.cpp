@@ -1,7 +1,7 @@
 // SPDX-License-Identifier: Apache-2.0
 //
-// dump: everything that the other commands say, as one JSON object; with --watch one more whenever
-// something of it has changed.
+// dump: the answers of the other commands as one JSON object; with --watch one more object
+// whenever one of them has changed.
 
 #include <base/clock.hpp>
 #include <ctl/cli/commands.hpp>
@@ -13,7 +13,7 @@
 namespace agnocast::ctl {
 namespace {
 
-// As often as a screen is worth reading.
+// As often as a person can read a screen.
 constexpr int interval_ms = 500;
 
 Object object_of(const System& system, const Arguments& arguments) {
@@ -39,7 +39,7 @@ Object object_of(const System& system, const Arguments& arguments) {
   return object;
 }
 
-/// What moves although nothing happens.
+/// Removes the values that change with time alone.
 Object without_time(Object object) {
   object["status"]["daemon"].erase("uptime_ns");
   for (const char* const part : {"processes", "messages", "refusals"}) {

@@ -1,6 +1,6 @@
 // SPDX-License-Identifier: Apache-2.0
 //
-// topic echo: a subscription that prints.
+// topic echo: a subscription that prints its messages.
 
 #include <agnocast/generic.hpp>
 #include <agnocast/relay.hpp>
@@ -36,7 +36,7 @@ EchoOptions read(const Arguments& arguments) {
   options.raw = arguments.has(o::raw);
   options.with_info = arguments.has(o::message_info);
   options.json = arguments.json;
-  // A line for each message, unless somebody asks for more.
+  // One line a message, unless the user asks for --json=pretty.
   if (options.json == Json::pretty && arguments.text(o::json_form) != "pretty")
     options.json = Json::compact;
   options.text.no_arrays = arguments.has(o::no_arr);
@@ -56,18 +56,18 @@ class Printer {
   std::optional<Path> field;
   std::optional<Filter> filter;
 
-  /// False if the message is not wanted.
+  /// Returns false if the message is filtered out.
   bool print(const GenericMessage& message) {
     if (options_.raw) {
       print_raw(message);
       return true;
     }
-    // What is printed may be another user's to see: only what the publisher itself has in its memory.
+    // Only memory of the publisher is printed: anything else may belong to another user.
     const auto copy = try_copy_checked(message);
     if (!copy) {
       note("message " + std::to_string(message.info().sequence) + " of publisher " +
            std::to_string(message.info().publisher) +
-           " leads out of its publisher's memory, and is not shown");
+           " refers to memory outside its publisher's heap and is not shown");
       return false;
     }
     const Value whole = Value::of(*message.members(), copy->get());
@@ -136,7 +136,7 @@ class Printer {
   std::uint64_t received_ = 0;
 };
 
-/// What is subscribed to.
+/// The type to subscribe with.
 struct Target {
   std::string type;
   std::uint64_t layout_hash = 0;
@@ -169,10 +169,11 @@ Outcome<Target> target_of(const Arguments& arguments, const Outcome<TopicNow>& n
 Outcome<void> echo_topic(const Arguments& arguments, Console& console) {
   const EchoOptions options = read(arguments);
   if (options.raw && (options.csv || arguments.has(o::field) || arguments.has(o::filter)))
-    return problem(Status::wrong_usage, "--raw", "goes without --csv, --field and --filter",
+    return problem(Status::wrong_usage, "--raw",
+                   "cannot be combined with --csv, --field and --filter",
                    "agnocast-ctl topic echo --help");
   const Outcome<TopicNow> now = topic_now(arguments);
-  // A topic that is not there yet can be waited for, if its type is said.
+  // Echo can wait for a topic that does not exist yet, if its type is given.
   if (!now && now.error().status != Status::no_such_thing) return tl::unexpected(now.error());
   auto live = Live::enter(arguments);
   if (!live) return tl::unexpected(live.error());
@@ -200,7 +201,7 @@ Outcome<void> echo_topic(const Arguments& arguments, Console& console) {
   };
   SubscriptionOptions events;
   events.incompatible_qos_callback([](IncompatibleQosInfo& info) {
-    note(std::string("a publisher offers less than is asked for: ") +
+    note(std::string("a publisher offers less than requested: ") +
          (info.last_policy_kind == QosPolicyKind::durability ? "durability" : "reliability"));
   });
   const ChosenQos chosen = qos_of(arguments, "sensor_data", now ? &now->publishers : nullptr);
@@ -221,12 +222,12 @@ Outcome<void> echo_topic(const Arguments& arguments, Console& console) {
   const bool ended_by_itself = (*live)->run_until(deadline);
   if ((*subscription)->get_lost_count() != 0)
     note(counted((*subscription)->get_lost_count(), "message") +
-         " came faster than this could print");
+         " lost: they arrived faster than they could be printed");
   const std::uint64_t wanted = options.count == 0 ? 1 : options.count;
   if (ended_by_itself && options.timeout_s && printed < wanted && std::ferror(stdout) == 0)
     return problem(
         Status::timed_out, escaped(topic),
-        counted(printed, "message") + " came within " + arguments.text(o::timeout) + " s",
+        counted(printed, "message") + " arrived within " + arguments.text(o::timeout) + " s",
         "agnocast-ctl topic info -v " + escaped(topic));
   return {};
 }

@@ -1,7 +1,7 @@
 // SPDX-License-Identifier: Apache-2.0
 //
-// explain: what a code means, what is usually behind it and what to do. From the one table of errors
-// (include/agnocast/error.hpp); works without a daemon.
+// explain: the meaning, usual cause and remedy of an error code, from the one table of errors
+// (include/agnocast/error.hpp). Works without a daemon.
 
 #include <agnocast/error.hpp>
 #include <base/text.hpp>
@@ -28,7 +28,7 @@ Object object_of(Errc code) {
           {"remedy", remedy_of(code)}};
 }
 
-/// By its word or its number.
+/// Finds a code by its word or its number.
 Outcome<Errc> code_of(const std::string& name) {
   std::vector<std::string_view> words;
   for (const Errc code : codes) {

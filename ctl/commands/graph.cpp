@@ -2,9 +2,9 @@
 //
 // graph: nodes and topics as a picture: for dot (Graphviz), for Mermaid, or as JSON.
 //
-// An edge from a node to a topic says how much goes there: the rate as the stamps of the last few
-// messages have it, and the size of a message. An edge from a topic to a node is solid when what the node
-// gets of it is not copied, dashed when it is not so, with the reason.
+// An edge from a node to a topic shows the traffic: the rate, from the stamps of the last few
+// messages, and the mean size of a message. An edge from a topic to a node is solid if the node
+// gets the messages without a copy, else dashed, with the reason.
 
 #include <base/clock.hpp>
 #include <base/text.hpp>
@@ -29,10 +29,9 @@ constexpr std::size_t recent_max = 16;
 struct Edge {
   std::size_t node = 0, topic = 0;
   bool publishes = false;
-  std::optional<double>
-      rate_hz;  // of what is published; unknown when only one message is left of it
+  std::optional<double> rate_hz;  // for a publisher; unknown if only one message is left
   std::uint64_t message_bytes = 0;
-  bool is_zero_copy = true;  // of what is subscribed: of every publisher
+  bool is_zero_copy = true;  // for a subscription: from every publisher
   std::string why;
 };
 
@@ -122,7 +121,7 @@ void print_dot(const Graph& graph, Console& console) {
   console.line("}");
 }
 
-// Quotes end a Mermaid label; escaped() has left only \" of them.
+// Quotes would end a Mermaid label; escaped() has turned them into \".
 std::string mermaid_text(const std::string& text) {
   std::string all;
   for (const char c : escaped(text)) {

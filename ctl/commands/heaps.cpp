@@ -1,6 +1,6 @@
 // SPDX-License-Identifier: Apache-2.0
 //
-// heap list, heap info: the windows of addresses that processes have, and how far they are in use.
+// heap list, heap info: the heap windows of processes and their use.
 
 #include <base/text.hpp>
 #include <ctl/cli/commands.hpp>

@@ -23,11 +23,11 @@ using journal::RecordType;
 using wire::JournalRecord;
 
 constexpr std::chrono::milliseconds follow_interval(500);
-// A daemon that restarts is away for seconds at most.
+// A restarting daemon is absent for seconds at most.
 constexpr int follow_attempts = 20;
 constexpr std::uint64_t all = std::numeric_limits<std::uint64_t>::max();
 
-// When a record was made, on the clock that people look at: this moment less its age.
+// The time of a record on the wall clock: now minus the record's age.
 struct Moment {
   std::uint64_t age_ns = 0;
   std::time_t seconds = 0;
@@ -54,7 +54,7 @@ std::string with_milliseconds(const char* text, const Moment& moment, const char
   return whole;
 }
 
-// "12:01:33.120"; with the day when that is not today.
+// Returns "12:01:33.120", with the date if that is not today.
 std::string time_for_people(const Moment& moment) {
   std::tm at{}, now{};
   ::localtime_r(&moment.seconds, &at);
@@ -76,7 +76,7 @@ std::string time_for_programs(const Moment& moment) {
   return with_milliseconds(text, moment, "Z");
 }
 
-// Words of another start that belong to this record.
+// Returns what records of another start of the daemon say about this record.
 std::string state_words(const JournalRecord& record, const Journal& journal) {
   if (record.state == wire::JournalState::pending) return " [not complete]";
   for (const JournalRecord& later : journal.records) {
@@ -147,7 +147,7 @@ class Printer {
 
   bool filters() const { return !filter_.topic.empty() || !filter_.process.empty(); }
 
-  /// At most the newest `count` of those that are wanted.
+  /// Prints at most the newest `count` of the selected records.
   void print(const Journal& journal, std::uint64_t count, bool first) {
     std::vector<const JournalRecord*> chosen;
     for (const JournalRecord& record : journal.records) {
@@ -167,8 +167,8 @@ class Printer {
                       arguments_.json);
     } else {
       if (first && reaches_back && journal.end.oldest > 1)
-        console_.line("what was before #" + std::to_string(journal.end.oldest) +
-                      " has been overwritten");
+        console_.line("records before #" + std::to_string(journal.end.oldest) +
+                      " have been overwritten");
       for (const JournalRecord* const record : chosen) console_.line(line_of(*record, journal));
     }
     console_.flush();
@@ -180,7 +180,7 @@ class Printer {
   JournalFilter filter_;
 };
 
-// Whatever comes from now on, until somebody ends us or the daemon stays away.
+// Prints new records until a signal arrives or the daemon stays absent.
 Outcome<void> follow(Observer observer, std::uint64_t seen, const Arguments& arguments,
                      Printer& printer) {
   for (int failures = 0;;) {
@@ -194,10 +194,10 @@ Outcome<void> follow(Observer observer, std::uint64_t seen, const Arguments& arg
     }
     failures = 0;
     const std::uint64_t newest = look->end.newest;
-    if (newest < seen) seen = 0;  // another incarnation
+    if (newest < seen) seen = 0;  // another incarnation of the daemon
     if (newest == seen) continue;
     const auto news = observer.read_journal(newest, newest - seen);
-    if (!news) continue;  // seen at the next look
+    if (!news) continue;  // retry at the next look
     printer.print(*news, all, false);
     seen = newest;
   }

@@ -23,7 +23,7 @@ namespace {
 
 namespace o = options;
 
-// 64 MiB of YAML are some 8 MiB of message and a GiB of nodes in the parser.
+// 64 MiB of YAML become some 8 MiB of message and a GiB of nodes in the parser.
 constexpr std::size_t text_bytes_max = 64 << 20;
 
 Status status_of(Errc code) {
@@ -76,7 +76,7 @@ void note(const std::string& text) { std::fprintf(stderr, "agnocast-ctl: %s\n", 
 
 Outcome<std::unique_ptr<Live>> Live::enter(const Arguments& arguments,
                                            const std::string& node_name) {
-  // What is for nodes in this environment is not for the tool.
+  // Environment variables for nodes must not affect the tool.
   ::setenv("AGNOCAST_SOCKET", arguments.socket.c_str(), 1);
   ::setenv("ROS_DOMAIN_ID", std::to_string(arguments.domain).c_str(), 1);
   ::unsetenv("AGNOCAST");
@@ -93,7 +93,7 @@ Outcome<std::unique_ptr<Live>> Live::enter(const Arguments& arguments,
   if (live->signals_.get() < 0)
     return problem_of({Errc::os_failure, errno, "signalfd", 0}, "signals");
   try {
-    // A name with an underscore in front is hidden, as that of ros2's own tools.
+    // A leading underscore hides the node's name, as for ros2's own tools.
     live->node_.emplace(
         node_name.empty() ? "_agnocast_ctl_" + std::to_string(::getpid()) : node_name,
         NodeOptions().use_global_arguments(false));
@@ -109,7 +109,7 @@ bool Live::run_until(Clock::time_point deadline) {
   is_stopped_ = false;
   for (;;) {
     const bool has_work = executor_->prepare() == Executor::Readiness::work_ready;
-    // Of a far deadline a part: fd() ends each wait once a second anyway.
+    // A far deadline is waited for in parts: fd() ends each wait once a second anyway.
     auto patience = std::chrono::milliseconds(0);
     if (!has_work)
       patience = deadline == for_ever
@@ -143,7 +143,7 @@ ChosenQos qos_of(const Arguments& arguments, const char* default_profile,
   if (arguments.has(o::qos_depth)) qos.keep_last(arguments.whole(o::qos_depth));
   if (history == "keep_all") qos.keep_all();
   if (reliability == "best_effort") qos.best_effort();
-  // The best that is available to a subscription is what everybody offers.
+  // The best reliability that all publishers offer.
   if (reliability == "best_available" && adapted != nullptr) qos.best_effort();
   if (reliability == "reliable" || reliability == "system_default") qos.reliable();
   if (durability == "transient_local") qos.transient_local();
@@ -160,10 +160,10 @@ ChosenQos qos_of(const Arguments& arguments, const char* default_profile,
   reliable == all ? qos.reliable() : qos.best_effort();
   kept == all ? qos.transient_local() : qos.durability_volatile();
   if (reliable != 0 && reliable != all)
-    chosen.note = "some publishers are reliable and some best effort; taking best effort of all";
+    chosen.note = "some publishers are reliable and some best effort; using best effort for all";
   if (kept != 0 && kept != all)
     chosen.note += std::string(chosen.note.empty() ? "" : "; ") +
-                   "some publishers are transient local and some volatile; taking volatile of all";
+                   "some publishers are transient local and some volatile; using volatile for all";
   return chosen;
 }
 
@@ -172,7 +172,7 @@ Outcome<std::string> values_of(const Arguments& arguments) {
   const int sources = (arguments.subject(2).empty() ? 0 : 1) + (file.empty() ? 0 : 1) +
                       (arguments.has(o::from_stdin) ? 1 : 0);
   if (sources > 1)
-    return problem(Status::wrong_usage, "VALUES", "only one of VALUES, --stdin and --yaml-file",
+    return problem(Status::wrong_usage, "VALUES", "use only one of VALUES, --stdin and --yaml-file",
                    full_name(*arguments.command) + " --help");
   if (arguments.has(o::from_stdin)) return text_in(stdin, "standard input");
   if (file.empty()) return arguments.subject(2).empty() ? "{}" : arguments.subject(2);

@@ -1,10 +1,10 @@
 // SPDX-License-Identifier: Apache-2.0
 //
-// Live: what the commands that take part share. They are nodes of their own in the system they look
-// at: known to the daemon, seen by everybody, and gone when they end.
+// Live: the common part of the commands that publish or subscribe. Such a command is a node of its
+// own in the system: the daemon knows it, all others see it, and it is gone when it ends.
 //
-// One thread does everything: it sleeps for callbacks and signals at once, so SIGINT and SIGTERM end
-// it between two messages, and its endpoints are put away in order.
+// One thread does everything: it waits for callbacks and signals together, so SIGINT and SIGTERM
+// end it between two messages, and its endpoints are closed in order.
 #pragma once
 
 #include <agnocast/agnocast.hpp>
@@ -21,7 +21,7 @@
 
 namespace agnocast::ctl {
 
-/// A failure of the library, with the exit status that fits it.
+/// Returns a failure of the library as a problem with the matching exit status.
 tl::unexpected<Problem> problem_of(const Failure& failure, const std::string& what);
 
 class Live {
@@ -29,13 +29,13 @@ class Live {
   using Clock = std::chrono::steady_clock;
   static constexpr Clock::time_point for_ever = Clock::time_point::max();
 
-  /// Before anything of the library is used: chooses its socket and domain, and blocks the signals.
-  /// `node_name`: empty for a hidden one.
+  /// Call before the first use of the library: chooses its socket and domain, and blocks the
+  /// signals. An empty `node_name` creates a hidden node.
   static Outcome<std::unique_ptr<Live>> enter(const Arguments& arguments,
                                               const std::string& node_name = {});
 
   agnocast::Node& node() { return *node_; }
-  /// Runs callbacks until then, or until one has called stop(); false if a signal has come.
+  /// Runs callbacks until the deadline or a call of stop(); returns false if a signal has come.
   bool run_until(Clock::time_point deadline);
   void stop() { is_stopped_ = true; }
 
@@ -47,33 +47,33 @@ class Live {
   bool is_stopped_ = false;
 };
 
-/// After a message is printed: writes it out. False when nobody reads any more; then standard output
-/// is forgotten, because that is no failure of ours.
+/// Flushes standard output after a message. Returns false if nobody reads it any more: standard
+/// output is then redirected to /dev/null, because that is not an error.
 bool write_out();
 
-/// As the options say; `adapted`: without one, what all those publishers offer, as ros2 chooses it.
+/// Returns the QoS of the options; without any, what all of `adapted` offer, as ros2 chooses it.
 struct ChosenQos {
   QoS qos;
-  std::string note;  // about publishers that offer different things
+  std::string note;  // about publishers with different QoS
 };
 ChosenQos qos_of(const Arguments& arguments, const char* default_profile,
                  const std::vector<Endpoint>* adapted = nullptr);
 
-/// What is to be sent: VALUES (the third subject), --stdin or --yaml-file; without them a default message.
+/// Returns the YAML of VALUES (the third subject), --stdin or --yaml-file; "{}" without them.
 /// Problems: wrong_usage (two of them), failed.
 Outcome<std::string> values_of(const Arguments& arguments);
 /// CLOCK_REALTIME.
 std::int64_t wall_time_ns();
 
-/// The topic now, or nothing.
+/// The type and the active publishers of a topic.
 struct TopicNow {
   std::string type;
   std::uint64_t layout_hash = 0;
   std::vector<Endpoint> publishers;
 };
-/// Problems of looking, and no_such_thing.
+/// Problems: those of look_at(), and no_such_thing.
 Outcome<TopicNow> topic_now(const Arguments& arguments);
 
-void note(const std::string& text);  // a line on stderr that is no error
+void note(const std::string& text);  // prints a line on stderr, not an error
 
 }  // namespace agnocast::ctl

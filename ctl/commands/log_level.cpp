@@ -1,6 +1,6 @@
 // SPDX-License-Identifier: Apache-2.0
 //
-// log-level: what the daemon logs, and from now on.
+// log-level: prints or changes the level of the daemon's log.
 
 #include <base/text.hpp>
 #include <ctl/cli/commands.hpp>
@@ -21,7 +21,7 @@ struct Level {
 constexpr Level levels[] = {{3, "error"}, {4, "warning"}, {5, "notice"}, {6, "info"}, {7, "debug"}};
 
 Outcome<std::uint64_t> level_of(const std::string& word) {
-  if (word.empty()) return 0;  // only asked
+  if (word.empty()) return 0;  // no change
   std::vector<std::string_view> words;
   for (const Level& level : levels) {
     if (level.word == word) return level.number;
@@ -29,7 +29,7 @@ Outcome<std::uint64_t> level_of(const std::string& word) {
   }
   const std::string_view meant = nearest(word, words);
   return problem(Status::wrong_usage, in_quotes(word),
-                 "this is no level; known: error, warning, notice, info, debug",
+                 "unknown level; use one of error, warning, notice, info, debug",
                  meant.empty() ? "agnocast-ctl log-level --help"
                                : "agnocast-ctl log-level " + std::string(meant));
 }

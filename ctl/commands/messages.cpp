@@ -1,9 +1,9 @@
 // SPDX-License-Identifier: Apache-2.0
 //
-// message list: what lies in the queues, who holds it and who has still to take it.
+// message list: the messages in the queues, their holders, and who has not taken them yet.
 //
-// Since when somebody holds a message is written down nowhere (it would cost every take a store); the
-// age of the message is the longest that it can be.
+// The begin of a hold is not recorded (it would cost every take a store); the age of the message
+// is an upper bound.
 
 #include <base/clock.hpp>
 #include <base/text.hpp>

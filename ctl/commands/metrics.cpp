@@ -1,11 +1,11 @@
 // SPDX-License-Identifier: Apache-2.0
 //
-// metrics: numbers for Prometheus, in its text format or in OpenMetrics, to stdout or into a file that
-// node_exporter's textfile collector reads. The file changes as a whole, and says agnocast_up 0 when the
-// daemon does not answer.
+// metrics: numbers for Prometheus, in its text format or in OpenMetrics, to stdout or into a file
+// for the textfile collector of node_exporter. The file is replaced atomically; it says
+// agnocast_up 0 while the daemon does not answer.
 //
-// What an endpoint counts is a series of that endpoint, not a sum: a sum would fall when one ends, and
-// whoever reads it would take that for a restart of the counter.
+// Each endpoint's counter is a series of its own, not part of a sum: a sum would fall when an
+// endpoint ends, and Prometheus would take that for a reset of the counter.
 
 #include <base/clock.hpp>
 #include <base/text.hpp>
@@ -39,7 +39,7 @@ namespace {
 
 using Label = std::pair<std::string_view, std::string>;
 
-/// Labels of one thing, which has several samples: as the text formats have them, without braces.
+/// The labels of one thing with several samples, in the form of the text formats, without braces.
 class Labels {
  public:
   Labels(std::initializer_list<Label> labels) {
@@ -71,25 +71,25 @@ class Labels {
 using SharedLabels = std::shared_ptr<const Labels>;
 
 struct Sample {
-  SharedLabels labels;  // none: null
+  SharedLabels labels;  // null: none
   std::variant<std::uint64_t, double> value;
 };
 struct Family {
-  std::string name;  // without the _total of a counter's samples
+  std::string name;  // without the suffix _total of a counter's samples
   std::string_view type, unit, help;
   std::vector<Sample> samples;
 };
 
 class Metrics {
  public:
-  /// `unit` is the end of the name, or empty.
+  /// Begins a family. `unit` is the suffix of the name, or empty.
   void gauge(const std::string& name, std::string_view unit, std::string_view help) {
     families_.push_back({"agnocast_" + name, "gauge", unit, help, {}});
   }
   void counter(const std::string& name, std::string_view unit, std::string_view help) {
     families_.push_back({"agnocast_" + name, "counter", unit, help, {}});
   }
-  /// Of the family that was begun last.
+  /// Adds a sample to the family begun last.
   template <class Number>
   void sample(SharedLabels labels, Number value) {
     families_.back().samples.push_back({std::move(labels), value});
@@ -103,7 +103,7 @@ class Metrics {
     sample(SharedLabels(), value);
   }
 
-  /// Prometheus names a family with the ending of its samples, OpenMetrics without.
+  /// Returns the text. Only Prometheus names a family with the suffix of its samples.
   std::string text(bool is_openmetrics) const {
     std::string text;
     for (const Family& family : families_) {
@@ -142,7 +142,7 @@ class Metrics {
   }
 
  private:
-  // A double as JSON has it: the shortest that reads back as the same.
+  // Returns a double as JSON writes it: the shortest text that reads back as the same value.
   static std::string number_of(const std::variant<std::uint64_t, double>& value) {
     if (const auto* const count = std::get_if<std::uint64_t>(&value)) return std::to_string(*count);
     return Object(std::get<double>(value)).dump();
@@ -154,41 +154,40 @@ class Metrics {
 void add_daemon(const System& system, Metrics& metrics) {
   const wire::DumpDaemon& daemon = system.daemon;
   const wire::DaemonCounters& counters = daemon.counters;
-  metrics.gauge("uptime_seconds", "seconds", "How long this life of agnocastd lasts.");
+  metrics.gauge("uptime_seconds", "seconds", "Time since agnocastd started.");
   metrics.sample(static_cast<double>(daemon.uptime_ns) / 1e9);
-  metrics.gauge("arena_bytes", "bytes", "Addresses for shared heaps.");
+  metrics.gauge("arena_bytes", "bytes", "Address space for shared heaps.");
   metrics.sample(daemon.arena_bytes);
-  metrics.gauge("heap_windows", "", "Windows of the arena that are given out.");
+  metrics.gauge("heap_windows", "", "Heap windows in use.");
   metrics.sample(daemon.windows_used);
-  metrics.gauge("kept_descriptors", "", "Descriptors that a restart of agnocastd would take over.");
+  metrics.gauge("kept_descriptors", "", "Descriptors kept for a restart of agnocastd.");
   metrics.sample(daemon.kept_descriptors);
-  metrics.gauge("kept_descriptors_limit", "", "How many may be kept.");
+  metrics.gauge("kept_descriptors_limit", "", "Limit of descriptors kept for a restart.");
   metrics.sample(daemon.kept_descriptors_max);
   for (const auto& [name, help, value] :
-       {std::tuple("restarts", "Lives of agnocastd before this one that it goes on from.",
-                   counters.restarts),
+       {std::tuple("restarts", "Restarts of agnocastd with its state kept.", counters.restarts),
         std::tuple("processes_registered", "Processes that joined.", counters.clients_registered),
         std::tuple("processes_rejoined", "Processes that came back after they lost agnocastd.",
                    counters.clients_rejoined),
         std::tuple("processes_died", "Processes that ended without leaving.",
                    counters.clients_died),
         std::tuple("processes_let_go", "Processes that left.", counters.clients_let_go),
-        std::tuple("processes_revoked", "Processes that were put out.", counters.clients_revoked),
-        std::tuple("intents_rolled_back", "Half done operations of dead processes, undone.",
+        std::tuple("processes_revoked", "Processes whose session was revoked.",
+                   counters.clients_revoked),
+        std::tuple("intents_rolled_back", "Interrupted operations of dead processes, undone.",
                    counters.intents_rolled_back),
-        std::tuple("intents_rolled_forward", "Half done operations of dead processes, completed.",
+        std::tuple("intents_rolled_forward", "Interrupted operations of dead processes, completed.",
                    counters.intents_rolled_forward),
-        std::tuple("intents_corrupt", "Half done operations that were not to be understood.",
+        std::tuple("intents_corrupt", "Interrupted operations with invalid records.",
                    counters.intents_corrupt),
-        std::tuple("requests_refused", "Requests that were refused; see the log.",
-                   counters.requests_refused),
-        std::tuple("connections_refused", "Connections that were refused; see the log.",
+        std::tuple("requests_refused", "Refused requests; see the log.", counters.requests_refused),
+        std::tuple("connections_refused", "Refused connections; see the log.",
                    counters.connections_refused),
-        std::tuple("readers_withdrawn", "Times that a publisher served a subscription no more.",
+        std::tuple("readers_withdrawn", "Times that a publisher stopped serving a subscription.",
                    counters.readers_withdrawn),
-        std::tuple("readers_served_again", "Times that it served one again.",
+        std::tuple("readers_served_again", "Times that a publisher served a subscription again.",
                    counters.readers_served_again),
-        std::tuple("readers_mute", "Times that nobody could ring a subscription any more.",
+        std::tuple("readers_mute", "Times that a subscription lost its doorbell.",
                    counters.readers_mute)}) {
     metrics.counter(name, "", help);
     metrics.sample(value);
@@ -196,14 +195,14 @@ void add_daemon(const System& system, Metrics& metrics) {
 }
 
 void add_users(const System& system, Metrics& metrics) {
-  metrics.gauge("user_in_use", "", "What a user has of each resource.");
+  metrics.gauge("user_in_use", "", "Use of each resource by a user.");
   for (const wire::DumpUser& user : system.users) {
     const Object shares = share_object(user.use);
     for (const auto& [resource, used] : shares.items())
       metrics.sample({{"uid", std::to_string(user.uid)}, {"resource", resource}},
                      used.get<std::uint64_t>());
   }
-  metrics.gauge("user_quota", "", "What each user may have; without a sample: no limit.");
+  metrics.gauge("user_quota", "", "Limit of each resource for a user; no sample: no limit.");
   const Object quotas = share_object(system.daemon.quota);
   for (const auto& [resource, quota] : quotas.items()) {
     if (!quota.is_null()) metrics.sample({{"resource", resource}}, quota.get<std::uint64_t>());
@@ -216,7 +215,7 @@ void add_processes(const System& system, Metrics& metrics) {
                                                      {wire::ProcessState::dead, 0},
                                                      {wire::ProcessState::revoked, 0}};
   for (const auto& [index, process] : system.processes) ++states[process.facts.state];
-  metrics.gauge("processes", "", "Processes by state; dead ones are still in use by others.");
+  metrics.gauge("processes", "", "Processes by state; memory of dead ones is still in use.");
   for (const auto& [state, count] : states) {
     const char* const word = state == wire::ProcessState::connected  ? "alive"
                              : state == wire::ProcessState::orphaned ? "orphaned"
@@ -224,9 +223,9 @@ void add_processes(const System& system, Metrics& metrics) {
                                                                      : "revoked";
     metrics.sample({{"state", word}}, count);
   }
-  metrics.gauge("heap_used_bytes", "bytes", "How far a process has used its windows.");
+  metrics.gauge("heap_used_bytes", "bytes", "Heap memory in use by a process.");
   for (const auto& [index, process] : system.processes) {
-    // A number is that of several where the daemon does not see their PID namespaces.
+    // Several processes share a pid where the daemon cannot see their PID namespaces.
     metrics.sample({{"client", std::to_string(process.facts.client) + '.' +
                                    std::to_string(process.facts.generation)},
                     {"pid", std::to_string(process.facts.pid)},
@@ -253,13 +252,13 @@ void add_topics(const System& system, Metrics& metrics, std::uint64_t now_ns) {
        [](const Row& row) { return row.subscriptions; });
   each("topic_unread_messages", "", "Messages that the slowest reader has not taken.",
        [](const Row& row) { return row.lag; });
-  each("topic_held_messages", "", "Messages that somebody holds.",
+  each("topic_held_messages", "", "Messages held by subscriptions.",
        [](const Row& row) { return row.held; });
-  each("topic_oldest_hold_seconds", "seconds", "Age of the oldest message that is held.",
+  each("topic_oldest_hold_seconds", "seconds", "Age of the oldest held message.",
        [](const Row& row) { return static_cast<double>(row.oldest_held_ns) / 1e9; });
   each("topic_trouble", "",
-       "1 when an endpoint is refused or not matched, a reader lags, a message is long held, or a "
-       "dead publisher is not read to its end.",
+       "1 if an endpoint is refused or not matched, a reader lags, a message is held long, or a "
+       "dead publisher has unread messages.",
        [](const Row& row) { return std::uint64_t{row.trouble < Trouble::running}; });
 }
 
@@ -291,14 +290,13 @@ void add_endpoints(const System& system, Metrics& metrics) {
     metrics.counter(name, unit, help);
     for (const auto& [labels, numbers] : all) metrics.sample(labels, numbers.*member);
   };
-  each(publishers, "published_messages", "", "Messages of a publisher.",
-       &PublisherCounters::published);
-  each(publishers, "published_bytes", "bytes", "What its messages lie in, containers included.",
+  each(publishers, "published_messages", "", "Messages published.", &PublisherCounters::published);
+  each(publishers, "published_bytes", "bytes", "Bytes of published messages, containers included.",
        &PublisherCounters::published_bytes);
   each(publishers, "adopted_messages", "",
-       "Messages with parts from another heap, which had to be copied: they were not zero-copy.",
+       "Messages with parts from another heap, which were copied: not zero-copy.",
        &PublisherCounters::adopted_messages);
-  each(publishers, "adopted_bytes", "bytes", "What was copied of them.",
+  each(publishers, "adopted_bytes", "bytes", "Bytes copied for them.",
        &PublisherCounters::adopted_bytes);
   metrics.counter("unpublished_messages", "", "Messages that could not be published, by reason.");
   for (const auto& [labels, numbers] : publishers) {
@@ -310,16 +308,16 @@ void add_endpoints(const System& system, Metrics& metrics) {
   }
   each(subscriptions, "lost_messages", "", "Messages overwritten before a subscription took them.",
        &SubscriptionNumbers::lost);
-  each(subscriptions, "malformed_messages", "", "Messages that a subscription's checks refused.",
+  each(subscriptions, "malformed_messages", "", "Messages that failed a subscription's checks.",
        &SubscriptionNumbers::malformed);
   each(subscriptions, "unreachable_messages", "",
-       "Messages that could not be taken: something else lies at their address.",
+       "Messages not taken because their address is in use in the subscriber.",
        &SubscriptionNumbers::unreachable);
 }
 
 Metrics metrics_of(const System* system) {
   Metrics metrics;
-  metrics.gauge("up", "", "1 when agnocastd answered.");
+  metrics.gauge("up", "", "1 if agnocastd answered.");
   metrics.sample(std::uint64_t{system != nullptr});
   if (system != nullptr) {
     add_daemon(*system, metrics);
@@ -341,8 +339,8 @@ bool write_all(int fd, std::string_view text) {
   return true;
 }
 
-/// The whole file at once, for whoever reads it meanwhile, and for everybody. It is made under a name that
-/// nobody knows: others may write to that directory as well.
+/// Replaces the whole file atomically, for concurrent readers. The temporary file gets an
+/// unpredictable name: other users may write to the directory as well.
 Outcome<void> write_file(const std::string& path, const std::string& text) {
   std::string made = path + ".XXXXXX";
   const UniqueFd file(::mkostemp(made.data(), O_CLOEXEC));
@@ -364,14 +362,15 @@ Outcome<void> write_metrics(const Arguments& arguments, Console& console) {
   const bool goes_on = arguments.has(options::every);
   const bool is_openmetrics = arguments.text(options::metrics_form) == "openmetrics";
   if (arguments.json != Json::no && !path.empty())
-    return problem(Status::wrong_usage, "--json", "a file is for Prometheus",
+    return problem(Status::wrong_usage, "--json",
+                   "cannot be combined with --output: files are for Prometheus",
                    "agnocast-ctl metrics --json >FILE");
   if (goes_on && path.empty())
-    return problem(Status::wrong_usage, "--every", "there is no file to write again and again",
+    return problem(Status::wrong_usage, "--every", "there is no file to rewrite",
                    "agnocast-ctl metrics --every 15 --output FILE");
   for (;;) {
     const auto look = look_at(arguments.socket);
-    // Only that nobody answers is a number; anything else would be told wrongly by it.
+    // Only an absent daemon becomes agnocast_up 0; it would misrepresent any other problem.
     if (!look && (path.empty() || look.error().status != Status::not_reachable))
       return tl::unexpected(look.error());
     const Metrics metrics = metrics_of(look ? &look->system : nullptr);

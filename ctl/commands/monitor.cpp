@@ -1,8 +1,8 @@
 // SPDX-License-Identifier: Apache-2.0
 //
-// monitor: what happens from now on. What the daemon decides comes from its log, so nothing of it is
-// missed; what processes do to themselves (messages lost, adopted or refused, a process that stops) is
-// what has changed in the counters since the last look, five times a second.
+// monitor: events from now on. Decisions of the daemon come from its log, so none is missed.
+// Changes inside processes (messages lost, adopted or refused, a process that stops) come from the
+// differences of counters, read five times a second.
 
 #include <base/text.hpp>
 #include <ctl/cli/commands.hpp>
@@ -30,18 +30,18 @@ struct Snapshot {
     std::uint64_t value = 0;
     std::string subject, topic;  // "subscription of /points by listener (pid 1, uid 2)"
   };
-  // By generation of the endpoint and what is counted.
+  // Keyed by generation of the endpoint and name of the counter.
   std::map<std::pair<std::uint64_t, const char*>, Counter> counters;
   std::map<std::uint64_t, std::pair<std::string, std::string>> states;  // of processes: name, state
   std::map<std::tuple<std::uint32_t, std::uint32_t, std::uint32_t, std::string, std::uint32_t>,
            std::pair<std::uint64_t, wire::DumpRefusal>>
-      refusals;  // times
+      refusals;  // times, refusal
 };
 
 const char* state_of(const wire::DumpProcess& process) {
   if (process.state == wire::ProcessState::orphaned) return "has lost its connection";
-  if (process.state != wire::ProcessState::connected) return "is no member any more";
-  return is_stopped(process) ? "is stopped" : "goes on";
+  if (process.state != wire::ProcessState::connected) return "has no session any more";
+  return is_stopped(process) ? "is stopped" : "is running";
 }
 
 Snapshot snapshot_of(const System& system) {
@@ -132,13 +132,13 @@ class Monitor {
  private:
   static std::string phrase_of(const char* counter) {
     const std::string what = counter;
-    if (what == "adopted") return "had to be copied into the shared heap";
+    if (what == "adopted") return "copied into the shared heap";
     if (what == "lost") return "lost";
-    if (what == "unreachable") return "of them lie where the process has something else";
+    if (what == "unreachable") return "at addresses that the process uses otherwise";
     return "not published: " + what.substr(std::string("refused_").size());
   }
 
-  // A name or pid is looked for in the words that name the process.
+  // Searches a name or pid in the text that names the process.
   bool is_wanted(const std::string& topic, const std::string& subject) const {
     if (!filter_.topic.empty() && topic != filter_.topic) return false;
     return filter_.process.empty() ||
@@ -180,7 +180,7 @@ Outcome<void> monitor_system(const Arguments& arguments, Console& console) {
     if (auto renewed = watch->renew(); !renewed) return renewed;
     if (watch->is_away()) continue;
     if (auto news = watch->observer().read_journal(0, 0)) {
-      if (news->end.newest < told) told = 0;  // another incarnation
+      if (news->end.newest < told) told = 0;  // another incarnation of the daemon
       if (news->end.newest != told) {
         const std::uint64_t newest = news->end.newest;
         news = watch->observer().read_journal(newest, newest - told);

@@ -1,7 +1,7 @@
 // SPDX-License-Identifier: Apache-2.0
 //
-// node list, node info: in the shapes of ros2 node. A node is known by its endpoints; one that has none
-// here is not known here.
+// node list, node info: in the form of ros2 node. A node is known by its endpoints; without any it
+// is not listed.
 
 #include <base/text.hpp>
 #include <ctl/cli/commands.hpp>

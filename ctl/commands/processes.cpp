@@ -1,7 +1,7 @@
 // SPDX-License-Identifier: Apache-2.0
 //
-// process list: who takes part, how the daemon stands to them, and what they keep of others' memory.
-// process revoke: ends the membership of one that lives.
+// process list: the processes with a session, their state, and the memory of others that they
+// keep. process revoke: ends the session of a running process.
 
 #include <agnocast/error.hpp>
 #include <base/text.hpp>
@@ -126,7 +126,7 @@ Outcome<void> show_process(const Arguments& arguments, Console& console) {
                    escaped(process->blocked_by));
     console.line("  Publishers:" + publishers);
     console.line("  Subscribers:" + subscriptions);
-    if (!refusals.empty()) console.line("  Refused lately:" + refusals);
+    if (!refusals.empty()) console.line("  Refused recently:" + refusals);
   }
   if (arguments.json != Json::no)
     console.object({{"schema", "agnocast.process-info/1"},
@@ -165,7 +165,7 @@ Outcome<void> list_processes(const Arguments& arguments, Console& console) {
   const auto look = look_at(arguments.socket);
   if (!look) return tl::unexpected(look.error());
   Object list = Object::array();
-  Table table({"PID", "UID", "NAME", "DOMAIN", "STATE", "SINCE", "PUBLISHERS", "SUBSCRIPTIONS",
+  Table table({"PID", "UID", "NAME", "DOMAIN", "STATE", "AGE", "PUBLISHERS", "SUBSCRIPTIONS",
                "UNREAD", "HELD", "KEEPS", "EXECUTORS", "WINDOWS", "CLIENT"});
   for (const auto& [index, process] : look->system.processes) {
     const wire::DumpProcess& facts = process.facts;
@@ -197,7 +197,7 @@ Outcome<void> list_processes(const Arguments& arguments, Console& console) {
 
 namespace {
 
-// Not by name: several may have it, and what is ended cannot be taken back.
+// Takes no name: several processes may share it, and a revocation cannot be undone.
 Outcome<std::vector<const Process*>> find_members(const System& system, const std::string& name) {
   if (name.find_first_not_of("0123456789.") != std::string::npos)
     return problem(Status::wrong_usage, escaped(name), "this is neither a pid nor INDEX.GENERATION",
@@ -209,7 +209,7 @@ Outcome<std::vector<const Process*>> find_members(const System& system, const st
            process->facts.state != wire::ProcessState::orphaned;
   });
   if (!found->empty()) return found;
-  return problem(Status::no_such_thing, escaped(name), "it is no member any more",
+  return problem(Status::no_such_thing, escaped(name), "it has no session any more",
                  "agnocast-ctl process list --all-domains");
 }
 
@@ -238,7 +238,7 @@ Outcome<void> revoke_process(const Arguments& arguments, Console& console) {
                    ", uid " + std::to_string(facts.uid) +
                    "): " + counted(process->publisher_count, "publisher") + ", " +
                    counted(process->subscription_count, "subscription") +
-                   (was_stopped ? "; it is stopped and will be told when it goes on" : ""));
+                   (was_stopped ? "; it is stopped and will be notified when it continues" : ""));
   }
   if (arguments.json != Json::no)
     console.object({{"schema", "agnocast.process-revoke/1"},

@@ -1,6 +1,6 @@
 // SPDX-License-Identifier: Apache-2.0
 //
-// topic pub: a publisher of what is written on the command line, in a file or on standard input.
+// topic pub: publishes messages from the command line, a file or standard input.
 
 #include <agnocast/generic.hpp>
 #include <base/text.hpp>
@@ -19,7 +19,7 @@ namespace {
 
 namespace o = options;
 
-// What is typed is shown as it is; a message of somebody's file only in part.
+// Typed messages are shown in full, messages from a file only in part.
 constexpr TextOptions shown_part{128, false, false};
 
 using Clock = Live::Clock;
@@ -55,7 +55,7 @@ class Sender {
   Sender(Live& live, GenericPublisher& publisher, const IntrospectedType& type, Console& console)
       : live_(live), publisher_(publisher), type_(type), console_(console) {}
 
-  /// False if a signal has come, or nobody reads what is printed.
+  /// Returns false after a signal, or if nobody reads standard output.
   Outcome<bool> wait_for_subscriptions(const Course& course) {
     constexpr std::chrono::milliseconds step{20}, say_nothing{100}, remind{1000};
     const auto begin = Clock::now();
@@ -65,7 +65,8 @@ class Sender {
       if (course.wait_s && now - begin >= seconds(*course.wait_s))
         return problem(Status::timed_out, publisher_.get_topic_name(),
                        counted(publisher_.get_subscription_count(), "matching subscription") +
-                           " of " + std::to_string(course.wanted_subscriptions) + " came in time",
+                           " of " + std::to_string(course.wanted_subscriptions) +
+                           " matched in time",
                        "agnocast-ctl topic info -v " + escaped(publisher_.get_topic_name()));
       if (now >= next_note) {
         console_.line("Waiting for at least " + std::to_string(course.wanted_subscriptions) +
@@ -107,7 +108,7 @@ class Sender {
       if (result) return true;
       if (result.code != Errc::would_block && result.code != Errc::no_slot)
         return problem_of({result.code, 0, "", 0}, publisher_.get_topic_name());
-      // Readers have not read enough yet.
+      // The readers have not released enough messages yet.
       loan.reset();
       if (!live_.run_until(Clock::now() + std::chrono::milliseconds(1))) return false;
     }
@@ -123,7 +124,7 @@ class Sender {
 
 Outcome<void> pub_topic(const Arguments& arguments, Console& console) {
   if (arguments.has(o::once_pub) && arguments.has(o::times))
-    return problem(Status::wrong_usage, "--once", "goes without --times",
+    return problem(Status::wrong_usage, "--once", "cannot be combined with --times",
                    "agnocast-ctl topic pub --help");
   const auto type = try_find_message_type(arguments.subject(1));
   if (!type) return problem_of(type.error(), escaped(arguments.subject(1)));
@@ -134,7 +135,7 @@ Outcome<void> pub_topic(const Arguments& arguments, Console& console) {
   const Course course = course_of(arguments, messages->size());
   if (course.wait_s && course.wanted_subscriptions == 0)
     return problem(Status::wrong_usage, "--max-wait-time-secs",
-                   "goes with --once, --times or --wait-matching-subscriptions",
+                   "needs --once, --times or --wait-matching-subscriptions",
                    "agnocast-ctl topic pub --help");
   auto live = Live::enter(arguments, arguments.text(o::node_name));
   if (!live) return tl::unexpected(live.error());

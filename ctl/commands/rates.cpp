@@ -1,12 +1,12 @@
 // SPDX-License-Identifier: Apache-2.0
 //
-// topic hz, topic bw: from the counters of the publishers and the stamps of their queues. Nothing
-// subscribes, so it costs the publisher nothing and works for any type at any rate.
+// topic hz, topic bw: from the counters of the publishers and the stamps of their queues. Without
+// a subscription they cost the publisher nothing and work for any type at any rate.
 //
-// A look every 10 ms takes over the stamps of what was committed since the last one, as far back as the
-// queue still has them; the rest is spread evenly over the time in which it came. So the mean is exact,
-// and minimum, maximum and deviation are as long as fewer messages come between two looks than the
-// queue has places.
+// Every 10 ms a look collects the stamps of the messages committed since the last look, as far
+// back as the queue still has them; the older ones are spread evenly over their interval. So the
+// mean is exact, and minimum, maximum and deviation are exact as long as fewer messages come
+// between two looks than the queue has slots.
 
 #include <base/clock.hpp>
 #include <base/text.hpp>
@@ -30,17 +30,17 @@ namespace {
 
 constexpr int look_ms = 10;
 constexpr int report_ms = 1000;
-// Counters are read without asking; who publishes changes when programs start and end.
+// Counters are read without a request; publishers change only when programs start and end.
 constexpr int renew_ms = 250;
 constexpr std::size_t recent_max = 64;
 
-/// One message, or several that came too fast to be told apart.
+/// One message, or one of several that came too fast to be told apart.
 struct Arrival {
   std::uint64_t stamp_ns = 0;
   std::uint64_t bytes = 0;
 };
 
-/// What came on one topic; publishers together.
+/// The messages of one topic, of all publishers together.
 class Stream {
  public:
   explicit Stream(std::size_t window) : window_(window) {}
@@ -87,7 +87,7 @@ class Stream {
     const std::uint64_t known = std::min<std::uint64_t>(came, recent.stamps_ns.size());
     const std::uint64_t first_known = recent.stamps_ns[recent.stamps_ns.size() - known];
     const std::uint64_t lost = came - known;
-    // A publisher's first messages have nothing before them.
+    // Before a publisher's first messages there is no stamp.
     const std::uint64_t from = seen.stamp_ns == 0 ? first_known : seen.stamp_ns;
     for (std::uint64_t i = 1; i <= lost; ++i)
       news.push_back({from + (first_known - std::min(from, first_known)) * i / (lost + 1), each});
@@ -121,7 +121,7 @@ Statistics statistics_of(const std::vector<double>& values) {
   return all;
 }
 
-/// Gaps between the messages, in seconds.
+/// Returns the statistics of the gaps between messages, in seconds.
 Statistics gaps_of(const Stream& stream) {
   std::vector<double> gaps;
   for (std::size_t i = 1; i < stream.arrivals().size(); ++i)
@@ -143,7 +143,7 @@ std::string fixed(double value, int places) {
   return text;
 }
 
-/// ros2 counts bytes in thousands, and so do links and disks.
+/// Formats bytes with decimal units, as ros2, links and disks do.
 std::string decimal_bytes(double bytes) {
   constexpr const char* units[] = {"B", "KB", "MB", "GB", "TB"};
   std::size_t unit = 0;

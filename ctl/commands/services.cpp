@@ -1,7 +1,7 @@
 // SPDX-License-Identifier: Apache-2.0
 //
-// service list, info, find, type: in the shapes of ros2 service. A service is known by the topic of its
-// requests: who subscribes to it serves, who publishes there asks.
+// service list, info, find, type: in the form of ros2 service. A service is known by the topic of
+// its requests: servers subscribe to it, clients publish on it.
 
 #include <base/text.hpp>
 #include <ctl/cli/commands.hpp>

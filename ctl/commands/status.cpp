@@ -1,6 +1,6 @@
 // SPDX-License-Identifier: Apache-2.0
 //
-// status: the daemon, what it holds and what it allows.
+// status: the daemon, its resources and its limits.
 
 #include <agnocast/abi/fingerprint.hpp>
 #include <base/text.hpp>
@@ -143,13 +143,13 @@ void print(const System& system, const std::string& socket, Console& console) {
                         duration_for_people(daemon.uptime_ns));
   line("socket", escaped(socket));
   line("layout", hexadecimal(abi::fingerprint()));
-  line(
-      "processes",
-      of_limit(system.processes.size(), daemon.limits.clients) +
-          (sums.orphaned == 0 ? "" : ", " + std::to_string(sums.orphaned) + " without connection") +
-          (sums.dead == 0
-               ? ""
-               : ", " + std::to_string(sums.dead) + " ended and still in use by others"));
+  line("processes",
+       of_limit(system.processes.size(), daemon.limits.clients) +
+           (sums.orphaned == 0 ? ""
+                               : ", " + std::to_string(sums.orphaned) + " without a connection") +
+           (sums.dead == 0
+                ? ""
+                : ", " + std::to_string(sums.dead) + " ended and still in use by others"));
   line("topics", of_limit(system.topics.size(), daemon.limits.topics));
   line("publishers", std::to_string(sums.publishers));
   line("subscriptions", std::to_string(sums.subscriptions));
@@ -160,7 +160,7 @@ void print(const System& system, const std::string& socket, Console& console) {
            hexadecimal(daemon.arena_base));
   line("deaths", counted(reaped_of(counters), "process", "processes") + ": " +
                      std::to_string(counters.clients_died) + " died, " +
-                     std::to_string(counters.clients_let_go) + " let go, " +
+                     std::to_string(counters.clients_let_go) + " left, " +
                      std::to_string(counters.clients_revoked) + " revoked");
   line("intents", std::to_string(counters.intents_rolled_back) + " rolled back, " +
                       std::to_string(counters.intents_rolled_forward) + " rolled forward, " +
@@ -175,9 +175,9 @@ void print(const System& system, const std::string& socket, Console& console) {
                       std::to_string(counters.readers_served_again) + " served again, " +
                       std::to_string(counters.readers_mute) + " mute");
   line("kept", daemon.kept_descriptors_max == 0
-                   ? "nothing: the daemon's death ends every membership"
+                   ? "nothing: the daemon's death ends every session"
                    : of_limit(daemon.kept_descriptors, daemon.kept_descriptors_max) +
-                         " descriptors, over the daemon's death");
+                         " descriptors, for a restart of the daemon");
   line("log level", level_word(daemon.log_level));
   console.line("");
   Table table({"UID", "PROCESSES", "TOPICS", "PUBLISHERS", "SUBSCRIPTIONS", "EXECUTORS", "HEAP",

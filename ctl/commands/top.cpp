@@ -1,7 +1,7 @@
 // SPDX-License-Identifier: Apache-2.0
 //
-// top: the whole system on one screen, what hurts first. On a terminal it is redrawn and takes keys; with
-// -b it prints round after round, with --json one line a round.
+// top: the whole system on one screen, the worst first. On a terminal it is redrawn and takes
+// keys; with -b it prints one round after the other, with --json one line a round.
 
 #include <base/clock.hpp>
 #include <base/text.hpp>
@@ -23,7 +23,7 @@ namespace {
 
 using Lines = std::vector<Screen::Line>;
 
-/// What a person has chosen by keys.
+/// The user's choices by keys.
 struct Choice {
   std::string sort;
   std::string filter;  // a part of a topic's name
@@ -34,10 +34,10 @@ constexpr const char* keys =
     "q quit   s next order   f filter by name   h help\n"
     "\n"
     "S  X refused or not matched   L a reader lags   H a message is held long\n"
-    "   D a publisher is gone and not read to its end   R running   I idle\n"
+    "   D a publisher is gone with unread messages   R running   I idle\n"
     "LAG   messages that the slowest reader has not taken\n"
-    "HOLD  messages that are held, and how old the oldest of them is\n"
-    "LOST  messages that fell out of a reader's depth, since it began\n";
+    "HOLD  messages that are held, and the age of the oldest\n"
+    "LOST  messages that exceeded a reader's depth, since its start\n";
 
 std::string heading_of(const Totals& totals, bool is_away, const Choice& choice) {
   std::string text = "agnocast  up " + duration_for_people(totals.uptime_ns) + "  topics " +
@@ -48,7 +48,7 @@ std::string heading_of(const Totals& totals, bool is_away, const Choice& choice)
                      std::to_string(totals.recoveries);
   if (choice.sort != "trouble") text += "  by " + choice.sort;
   if (!choice.filter.empty()) text += "  only " + escaped(choice.filter);
-  if (is_away) text += "  AGNOCASTD IS AWAY";
+  if (is_away) text += "  AGNOCASTD IS ABSENT";
   return text;
 }
 
@@ -58,7 +58,7 @@ std::string rate_for_people(double rate_hz) {
   return text;
 }
 
-// "sensor_msgs/msg/PointCloud2" has its place in topic info; here the last part says enough.
+// topic info shows the full "sensor_msgs/msg/PointCloud2"; here the last part is enough.
 std::string short_type(const std::string& type) {
   const std::size_t slash = type.rfind('/');
   return escaped(slash == std::string::npos ? type : type.substr(slash + 1), 40);
@@ -161,7 +161,7 @@ class Top {
     screen.draw(lines);
   }
 
-  // False: it is to end.
+  // Returns false when the command is to end.
   bool take_keys(Screen& screen) {
     bool changed = false;
     for (char key = screen.key(); key != '\0'; key = screen.key()) {
@@ -206,7 +206,7 @@ Outcome<void> show_top(const Arguments& arguments, Console& console) {
   if (!live) return top.print(waiting);
   Screen screen;
   if (!screen.works())
-    return problem(Status::failed, "terminal", "it cannot be drawn on (TERM)",
+    return problem(Status::failed, "terminal", "TERM is unknown or not suitable",
                    "agnocast-ctl top -b");
   return top.draw(waiting, screen);
 }

@@ -1,6 +1,6 @@
 // SPDX-License-Identifier: Apache-2.0
 //
-// topic list, topic info: in the shapes of ros2 topic, and what is ours.
+// topic list, topic info: in the form of ros2 topic, with additions of agnocast.
 
 #include <base/text.hpp>
 #include <ctl/cli/commands.hpp>
@@ -74,19 +74,19 @@ const char* state_word(abi::MemberState state) noexcept {
 const char* meaning_of(abi::MemberState state) noexcept {
   switch (state) {
     case abi::MemberState::orphan:
-      return "orphan: publishes no more, is being read to its end";
+      return "orphan: has ended, its last messages are still being read";
     case abi::MemberState::leaving:
-      return "leaving: takes no more, still holds messages";
+      return "leaving: takes no more messages, still holds some";
     case abi::MemberState::dead:
       return "dead: its process has ended";
     case abi::MemberState::free:
-      return "over: its process is putting it away";
+      return "over: its process is closing it";
     default:
       return state_word(state);
   }
 }
 
-// Unique over the lives of the daemon, in the form of a DDS GID.
+// Returns an id that is unique across restarts of the daemon, in the form of a DDS GID.
 std::string gid_of(const System& system, const Endpoint& endpoint) {
   std::string text;
   for (const std::uint64_t word : {system.daemon.incarnation, endpoint.facts.generation}) {
@@ -158,7 +158,7 @@ Object object_of(const System& system, const Topic& topic, const Endpoint& endpo
 void print_publisher_numbers(const System& system, const Topic& topic, const Endpoint& endpoint,
                              Console& console) {
   const auto found = numbers_of_publisher(system, topic, endpoint);
-  if (!found) return console.line("Numbers: not readable, the publisher is gone");
+  if (!found) return console.line("Counters: not readable, the publisher is gone");
   const PublisherNumbers& numbers = *found;
   if (numbers.adopted_messages == 0) {
     console.line("Zero-copy: yes");
@@ -180,7 +180,7 @@ void print_publisher_numbers(const System& system, const Topic& topic, const End
 void print_subscription_numbers(const System& system, const Topic& topic, const Endpoint& endpoint,
                                 Console& console) {
   const auto found = numbers_of_subscription(system, topic, endpoint);
-  if (!found) return console.line("Numbers: not readable, the subscription is gone");
+  if (!found) return console.line("Counters: not readable, the subscription is gone");
   console.line("Linked: " + counted(found->linked, "publisher"));
   console.line(
       "Held: " + counted(found->held, "message") + ", at most " +
@@ -194,7 +194,7 @@ void print_subscription_numbers(const System& system, const Topic& topic, const 
       (found->malformed == 0 ? "" : ", " + std::to_string(found->malformed) + " malformed") +
       (found->unreachable == 0 ? "" : ", " + std::to_string(found->unreachable) + " unreachable"));
   if (system.is_silent(endpoint))
-    console.line("Bell: nobody can ring it; asleep, it looks once a second");
+    console.line("Doorbell: none; while it waits, it polls once a second");
   const Process* const process = system.process_of(endpoint);
   if (process != nullptr && process->facts.blocked_bytes != 0)
     console.line("Blocked: " + bytes_for_people(process->facts.blocked_bytes) +
@@ -237,18 +237,18 @@ void print_side(const System& system, const Topic& topic, const char* heading,
   const std::uint64_t active = active_count(endpoints);
   std::string text = std::string(heading) + ": " + std::to_string(active);
   if (active != endpoints.size())
-    text += " (and " + std::to_string(endpoints.size() - active) + " that has left or died)";
+    text += " (and " + std::to_string(endpoints.size() - active) + " that left or died)";
   console.line(text);
   if (!verbose) return;
   console.line("");
   for (const Endpoint& endpoint : endpoints) print_endpoint(system, topic, endpoint, console);
 }
 
-// Publisher by publisher, as a column of answers: is what a subscription gets of it not copied?
+// Prints for each publisher whether each subscription gets its messages without a copy.
 void print_pairs(const System& system, const Topic& topic, Console& console) {
   const std::vector<Pair> pairs = pairs_of(system, topic);
   if (pairs.empty()) return;
-  // Where the answer is no, somebody will want to know whose process it is.
+  // If the answer is no, the user needs the processes.
   const auto name_of = [&](const Pair& pair, const Endpoint& endpoint) {
     const std::string node = escaped(endpoint.node_namespace == "/"
                                          ? '/' + endpoint.node_name

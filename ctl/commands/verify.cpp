@@ -1,8 +1,8 @@
 // SPDX-License-Identifier: Apache-2.0
 //
-// verify: every invariant of the running system. Several looks, each at a moment of its own; broken
-// is what every look found, in the same place with the same words. Subscriptions that are served no more or
-// that nobody can ring are named as well; they break nothing, and change no exit status.
+// verify: checks every invariant of the running system in several looks. An invariant is broken if
+// every look found it so, in the same place with the same words. Subscriptions that are no longer
+// served or have no doorbell are named as well; they break nothing and change no exit status.
 
 #include <base/text.hpp>
 #include <ctl/cli/commands.hpp>
@@ -21,8 +21,8 @@
 namespace agnocast::ctl {
 namespace {
 
-// Between the looks. An operation under way stays so as long as its thread does not run: on a machine
-// with too much to do that may be tenths of a second, so the looks spread over more than two.
+// Pauses between the looks. An operation in progress stays unfinished while its thread does not
+// run, on an overloaded machine for tenths of a second, so the looks spread over more than two.
 constexpr std::chrono::milliseconds pauses[] = {
     std::chrono::milliseconds(50),  std::chrono::milliseconds(100), std::chrono::milliseconds(200),
     std::chrono::milliseconds(400), std::chrono::milliseconds(600), std::chrono::milliseconds(800)};
@@ -60,8 +60,7 @@ std::vector<Exception> exceptions_of(const System& system) {
     }
     for (const Endpoint& subscription : topic.subscriptions) {
       if (subscription.state() == abi::MemberState::active && system.is_silent(subscription))
-        add(topic, subscription, "mute",
-            "nobody can ring it, it hears of messages only when it looks");
+        add(topic, subscription, "mute", "it has no doorbell, it finds messages only by polling");
     }
   }
   return found;
@@ -159,11 +158,10 @@ Outcome<void> verify_system(const Arguments& arguments, Console& console) {
     console.object(object_of(*verdict), arguments.json);
   }
   if (verdict->broken.empty()) return {};
-  return problem(
-      Status::check_failed, "verify",
-      counted(verdict->broken.size(), "invariant") +
-          (verdict->broken.size() == 1 ? " is broken" : " are broken"),
-      "restart the process that is named; keep the output of agnocast-ctl verify --json");
+  return problem(Status::check_failed, "verify",
+                 counted(verdict->broken.size(), "invariant") +
+                     (verdict->broken.size() == 1 ? " is broken" : " are broken"),
+                 "restart the named process; keep the output of agnocast-ctl verify --json");
 }
 
 }  // namespace agnocast::ctl

@@ -1,6 +1,6 @@
 // SPDX-License-Identifier: Apache-2.0
 //
-// doctor: what is wrong, and what mends it.
+// doctor: prints what is wrong, and the command that fixes it.
 
 #include <ctl/cli/commands.hpp>
 #include <ctl/doctor/doctor_facts.hpp>
@@ -23,7 +23,7 @@ std::string shell_word(std::string_view text) {
       "ABCDEFGHIJKLMNOPQRSTUVWXYZabcdefghijklmnopqrstuvwxyz0123456789_/.:,+@%=-";
   if (!text.empty() && text.find_first_not_of(plain) == std::string_view::npos)
     return std::string(text);
-  // Control characters are the shell's to make, not the terminal's to obey.
+  // Control characters are escaped: the shell decodes them, the terminal must not obey them.
   const bool is_printable =
       std::all_of(text.begin(), text.end(), [](char c) { return c >= ' ' && c < 127; });
   std::string word = is_printable ? "'" : "$'";
@@ -118,7 +118,7 @@ void print(const Report& report, const Fill& common, Console& console) {
       console.line(std::string(result.status()) + ": " + console.strong(result.check->id) + ": " +
                    ailment.what);
       console.line("  cause: " + cause_of(result, ailment));
-      console.line("  mend:  " + remedy_of(result, ailment, common));
+      console.line("  fix:   " + remedy_of(result, ailment, common));
     }
   }
   console.line(sum_of(report));
@@ -154,7 +154,7 @@ void list(const Arguments& arguments, Console& console) {
     if (arguments.json != Json::no) continue;
     console.line(console.strong(check->id) + " (" + severity + "): " + std::string(check->title));
     console.line("  cause: " + std::string(check->cause));
-    console.line("  mend:  " + std::string(check->remedy));
+    console.line("  fix:   " + std::string(check->remedy));
   }
   if (arguments.json != Json::no)
     console.object({{"schema", "agnocast.doctor-list/1"}, {"checks", checks}}, arguments.json);

@@ -1,17 +1,17 @@
 // SPDX-License-Identifier: Apache-2.0
 //
-// Doctor: checks as data. A check looks at facts that were collected before (doctor_facts.hpp), so it is
-// pure; what it finds says what is wrong, and its row says why that is so and which command mends it.
+// Doctor: checks as data. A check is a pure function of the facts in doctor_facts.hpp. Its finding
+// says what is wrong; its row gives the cause and the command that fixes it.
 //
-// A remedy is one line for a shell. Words in capitals in it are filled from the finding (PID, TOPIC), or are
-// commands that all remedies share:
+// A remedy is one line for a shell. Words in capitals in it are filled in from the finding (PID,
+// TOPIC), or are commands that all remedies share:
 //
 //   START    starts the daemon
-//   ANEW     stops the daemon, which gives up what it keeps, and starts it
-//   RELOAD   lets the daemon read its configuration and its program again; members stay members
+//   ANEW     stops the daemon, which discards its stored state, and starts it
+//   RELOAD   lets the daemon reload its configuration and its program; sessions continue
 //   FILE     the daemon's configuration
 //
-// docs/doctor.md has the table as people read it.
+// docs/doctor.md shows the table.
 #pragma once
 
 #include <cstdint>
@@ -25,20 +25,20 @@ namespace agnocast::ctl {
 
 struct Facts;
 
-/// Values of the words of a remedy, ready for a shell.
+/// Values for the words of a remedy, quoted for a shell.
 using Fill = std::map<std::string, std::string, std::less<>>;
 
 struct Ailment {
-  std::string what;  // where, with names; escaped
+  std::string what;  // what is wrong and where; escaped
   Fill words = {};
-  std::string cause = {};  // in place of the check's, when more is known
+  std::string cause = {};  // replaces the check's when more is known
 };
 
 struct Check {
   enum class Severity : std::uint8_t { failed, warning };
   enum class Needs : std::uint8_t { nothing, daemon };
   std::string_view id;
-  std::string_view title;  // what is so when all is well
+  std::string_view title;  // what is true when all is well
   Severity severity;
   Needs needs;
   std::string_view cause;
@@ -46,20 +46,20 @@ struct Check {
   std::vector<Ailment> (*find)(const Facts&);
 };
 
-/// doctor_door.cpp: this shell, and the way to the daemon.
+/// doctor_door.cpp: this shell, and the path to the daemon.
 extern const std::span<const Check> door_checks;
 /// doctor_host.cpp: the daemon itself, its limits, and the host.
 extern const std::span<const Check> host_checks;
-/// doctor_members.cpp: the processes, and what passes between them.
+/// doctor_members.cpp: the processes, and the messages between them.
 extern const std::span<const Check> member_checks;
 /// doctor_bridge.cpp: the bridges to DDS.
 extern const std::span<const Check> bridge_checks;
-/// All of them, in the order in which they are looked at.
+/// Returns all checks, in the order in which they run.
 std::vector<const Check*> all_checks();
 
-/// The remedy with its words filled in; a word that nobody fills stays.
+/// Returns the remedy with its words filled in; a word without a value stays.
 std::string filled(std::string_view remedy, const Fill& words, const Fill& common);
-/// One word for a shell, whatever it holds.
+/// Returns `text` quoted as one word for a shell.
 std::string shell_word(std::string_view text);
 
 }  // namespace agnocast::ctl

@@ -18,9 +18,9 @@ namespace {
 
 using Ailments = std::vector<Ailment>;
 
-// In whose name a bridge's own endpoints are.
+// The node that owns the endpoints of a bridge.
 constexpr std::string_view bridge_node = "_agnocast_bridge";
-// A received message lies in the buffer in fragments, each with what the kernel keeps about it.
+// The buffer holds a received message in fragments, each with the kernel's bookkeeping.
 constexpr std::uint64_t buffer_factor = 2;
 
 std::string start_of(const Facts& facts, std::uint64_t domain) {
@@ -35,7 +35,7 @@ Ailments not_running(const Facts& facts) {
   Ailments found;
   for (const std::string& unit : facts.idle_bridge_units)
     found.push_back(
-        {escaped(unit) + " is enabled, and no bridge of it answers",
+        {escaped(unit) + " is enabled, but its bridge does not answer",
          {{"BRIDGE", "sudo systemctl restart " + shell_word(unit) + " || journalctl -u " +
                          shell_word(unit) + " -n 20 --no-pager"}}});
   if (!facts.rival_bridge_unit.empty())
@@ -44,7 +44,7 @@ Ailments not_running(const Facts& facts) {
              " are both enabled, for domain " + std::to_string(facts.unit_domain),
          {{"BRIDGE", "sudo systemctl disable --now " + shell_word(facts.rival_bridge_unit) +
                          " && sudo systemctl restart agnocast-bridge"}},
-         "one of them has the domain, and the other one cannot have it as well"});
+         "one of them serves the domain, so the other one cannot"});
   const auto has_idle_unit = [&](std::uint64_t domain) {
     const std::string instance = "agnocast-bridge@" + std::to_string(domain) + ".service";
     const auto& idle = facts.idle_bridge_units;
@@ -76,7 +76,7 @@ Ailments elsewhere(const Facts& facts) {
   Ailments found;
   for (const std::uint64_t domain : used)
     found.push_back(
-        {"nodes of this host are in domain " + std::to_string(domain) + ", and no bridge is",
+        {"this host has nodes in domain " + std::to_string(domain) + ", but no bridge serves it",
          {{"BRIDGE", start_of(facts, domain)}}});
   return found;
 }
@@ -89,7 +89,7 @@ std::vector<std::string> prefixes_in(const std::string& path) {
   return prefixes;
 }
 
-/// Directories on the way that only their owner and group may walk through.
+/// Returns the directories on the path that only their owner and group may enter.
 std::vector<std::string> closed_on_the_way_to(const std::string& path) {
   std::vector<std::string> closed;
   for (std::size_t at = path.find('/', 1); at != std::string::npos; at = path.find('/', at + 1)) {
@@ -101,7 +101,7 @@ std::vector<std::string> closed_on_the_way_to(const std::string& path) {
   return closed;
 }
 
-/// How a bridge gets the libraries that this shell has; and why it has not.
+/// Adds the remedy that gives the bridge this shell's libraries, and why the bridge lacks them.
 Ailment with_remedy(const Facts& facts, const BridgeState& bridge, const std::string& package,
                     Ailment ailment) {
   const std::string library = "/lib/lib" + package + "__rosidl_typesupport_introspection_cpp.so";
@@ -112,8 +112,8 @@ Ailment with_remedy(const Facts& facts, const BridgeState& bridge, const std::st
   std::string& remedy = ailment.words["PATHS"];
   if (where.empty()) {
     ailment.cause +=
-        "; this shell does not have it either. With its workspace sourced here, doctor "
-        "says how the bridge gets it";
+        "; this shell does not have it either. Source its workspace here, and doctor "
+        "prints the command for the bridge";
     remedy = ". WORKSPACE/setup.sh && agnocast-ctl doctor  # WORKSPACE has " + shell_word(package);
     return ailment;
   }
@@ -130,12 +130,12 @@ Ailment with_remedy(const Facts& facts, const BridgeState& bridge, const std::st
   for (const std::string& prefix : prefixes) all += (all.empty() ? "" : ":") + prefix;
   const std::vector<std::string> closed = closed_on_the_way_to(where + library);
   for (const std::string& directory : closed) {
-    ailment.cause += "; the user agnocast-bridge may not walk through " + escaped(directory);
+    ailment.cause += "; the user agnocast-bridge may not enter " + escaped(directory);
     remedy += "sudo chmod o+x " + shell_word(directory) + " && ";
   }
   if (closed.empty()) ailment.cause += "; this shell has it in " + escaped(where);
   const auto unit = facts.bridge_units.find(bridge.pid);
-  // The last line of a variable counts, and this one has what the former one had.
+  // The last assignment of a variable counts, and this one includes the former value.
   remedy += "echo " + shell_word("AMENT_PREFIX_PATH=" + all) +
             " | sudo tee -a /etc/default/agnocast-bridge && sudo systemctl restart " +
             (unit == facts.bridge_units.end() ? "'agnocast-bridge*'" : shell_word(unit->second));
@@ -146,15 +146,15 @@ Ailments type_not_found(const Facts& facts) {
   Ailments found;
   for (const BridgeState& bridge : facts.bridges) {
     for (const BridgeLack& lack : bridge.unbridged) {
-      // What is refused is found, and no command mends it.
+      // A refused type was found; no command fixes it.
       if (lack.why != "unknown_type" || lack.detail.starts_with(sentence_of(Errc::type_refused)))
         continue;
       found.push_back(with_remedy(
           facts, bridge, lack.type.substr(0, lack.type.find('/')),
           {escaped(lack.topic) + ": the bridge of domain " + std::to_string(bridge.domain) +
-               " finds no " + escaped(lack.type),
+               " cannot find " + escaped(lack.type),
            {},
-           lack.detail.empty() ? "it is not below AMENT_PREFIX_PATH or type_paths of the bridge"
+           lack.detail.empty() ? "it is in neither AMENT_PREFIX_PATH nor type_paths of the bridge"
                                : escaped(lack.detail)}));
     }
   }
@@ -173,12 +173,12 @@ Ailments cyclonedds(const Facts& facts) {
     const std::string& file = facts.hidden_cyclonedds_file;
     const std::string place = "/etc/agnocast/cyclonedds.xml";
     found.push_back(
-        {"CYCLONEDDS_URI of the units names " + escaped(file) + ", which they do not see",
+        {"CYCLONEDDS_URI of the units names " + escaped(file) + ", which the units cannot see",
          {{"URI", "sudo install -D -m 644 " + shell_word(file) + ' ' + place + " && sudo sed -i " +
                       shell_word("/^CYCLONEDDS_URI=/s|" + file + '|' + place + '|') +
                       " /etc/default/agnocast-bridge && sudo systemctl restart "
                       "'agnocast-bridge*'"}},
-         "units of the bridge have a /tmp and /var/tmp of their own (PrivateTmp=)"});
+         "the units of the bridge have a private /tmp and /var/tmp (PrivateTmp=)"});
   }
   if (!facts.cyclonedds_fault.empty())
     found.push_back({facts.cyclonedds_fault,
@@ -198,8 +198,8 @@ Ailments receive_buffer(const Facts& facts) {
       const std::uint64_t mean = endpoint.bytes / endpoint.messages;
       if (mean <= facts.receive_buffer_max / buffer_factor || !named.insert(endpoint.topic).second)
         continue;
-      found.push_back({escaped(endpoint.topic) + " has messages of " + bytes_for_people(mean) +
-                       " from DDS, and a socket may have " +
+      found.push_back({escaped(endpoint.topic) + " receives messages of " + bytes_for_people(mean) +
+                       " from DDS, but a socket buffer is limited to " +
                        bytes_for_people(facts.receive_buffer_max)});
     }
   }
@@ -213,23 +213,23 @@ constexpr auto daemon = Check::Needs::daemon;
 
 // clang-format off
 constexpr Check table[] = {
-    {"bridge-configuration", "the configuration of the bridge has no mistake", failed, always,
-     "the file was changed after the bridge had read it, or keeps it from starting; its next start fails",
+    {"bridge-configuration", "the configuration of the bridge is valid", failed, always,
+     "the file was changed after the bridge read it, or prevents its start; the next start fails",
      "sudo \"${EDITOR:-vi}\" CONFIG && agnocast-bridge --check-config --config CONFIG", configuration},
-    {"cyclonedds-uri", "Cyclone DDS takes CYCLONEDDS_URI", failed, always,
-     "what the variable says, or the file that it names, is no configuration of Cyclone DDS: nothing with it can join a domain",
+    {"cyclonedds-uri", "Cyclone DDS accepts CYCLONEDDS_URI", failed, always,
+     "the variable, or the file that it names, is not a valid configuration of Cyclone DDS: no process that uses it can join a domain",
      "URI", cyclonedds},
-    {"bridge-not-running", "every bridge that should run does", failed, always,
-     "it has ended or cannot start: topics do not go to DDS; what it said last is in its log",
+    {"bridge-not-running", "every bridge that should run is running", failed, always,
+     "it has ended or cannot start, so topics do not reach DDS; its log gives the reason",
      "BRIDGE", not_running},
-    {"bridge-elsewhere", "bridges are in a domain that nodes of this host have", warning, daemon,
-     "a bridge connects its domain of DDS with nodes of the same domain here, and with no others",
+    {"bridge-elsewhere", "a bridge serves a domain that nodes of this host use", warning, daemon,
+     "a bridge connects its DDS domain only with nodes of the same domain on this host",
      "BRIDGE", elsewhere},
-    {"bridge-type", "bridges find the types of what both sides have", failed, always,
+    {"bridge-type", "bridges find the types of the topics and services on both sides", failed, always,
      "the library of the message package is neither below AMENT_PREFIX_PATH nor in type_paths of the bridge",
      "PATHS", type_not_found},
-    {"receive-buffer", "sockets may hold the messages that come from DDS", warning, always,
-     "fragments that find no room are lost and sent again, best-effort messages are lost as a whole",
+    {"receive-buffer", "socket buffers can hold the messages from DDS", warning, always,
+     "the kernel drops fragments that do not fit: reliable messages are sent again, best-effort messages are lost",
      "echo 'net.core.rmem_max = 16777216' | sudo tee /etc/sysctl.d/60-agnocast-bridge.conf && sudo sysctl --load /etc/sysctl.d/60-agnocast-bridge.conf",
      receive_buffer},
 };

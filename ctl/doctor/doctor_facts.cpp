@@ -30,11 +30,11 @@
 namespace agnocast::ctl {
 namespace {
 
-// Of files whose length others choose: environment and mappings of a process.
+// Bound for files whose length others choose: environment and mappings of a process.
 constexpr std::size_t file_bytes_max = std::size_t{4} << 20;
 constexpr const char* usual_configuration = "/etc/agnocast/agnocastd.toml";
 constexpr int cap_ipc_lock = 14;
-// Restarts of the last minutes are among them, unless much has happened since.
+// Enough to include the restarts of the last minutes, unless much has happened since.
 constexpr std::uint64_t journal_records = 1024;
 
 std::string contents_of(const std::string& path) {
@@ -68,7 +68,7 @@ std::optional<std::uint64_t> number_in(std::string_view text, int base = 10) {
   return number;
 }
 
-/// What stands behind `key` at the beginning of a line.
+/// Returns the rest of the first line that begins with `key`.
 std::string_view line_after(std::string_view text, std::string_view key) {
   for (std::size_t at = 0; at < text.size();) {
     const std::size_t end = std::min(text.find('\n', at), text.size());
@@ -101,7 +101,7 @@ std::optional<std::string> variable(const char* name) {
   return value;
 }
 
-/// Both modules say it in the same place, AppArmor with its mode behind the name; who has neither has nothing there.
+/// Returns the AppArmor profile (without the mode behind it) or SELinux context; empty: none.
 std::string confinement() {
   std::string name = contents_of("/proc/self/attr/apparmor/current");
   if (name.empty()) name = contents_of("/proc/self/attr/current");
@@ -155,8 +155,8 @@ pid_t parent_of(pid_t pid) {
   return static_cast<pid_t>(number_in(line_after(status, "PPid:")).value_or(0));
 }
 
-// Who has the lock beside the socket: who began to listen may have died since and have been succeeded.
-// Nobody when it cannot be seen. The keeper of its descriptors has the lock as well.
+// Returns the holder of the lock beside the socket: the caller of listen() may have died since. 0:
+// it cannot be seen. The keeper of the daemon's descriptors holds the lock as well.
 pid_t daemon_of(const std::string& path) {
   const std::string lock = path + ".lock";
   pid_t found = 0;
@@ -277,10 +277,10 @@ Running look_at_process(pid_t pid) {
   return running;
 }
 
-/// Does the number mean the process that the daemon means? Not where it lives in another pid namespace.
+/// Returns whether the pid names the daemon's process here: not if it is in another PID namespace.
 bool is_same_process(const wire::DumpProcess& facts) {
   const std::string status = contents_of(of_process(static_cast<pid_t>(facts.pid), "status"));
-  // Real, effective, saved: the daemon was told one of them when it connected.
+  // Real, effective, saved: the daemon received one of them when the process connected.
   std::istringstream uids{std::string(line_after(status, "Uid:"))};
   for (std::uint64_t uid = 0; facts.pid != 0 && uids >> uid;) {
     if (uid == facts.uid) return true;
@@ -318,7 +318,7 @@ void collect_processes(Facts& facts, bool is_named) {
 
 // --- the daemon's process
 
-/// What a process was told with --config; empty: nothing.
+/// Returns the path that a process was given with --config; empty: none.
 std::string named_configuration_of(pid_t pid) {
   const auto words = split(contents_of(of_process(pid, "cmdline")), '\0');
   for (std::size_t i = 0; i < words.size(); ++i) {
@@ -335,7 +335,7 @@ std::string configuration_of(pid_t pid) {
   return ::access(usual_configuration, F_OK) == 0 ? usual_configuration : "";
 }
 
-/// What a program says on stderr when it fails; empty: it does not, or there is none.
+/// Returns what a program prints to stderr when it fails; empty: it succeeds or does not exist.
 std::string complaint_of(std::vector<std::string> words) {
   int ends[2];
   if (::pipe2(ends, O_CLOEXEC) != 0) return {};
@@ -360,7 +360,7 @@ std::string complaint_of(std::vector<std::string> words) {
   return said;
 }
 
-/// What `agnocastd --check-config` says of it; empty: nothing, or there is no such program here.
+/// Returns the error of `agnocastd --check-config`; empty: none, or no such program here.
 std::string fault_in(const std::string& configuration) {
   if (configuration.empty() || ::access(configuration.c_str(), R_OK) != 0) return {};
   const std::string said = complaint_of({"agnocastd", "--check-config", "--config", configuration});
@@ -387,7 +387,7 @@ constexpr const char* bridge_configuration = "/etc/agnocast/bridge.toml";
 constexpr const char* bridge_defaults = "/etc/default/agnocast-bridge";
 constexpr const char* enabled_units = "/etc/systemd/system/multi-user.target.wants/";
 
-/// What a variable has in the file that the units read; the last one counts.
+/// Returns a variable's value in the file that the units read; the last assignment counts.
 std::string default_of(const char* variable) {
   std::string value;
   const std::string key = std::string(variable) + '=';
@@ -399,7 +399,7 @@ std::string default_of(const char* variable) {
   return value;
 }
 
-/// The domain that agnocast-bridge.service serves.
+/// Returns the domain that agnocast-bridge.service serves.
 std::uint64_t domain_of_unit() {
   const std::string text = contents_of(bridge_configuration);
   std::string_view written =
@@ -409,7 +409,7 @@ std::uint64_t domain_of_unit() {
   return number_in(default_of("ROS_DOMAIN_ID")).value_or(0);
 }
 
-/// The unit of a bridge, as its cgroup is named; empty: it is none's.
+/// Returns the unit of a bridge, by the name of its cgroup; empty: it has none.
 std::string unit_of(pid_t pid) {
   std::string path = contents_of(of_process(pid, "cgroup"));
   path.resize(std::min(path.find('\n'), path.size()));
@@ -429,7 +429,7 @@ void collect_running_bridges(Facts& facts) {
   }
 }
 
-/// The file in a /tmp that CYCLONEDDS_URI names: units have a /tmp of their own.
+/// Returns the file in /tmp that CYCLONEDDS_URI names: units have a private /tmp.
 std::string hidden_file_in(const std::string& uri) {
   for (std::string word : split(uri, ',')) {
     if (word.starts_with("file://")) word.erase(0, 7);
@@ -466,7 +466,7 @@ void collect_bridges(const Arguments& arguments, Facts& facts) {
     for_each_entry(enabled_units, [&](const std::string& name) {
       const std::string_view instance = "agnocast-bridge@";
       has_unit |= name == "agnocast-bridge.service" && is_installed(name);
-      // What was enabled and is not installed any more leaves its link.
+      // A unit that is enabled but no longer installed leaves its link.
       if (!name.starts_with(instance) || !is_installed(name)) return;
       const auto domain = number_in(std::string_view(name).substr(instance.size()));
       if (domain == facts.unit_domain) rival = name;
@@ -481,7 +481,7 @@ void collect_bridges(const Arguments& arguments, Facts& facts) {
     facts.rival_bridge_unit = rival;
     std::erase(facts.idle_bridge_units, rival);
   } else if (has_unit && !answers_for(facts.unit_domain) && facts.bridges.size() <= instances) {
-    // A drop-in may have given it another domain: one that is no instance's.
+    // A drop-in may have given it another domain: one that no instance serves.
     facts.idle_bridge_units.emplace_back("agnocast-bridge.service");
   }
   collect_running_bridges(facts);
@@ -496,7 +496,7 @@ void collect_bridges(const Arguments& arguments, Facts& facts) {
     if (!uri.empty()) check.push_back("CYCLONEDDS_URI=" + uri);
   }
   check.insert(check.end(), {"agnocast-bridge", "--check-config"});
-  // Those that run, and what one would read that is started now, of any domain.
+  // The files of running bridges, and those that a bridge of any domain would read if started now.
   std::vector<std::string> files{""};
   for_each_entry(bridge_configurations, [&](const std::string& name) {
     if (name.starts_with("bridge-") && name.ends_with(".toml"))
@@ -533,7 +533,7 @@ void collect_look(const Arguments& arguments, Facts& facts) {
   auto look = look_at(arguments.socket);
   if (!look) {
     facts.away = look.error();
-    // It may have been stopped just now, and be silent for that.
+    // It may have been stopped just now, and not answer for that reason.
     facts.door.listener_stopped = is_listener_stopped(facts.door);
     return;
   }
@@ -569,7 +569,7 @@ bool answers(const std::string& path) {
 std::string Facts::configure(const std::string& section, const std::string& key,
                              std::uint64_t value) const {
   const std::string file = shell_word(configuration.empty() ? usual_configuration : configuration);
-  // Of a daemon that is not found here, or may not read the file, nothing comes; nothing is written then.
+  // If agnocastd is not found here or may not read the file, NEW is empty and nothing is written.
   return "NEW=\"$(agnocastd --print-config" + (configuration.empty() ? "" : " --config " + file) +
          " | sed '/^\\[" + section + "\\]/,/^\\[/s/^" + key + " = .*/" + key + " = " +
          std::to_string(value) + "/')\" && [ -n \"$NEW\" ] && printf '%s\\n' \"$NEW\" | sudo tee " +
@@ -591,12 +591,12 @@ Fill Facts::common() const {
                    (needs_config ? " --config " + shell_word(configuration) : "") + " &";
   if (supervisor > 0) {
     const std::string pid = std::to_string(supervisor);
-    // The lock is free when it has ended.
+    // The lock is free once the daemon has ended.
     words["ANEW"] = "kill " + pid + " && flock " + shell_word(door.path + ".lock") + " true && " +
                     words["START"];
     words["RELOAD"] = "kill -HUP " + pid;
   } else {
-    // Another user's: who it is cannot be seen from here.
+    // Another user's daemon: its pid cannot be seen from here.
     words["ANEW"] = words["RELOAD"] = "sudo agnocast-ctl doctor --socket " + path;
   }
   return words;

@@ -18,9 +18,9 @@ namespace {
 using Ailments = std::vector<Ailment>;
 
 constexpr std::uint64_t unlimited = std::numeric_limits<std::uint64_t>::max();
-// Updates and changed configurations restart it as well.
+// Updates and changes of the configuration restart it as well.
 constexpr std::uint64_t restarts_max = 3;
-// Of everything that is bounded: time enough to do something.
+// For every limit: a warning at nine tenths leaves time to act.
 constexpr std::uint64_t near_in_tenths = 9;
 constexpr std::uint64_t log_level_debug = 7;
 // LimitNOFILE= of the unit, and four times the kernel's usual number of mappings.
@@ -34,7 +34,7 @@ std::string pid_of(const Facts& facts) { return std::to_string(facts.system().da
 
 std::uint64_t doubled(std::uint64_t limit) { return limit > unlimited / 4 ? limit : limit * 2; }
 
-/// What a refusal says of the limit that it met: "[quota] topics is 3", and nothing else.
+/// The limit that a refusal names: "[quota] topics is 3", and nothing else.
 struct Named {
   std::string section, key;
   std::uint64_t value = 0;
@@ -50,11 +50,11 @@ std::optional<Named> named_in(const std::string& why) {
   if (std::from_chars(digits, why.data() + why.size(), named.value).ec != std::errc() ||
       (named.section != "quota" && named.section != "limits" && named.section != "heap") ||
       named.key.find_first_not_of("abcdefghijklmnopqrstuvwxyz_") != std::string::npos)
-    return std::nullopt;  // it becomes part of a command, and a name of others may be in the text
+    return std::nullopt;  // it becomes part of a command, and may contain names of other users
   return named;
 }
 
-/// What was refused lately with this code, for a limit that has not been named before.
+/// Adds recent refusals with this code, each for a limit that has not been named before.
 void add_refused(const Facts& facts, Errc code, std::set<std::string>& keys, Ailments& found) {
   for (const wire::DumpRefusal& refusal : facts.system().refusals) {
     if (static_cast<Errc>(refusal.code) != code || refusal.age_ns > lately_ns) continue;
@@ -73,22 +73,23 @@ Ailments configuration_wrong(const Facts& facts) {
 }
 Ailments program_replaced(const Facts& facts) {
   if (!facts.program_replaced) return {};
-  return {{"agnocastd (pid " + pid_of(facts) + ") runs a program that has been replaced since"}};
+  return {
+      {"agnocastd (pid " + pid_of(facts) + ") runs a program file that has been replaced since"}};
 }
 Ailments nothing_kept(const Facts& facts) {
   if (facts.system().daemon.kept_descriptors_max != 0) return {};
-  return {{"nobody keeps the descriptors of agnocastd (pid " + pid_of(facts) + ")"}};
+  return {{"no process keeps the descriptors of agnocastd (pid " + pid_of(facts) + ")"}};
 }
 Ailments restarts(const Facts& facts) {
   if (facts.restarts_lately < restarts_max) return {};
-  return {{"agnocastd was restarted " + std::to_string(facts.restarts_lately) +
+  return {{"agnocastd restarted " + std::to_string(facts.restarts_lately) +
            " times within ten minutes"}};
 }
 Ailments descriptors(const Facts& facts) {
   if (facts.descriptors == 0 || !is_near(facts.descriptors, facts.descriptor_limit)) return {};
   const std::uint64_t count =
       std::min(std::max(doubled(facts.descriptor_limit), usual_descriptors), facts.descriptors_max);
-  return {{"agnocastd (pid " + pid_of(facts) + ") has " + std::to_string(facts.descriptors) +
+  return {{"agnocastd (pid " + pid_of(facts) + ") uses " + std::to_string(facts.descriptors) +
                " descriptors of " + std::to_string(facts.descriptor_limit),
            {{"PID", pid_of(facts)}, {"COUNT", std::to_string(count)}}}};
 }
@@ -119,7 +120,7 @@ Ailments quota(const Facts& facts) {
     for (const auto& share : shares) {
       if (!is_near(share.used, share.limit)) continue;
       keys.insert(share.key + std::to_string(user.uid));
-      found.push_back({"uid " + std::to_string(user.uid) + " has " + std::to_string(share.used) +
+      found.push_back({"uid " + std::to_string(user.uid) + " uses " + std::to_string(share.used) +
                            " of [quota] " + share.key + " = " + std::to_string(share.limit),
                        {{"CONFIGURE", facts.configure("quota", share.key, doubled(share.limit))}}});
     }
@@ -171,7 +172,8 @@ bool has_several_users(const Facts& facts) {
 
 Ailments page_collapse(const Facts& facts) {
   if (facts.huge_pages.empty() || facts.huge_pages == "deny" || !has_several_users(facts)) return {};
-  return {{"shmem_enabled is " + facts.huge_pages + ", and processes of several users take part"}};
+  return {
+      {"shmem_enabled is " + facts.huge_pages + ", and processes of several users are connected"}};
 }
 
 Ailments huge_pages(const Facts& facts) {
@@ -199,43 +201,43 @@ constexpr auto daemon = Check::Needs::daemon;
 
 // clang-format off
 constexpr Check table[] = {
-    {"configuration-wrong", "the daemon's configuration has no mistake", failed, always,
-     "the file was changed after the daemon had read it, or keeps it from starting; its next start fails",
+    {"configuration-wrong", "the daemon's configuration is valid", failed, always,
+     "the file was changed after the daemon read it, or prevents its start; the next start fails",
      "sudo \"${EDITOR:-vi}\" FILE && agnocastd --check-config --config FILE", configuration_wrong},
     {"old-daemon", "agnocastd runs the program that is installed", warning, daemon,
-     "an update has replaced the file; the daemon goes on as the former version",
+     "an update has replaced the file; the daemon still runs the former version",
      "RELOAD", program_replaced},
-    {"nothing-kept", "the descriptors of agnocastd are kept over its death", warning, daemon,
-     "it was started with --fd-store=none, or its service manager keeps none (FileDescriptorStoreMax=): its death ends every membership",
+    {"nothing-kept", "the descriptors of agnocastd survive its death", warning, daemon,
+     "it was started with --fd-store=none, or its service manager keeps none (FileDescriptorStoreMax=): its death ends every session",
      "ANEW", nothing_kept},
-    {"daemon-restarts", "agnocastd lives", failed, daemon,
-     "it dies again and again: what it says before is in its log",
+    {"daemon-restarts", "agnocastd does not die repeatedly", failed, daemon,
+     "it dies and restarts repeatedly; its log gives the reason",
      "journalctl --identifier=agnocastd --priority=err --since=-10min", restarts},
     {"descriptor-limit", "agnocastd may open more descriptors", warning, daemon,
-     "each process costs it about nine; without any left it turns new ones away (LimitNOFILE= of the unit)",
+     "each process costs it about nine; without free ones it refuses new processes (LimitNOFILE= of the unit)",
      "sudo prlimit --pid PID --nofile=COUNT", descriptors},
     {"debug-log", "agnocastd does not log at level debug", warning, daemon,
-     "a line for every registration and endpoint slows it down and fills the log",
+     "one line for every registration and endpoint slows it down and fills the log",
      "agnocast-ctl log-level info", debug_log},
-    {"quota", "no user is at the bound of a quota", failed, daemon,
-     "what comes next is refused with quota_exceeded",
+    {"quota", "no user is near a quota", failed, daemon,
+     "further requests are refused with quota_exceeded",
      "CONFIGURE && RELOAD", quota},
-    {"table-full", "the daemon's tables have room", failed, daemon,
-     "what comes next is refused with limit_reached",
+    {"table-full", "the tables of the daemon have free rows", failed, daemon,
+     "further requests are refused with limit_reached",
      "CONFIGURE && RELOAD", tables},
-    {"depth", "no history was refused for its depth lately", failed, daemon,
+    {"depth", "no history was refused for its depth recently", failed, daemon,
      "a publisher or subscription wants more than [limits] allows: depth_refused",
      "CONFIGURE && RELOAD", depth},
-    {"huge-pages", "huge pages of shared memory can be used", warning, always,
-     "large messages cost thirty times the page faults while the kernel does not let shared memory have huge pages",
+    {"huge-pages", "shared memory can use huge pages", warning, always,
+     "without huge pages for shared memory, large messages cost thirty times as many page faults",
      "echo 'w /sys/kernel/mm/transparent_hugepage/shmem_enabled - - - - advise' | sudo tee /etc/tmpfiles.d/agnocast-pages.conf "
      "&& sudo systemd-tmpfiles --create /etc/tmpfiles.d/agnocast-pages.conf", huge_pages},
-    {"page-collapse", "no reader can keep the pages of another user", warning, daemon,
-     "a process that may read shared memory may collapse its pages into huge ones (MADV_COLLAPSE, Linux 6.1), and everybody who touches them waits meanwhile",
+    {"page-collapse", "no reader can delay other users through shared pages", warning, daemon,
+     "a process that may read shared memory may collapse its pages into huge ones (MADV_COLLAPSE, Linux 6.1); meanwhile every process that accesses them waits",
      "echo 'w /sys/kernel/mm/transparent_hugepage/shmem_enabled - - - - deny' | sudo tee /etc/tmpfiles.d/agnocast-pages.conf "
      "&& sudo systemd-tmpfiles --create /etc/tmpfiles.d/agnocast-pages.conf", page_collapse},
-    {"mapping-limit", "no process is at the bound of its mappings", failed, daemon,
-     "each process with which messages are exchanged costs about ten mappings; without any left they are lost. Those of one other user get a quarter, those of all others half",
+    {"mapping-limit", "no process is near its limit of mappings", failed, daemon,
+     "each peer process costs about ten mappings; without free ones its messages are lost. The processes of one other user get a quarter, those of all other users half",
      "sudo sysctl -w vm.max_map_count=COUNT", mappings},
 };
 // clang-format on

@@ -1,6 +1,6 @@
 // SPDX-License-Identifier: Apache-2.0
 //
-// The checks of the processes, and of what passes between them.
+// The checks of the processes, and of the messages between them.
 
 #include <agnocast/error.hpp>
 #include <base/text.hpp>
@@ -21,9 +21,9 @@ using Ailments = std::vector<Ailment>;
 using Line = region::LinkWords<SharedMemory>;
 
 constexpr std::uint64_t mebibyte = std::uint64_t{1} << 20;
-// What a publisher needs to begin with (docs/errors.md, "Locked memory").
+// The locked memory that a first publisher needs (docs/errors.md, "Locked memory").
 constexpr std::uint64_t publisher_lock_bytes = 26 * mebibyte;
-// Of addresses, what the next process costs with which messages are exchanged.
+// The addresses that one more peer process costs.
 constexpr std::uint64_t peer_address_bytes = 1024 * mebibyte;
 
 std::string node_of(const Endpoint& endpoint) { return escaped(node_name_of(endpoint)); }
@@ -33,7 +33,7 @@ std::string who(const System& system, const Endpoint& endpoint) {
   return node_of(endpoint) + (process.empty() ? "" : " of " + process);
 }
 
-// One in a PID namespace that the daemon does not see has the number 0, and to kill that means everybody here.
+// A process in a PID namespace unknown to the daemon has pid 0; `kill 0` would end this shell.
 Fill pid_words(std::uint64_t pid) { return pid == 0 ? Fill{} : Fill{{"PID", std::to_string(pid)}}; }
 Fill restart_of(const Facts& facts, pid_t pid) {
   Fill words = pid_words(static_cast<std::uint64_t>(pid));
@@ -71,10 +71,10 @@ Ailments stopped(const Facts& facts) {
   return found;
 }
 Ailments orphaned(const Facts& facts) {
-  return in_state(facts, wire::ProcessState::orphaned, " has no connection and lives on");
+  return in_state(facts, wire::ProcessState::orphaned, " has no connection and still runs");
 }
 Ailments revoked(const Facts& facts) {
-  return in_state(facts, wire::ProcessState::revoked, " is no member any more and runs on");
+  return in_state(facts, wire::ProcessState::revoked, " has no session any more and still runs");
 }
 
 bool is_linked(const System& system, const Endpoint& publisher, const Endpoint& subscription) {
@@ -108,8 +108,8 @@ Ailments dead_kept(const Facts& facts) {
         const std::uint64_t held = held_by(system, publisher, subscription);
         if (held == 0 || holder == nullptr) continue;
         found.push_back({"the memory of " + who(*dead) +
-                             ", which has ended, stays: " + who(system, subscription) + " holds " +
-                             counted(held, "message") + " of " + escaped(topic.name),
+                             ", which has ended, is kept: " + who(system, subscription) +
+                             " holds " + counted(held, "message") + " of " + escaped(topic.name),
                          restart_of(facts, holder)});
       }
     }
@@ -188,7 +188,7 @@ Ailments other_time(const Facts& facts) {
     if (member.time_namespace.empty() || facts.daemon.time_namespace.empty() ||
         member.time_namespace == facts.daemon.time_namespace)
       continue;
-    found.push_back({"process " + std::to_string(pid) + " has clocks of its own (" +
+    found.push_back({"process " + std::to_string(pid) + " has its own clocks (" +
                          escaped(member.time_namespace) + ", the daemon " +
                          escaped(facts.daemon.time_namespace) + ")",
                      restart_of(facts, pid)});
@@ -242,7 +242,7 @@ Ailments adopted(const Facts& facts) {
   });
 }
 Ailments withdrawn(const Facts& facts) {
-  // On a publisher's word: no reason to end its reader.
+  // The publisher alone decides this, so it is no reason to end the reader.
   return of_pairs(facts, PairState::withdrawn,
                   [](const Topic& topic, const Pair&) { return topic_words(topic); });
 }
@@ -259,7 +259,7 @@ Ailments slow_reader(const Facts& facts) {
     for (const Endpoint& subscription : topic.subscriptions) {
       const auto numbers = numbers_of_subscription(system, topic, subscription);
       const std::uint64_t depth = abi::window_of(abi::unpack_qos(subscription.facts.qos));
-      // Of a depth of one or two nearly everything is unread and lost now and then.
+      // With a depth of one or two, nearly everything is unread, and losses are normal.
       if (!numbers || depth <= 2 || numbers->lost == 0 || numbers->unread * 4 < depth * 3) continue;
       found.push_back({who(system, subscription) + " has lost " +
                            counted(numbers->lost, "message") + " of " + escaped(topic.name) +
@@ -296,8 +296,8 @@ Ailments no_bell(const Facts& facts) {
     for (const Endpoint& subscription : topic.subscriptions) {
       if (subscription.state() != abi::MemberState::active || !system.is_silent(subscription))
         continue;
-      found.push_back({who(system, subscription) + " hears of messages of " + escaped(topic.name) +
-                           " only when it looks",
+      found.push_back({who(system, subscription) + " finds messages of " + escaped(topic.name) +
+                           " only by polling",
                        restart_of(facts, system.process_of(subscription))});
     }
   }
@@ -364,70 +364,70 @@ constexpr auto daemon = Check::Needs::daemon;
 // clang-format off
 constexpr Check table[] = {
     {"process-stopped", "no process is stopped", failed, daemon,
-     "SIGSTOP or a debugger holds it: what it holds stays in use, and others may wait for it to let go",
+     "SIGSTOP or a debugger has stopped it: the messages that it holds stay in use, and others may wait for it",
      "kill -CONT PID", stopped},
-    {"process-orphaned", "every process that lives has its connection", warning, daemon,
+    {"process-orphaned", "every running process has its connection", warning, daemon,
      "it has closed the connection, and still maps its region",
      "kill PID", orphaned},
-    {"process-revoked", "no process was put out", failed, daemon,
-     "its membership was ended from outside; its endpoints neither publish nor receive until it is restarted",
+    {"process-revoked", "no running process was revoked", failed, daemon,
+     "its session was ended from outside; its endpoints neither publish nor receive until it is restarted",
      "kill PID && COMMAND &", revoked},
-    {"dead-kept", "nothing that has ended is kept in memory", warning, daemon,
-     "a subscription holds messages of a publisher that has ended, so its memory is not given back",
+    {"dead-kept", "no memory of a publisher that has ended is kept", warning, daemon,
+     "a subscription holds messages of a publisher that has ended, so its memory is not freed",
      "kill PID && COMMAND &", dead_kept},
     {"lock-limit", "processes that lock memory may lock more", failed, daemon,
-     "heap, regions and what they grow to are locked too: publish or take then fails with lock_limit (LimitMEMLOCK= of its unit)",
+     "heap and regions are locked as they grow; at the limit, publish or take fails with lock_limit (LimitMEMLOCK= of its unit)",
      "sudo prlimit --pid PID --memlock=unlimited", lock_limit},
-    {"address-limit", "every process has addresses left", failed, daemon,
-     "each process with which messages are exchanged costs a gibibyte of addresses, not of memory (ulimit -v, LimitAS=)",
+    {"address-limit", "every process has free addresses", failed, daemon,
+     "each peer process costs a gibibyte of addresses, not of memory (ulimit -v, LimitAS=)",
      "sudo prlimit --pid PID --as=unlimited", address_limit},
     {"old-library", "every process runs the library that is installed", warning, daemon,
-     "an update has replaced the file; the process goes on with the former version",
+     "an update has replaced the file; the process still runs the former version",
      "kill PID && COMMAND &", old_library},
-    {"hook-not-loaded", "processes that were to have the heap hook have it", warning, daemon,
-     "the loader has left it out, as a file that is not there or cannot be read: it may subscribe, and cannot publish: hook_missing",
+    {"hook-not-loaded", "every process whose LD_PRELOAD names the heap hook has it", warning, daemon,
+     "the loader has left it out, because the file does not exist or cannot be read: the process may subscribe but cannot publish: hook_missing",
      "kill PID && agnocast-run COMMAND &", hook_not_loaded},
     {"process-switched-off", "no process that means this daemon is switched off", warning, daemon,
      "it was started with AGNOCAST=off: its endpoints neither publish nor receive",
      "kill PID && env -u AGNOCAST COMMAND &", switched_off},
-    {"time-namespace", "all processes have the clocks of the daemon", failed, daemon,
-     "it lives in another time namespace, so stamps and ages of messages mean something else there",
+    {"time-namespace", "all processes share the clocks of the daemon", failed, daemon,
+     "it is in another time namespace, so stamps and ages of messages differ there",
      "kill PID && COMMAND &", other_time},
-    {"same-node", "no two processes have a node of one name", warning, daemon,
-     "a node was started twice, or two were given one name; ros2 tools take them for one",
+    {"same-node", "no two processes have a node of the same name", warning, daemon,
+     "a node was started twice, or two nodes were given the same name; ros2 tools take them for one node",
      "kill PID", same_node},
-    {"qos-mismatch", "every publisher offers what subscriptions of its topic ask for", failed, daemon,
-     "they are not matched, and no message passes; offer at least what is asked for, in either program",
+    {"qos-mismatch", "every publisher offers the QoS that subscriptions of its topic request", failed, daemon,
+     "they are not matched, so no message is delivered; change either program: the publisher must offer at least the requested QoS",
      "agnocast-ctl topic info -v TOPIC --domain DOMAIN", qos},
-    {"type-mismatch", "nobody was refused for another message type lately", failed, daemon,
-     "one name, two types, or one type built with two layouts; the topic's own type is what it says",
+    {"type-mismatch", "no process was refused for another message type recently", failed, daemon,
+     "the topic has another type, or the type was built with another layout; the command shows the topic's own type",
      "agnocast-ctl topic info -v TOPIC --domain DOMAIN", type_mismatch},
-    {"library-mismatch", "nobody was refused for another layout of shared memory lately", failed, daemon,
-     "the process uses a libagnocast of another version than the daemon; it has to be started with the one that is installed",
+    {"library-mismatch", "no process was refused for another layout of shared memory recently", failed, daemon,
+     "the process uses a libagnocast of another version than the daemon; restart it with the installed version",
      "kill PID && COMMAND &", library_mismatch},
-    {"permission", "nobody was refused by a rule lately", failed, daemon,
+    {"permission", "no process was refused by an access rule recently", failed, daemon,
      "the first [[access]] rule that matches the topic does not name this user",
      "sudo \"${EDITOR:-vi}\" +LINE FILE && RELOAD", permission},
     {"not-zero-copy", "no message was copied into the shared heap", warning, daemon,
-     "the program fills messages outside of a loan; with the scope all, everything that it allocates is shared",
+     "the program fills messages outside a loan; with the scope all, all memory that it allocates is shared",
      "kill PID && agnocast-run --scope all COMMAND &", adopted},
     {"reader-withdrawn", "every publisher serves all of its subscriptions", failed, daemon,
-     "it held too much of a publisher of another user, or could not be mapped there; it is served again when that is over",
+     "the subscription held too many messages of a publisher of another user, or that publisher could not map it; it is served again once the cause is gone",
      "agnocast-ctl topic info -v TOPIC --domain DOMAIN", withdrawn},
-    {"unreachable", "every subscription can map what is published", failed, daemon,
-     "something in the subscriber's process lies where the publisher's heap is; started anew, it reserves these addresses first",
+    {"unreachable", "every subscription can map its publishers' heaps", failed, daemon,
+     "the subscriber's process uses addresses of the publisher's heap; after a restart it reserves them first",
      "kill PID && COMMAND &", unreachable},
     {"slow-reader", "no subscription loses messages", warning, daemon,
      "it reads more slowly than the topic is published, or nothing spins its executor",
      "agnocast-ctl topic info -v TOPIC --domain DOMAIN", slow_reader},
-    {"holder-at-quota", "no subscription holds all that it may", warning, daemon,
-     "it keeps messages and takes no further ones until it lets go of some",
+    {"holder-at-quota", "no subscription holds all the messages that it may", warning, daemon,
+     "it keeps messages and takes no further ones until it releases some",
      "agnocast-ctl process revoke PID", holder_at_quota},
-    {"no-bell", "every subscription can be rung", warning, daemon,
-     "it has closed its bells, or lost them; its publishers go on, and asleep it looks for messages by itself once a second",
+    {"no-bell", "every subscription has a doorbell", warning, daemon,
+     "it has closed or lost its doorbells; its publishers continue, and while it waits it polls for messages once a second",
      "kill PID && COMMAND &", no_bell},
     {"heap-full", "every publisher has room for messages", failed, daemon,
-     "it has all the windows that it may have, and they are nearly full: publish fails with window_exhausted",
+     "it has all the heap windows that it may have, and they are nearly full: publish fails with window_exhausted",
      "CONFIGURE && ANEW", heap_full},
 };
 // clang-format on

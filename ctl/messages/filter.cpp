@@ -18,9 +18,9 @@ namespace {
 
 enum class Kind : std::uint8_t { nothing, boolean, number, text };
 
-// What an expression is for one message; of the members that of its kind counts.
+// The value of an expression for one message; only the member of its kind is used.
 struct Operand {
-  Kind kind = Kind::nothing;  // nothing: an element that is not there
+  Kind kind = Kind::nothing;  // nothing: a missing element
   bool boolean = false;
   // Holds every 64-bit integer: 64 bits of mantissa on x86-64, 113 on AArch64.
   long double number = 0;
@@ -54,7 +54,7 @@ Kind kind_of(const Shape& scalar) {
   return scalar.is_boolean() ? Kind::boolean : Kind::number;
 }
 
-// Texts are compared as bytes; a wide text that is no Unicode equals nothing.
+// Texts are compared as bytes; a wide text that is not valid Unicode equals nothing.
 Operand operand_of(const Scalar& scalar) {
   return std::visit(
       [](const auto& value) -> Operand {
@@ -87,7 +87,7 @@ struct Filter::Node {
 
 namespace {
 
-// Parentheses and `not` inside each other.
+// Bound for nested parentheses and `not`.
 constexpr int depth_max = 100;
 
 struct Wrong {
@@ -102,7 +102,7 @@ class Parser {
   Filter::Node all() {
     Filter::Node node = expression();
     skip_blanks();
-    if (at_ != text_.size()) refuse("nothing more is expected");
+    if (at_ != text_.size()) refuse("the end is expected here");
     return boolean(std::move(node), 0);
   }
 
@@ -137,7 +137,7 @@ class Parser {
 
   static Node boolean(Node node, std::size_t at) {
     if (node.kind != Kind::boolean)
-      refuse_at(at, std::string(name_of(node.kind)) + " is no condition");
+      refuse_at(at, std::string(name_of(node.kind)) + " is not a condition");
     return node;
   }
 
@@ -187,19 +187,19 @@ class Parser {
     Node left = operand();
     skip_blanks();
     const std::size_t at = at_;
-    // Longer ones first.
+    // Longer signs first.
     static constexpr std::string_view signs[] = {"==", "!=", "<=", ">=", "<", ">"};
     for (const std::string_view sign : signs) {
       if (!take(sign)) continue;
       Node right = operand();
       if (left.kind != right.kind)
-        refuse_at(at,
-                  std::string(name_of(left.kind)) + " is not compared with " + name_of(right.kind));
+        refuse_at(at, std::string(name_of(left.kind)) + " cannot be compared with " +
+                          name_of(right.kind));
       return {Kind::boolean, [left, right, sign](const Value& message) {
                 return Operand::of(holds(left.value(message), sign, right.value(message)));
               }};
     }
-    if (rest().starts_with("=")) refuse("is equal is written ==");
+    if (rest().starts_with("=")) refuse("write == for equality");
     return left;
   }
 
@@ -242,7 +242,7 @@ class Parser {
       return number();
     const Path path = place();
     if (!path.shape().is_scalar())
-      refuse_at(at, path.shape().type_name() + " is not compared; name a field of it");
+      refuse_at(at, path.shape().type_name() + " cannot be compared; name one of its fields");
     return {kind_of(path.shape()), [path](const Value& message) {
               const auto found = path.in(message);
               return found ? operand_of(found->scalar()) : Operand();
@@ -257,26 +257,26 @@ class Parser {
   Node number() {
     const bool is_negative = rest().starts_with('-');
     if (is_negative || rest().starts_with('+')) ++at_;
-    // A whole number exactly; another one as a float64 holds it, or no field would ever equal it.
+    // Whole numbers are exact; others are rounded to float64, or no field would ever equal them.
     const char* const first = text_.data() + at_;
     const char* const end = text_.data() + text_.size();
     std::uint64_t whole = 0;
     double real = 0;
     const auto as_whole = std::from_chars(first, end, whole);
     const auto as_real = std::from_chars(first, end, real);
-    if (as_real.ec != std::errc()) refuse("this is no number");
+    if (as_real.ec != std::errc()) refuse("this is not a number");
     const bool is_whole = as_whole.ec == std::errc() && as_whole.ptr == as_real.ptr;
     const long double value = is_whole ? static_cast<long double>(whole) : real;
     at_ = static_cast<std::size_t>(as_real.ptr - text_.data());
     return constant(Operand::of(is_negative ? -value : value));
   }
 
-  // Between quotes of either kind; a backslash takes the next letter as it is.
+  // In quotes of either kind; a backslash takes the next character literally.
   Node text() {
     const char quote = text_[at_++];
     std::string value;
     for (;; ++at_) {
-      if (at_ == text_.size()) refuse("the text does not end");
+      if (at_ == text_.size()) refuse("the closing quote is missing");
       if (text_[at_] == quote) break;
       if (text_[at_] == '\\' && at_ + 1 < text_.size()) ++at_;
       value += text_[at_];
@@ -288,8 +288,7 @@ class Parser {
   Path place() {
     skip_blanks();
     const std::size_t at = at_;
-    if (!take_word("msg") && !take_word("m"))
-      refuse("a field is written m.name, a text between quotes");
+    if (!take_word("msg") && !take_word("m")) refuse("write a field as m.name, a text in quotes");
     const std::size_t first = at_;
     const auto belongs_to_it = [&] {
       const char letter = text_[at_];
@@ -297,7 +296,7 @@ class Parser {
       return is_name_letter(letter) && text_[at_ - 1] != ']';
     };
     while (at_ < text_.size() && belongs_to_it()) ++at_;
-    if (first == at_ || text_[first] != '.') refuse_at(at, "a field is written m.name");
+    if (first == at_ || text_[first] != '.') refuse_at(at, "write a field as m.name");
     auto path = Path::parse(text_.substr(first + 1, at_ - first - 1), type_);
     if (!path) refuse_at(at, path.error().what + ": " + path.error().why);
     return std::move(*path);

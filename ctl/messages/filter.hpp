@@ -1,6 +1,6 @@
 // SPDX-License-Identifier: Apache-2.0
 //
-// Filter: which messages are wanted, as an expression over their fields.
+// Filter: an expression over the fields of a message that selects messages.
 //
 //   expression = and { "or" and }
 //   and        = not { "and" not }
@@ -9,9 +9,9 @@
 //   operand    = number | string | "true" | "false" | place | "len" "(" place ")" | "(" expression ")"
 //   place      = ("m" | "msg") { "." name | "[" index "]" }
 //
-// Checked against the type when it is parsed: numbers are compared with numbers, texts with texts,
-// truth values with truth values. A place that is not there (an element behind the end) makes its
-// comparison false.
+// The expression is checked against the type when it is parsed: numbers are compared with numbers,
+// texts with texts, truth values with truth values. A missing place (an index beyond the end)
+// makes its comparison false.
 #pragma once
 
 #include <ctl/cli/problem.hpp>
@@ -25,7 +25,7 @@ namespace agnocast::ctl {
 class Filter {
  public:
   struct Node;
-  /// Problems: wrong_usage, with the position.
+  /// Parses an expression. Problems: wrong_usage, with the position.
   static Outcome<Filter> parse(std::string_view text, const MessageMembers& type);
   bool accepts(const Value& message) const;
   Filter(Filter&&) noexcept;

@@ -20,7 +20,7 @@ namespace {
 
 namespace ros = rosidl_typesupport_introspection_cpp;
 
-// Leaves the reading of a document; caught in read_messages.
+// Thrown to end the reading of a document; read_messages() catches it.
 struct Refusal {
   std::string place;
   std::string why;
@@ -28,7 +28,7 @@ struct Refusal {
 
 std::string shown(const std::string& text) { return "'" + escaped(text, 60) + "'"; }
 
-// "a string", "a list": what stands where something else is wanted.
+// Returns "a mapping", "a list" or the text: the node that is there instead of the expected one.
 std::string kind_of(const YAML::Node& node) {
   if (node.IsMap()) return "a mapping";
   if (node.IsSequence()) return "a list";
@@ -38,7 +38,7 @@ std::string kind_of(const YAML::Node& node) {
 bool is_quoted(const YAML::Node& node) { return node.Tag() == "!"; }
 bool is_binary(const YAML::Node& node) { return node.Tag() == "tag:yaml.org,2002:binary"; }
 
-// Decimal, 0x…, 0o… and 0b…; a sign.
+// Reads decimal, 0x…, 0o… and 0b…, with an optional sign.
 template <class Number>
 bool read_integer(std::string_view text, Number& number, bool& is_number) {
   const bool is_negative = text.starts_with('-');
@@ -81,7 +81,7 @@ class Reader {
                                        members.members_[stamp].offset_);
       }
     }
-    if (!node.IsMap()) refuse(kind_of(node) + " is no " + type);
+    if (!node.IsMap()) refuse(kind_of(node) + " is not of type " + type);
     std::vector<std::uint32_t> seen;
     for (const auto& entry : node) {
       if (!entry.first.IsScalar()) refuse(type + " has no such field");
@@ -90,7 +90,7 @@ class Reader {
       if (!field)
         refuse(type + " has no field " + shown(name) + "; it has: " + names_of_fields(shape));
       if (std::find(seen.begin(), seen.end(), *field) != seen.end())
-        refuse("field " + shown(name) + " is there twice");
+        refuse("field " + shown(name) + " occurs twice");
       seen.push_back(*field);
       const MessageMember& member = members.members_[*field];
       const std::size_t length = place_.size();
@@ -108,12 +108,12 @@ class Reader {
   void member(const YAML::Node& node, const Shape& shape, void* at) {
     if (!shape.is_array) return element(node, shape, at);
     const MessageMember& of = *shape.member;
-    if (!node.IsSequence()) refuse(kind_of(node) + " is no " + shape.type_name());
+    if (!node.IsSequence()) refuse(kind_of(node) + " is not of type " + shape.type_name());
     const std::size_t count = node.size();
     const bool fits = shape.is_fixed()     ? count == of.array_size_
                       : of.is_upper_bound_ ? count <= of.array_size_
                                            : true;
-    if (!fits) refuse(std::to_string(count) + " elements are no " + shape.type_name());
+    if (!fits) refuse(std::to_string(count) + " elements do not fit " + shape.type_name());
     if (!shape.is_fixed()) of.resize_function(at, count);
     std::size_t index = 0;
     for (const YAML::Node& item : node) {
@@ -131,7 +131,7 @@ class Reader {
 
   void element(const YAML::Node& node, const Shape& shape, void* at) {
     if (shape.is_message()) return message(node, *shape.members, at);
-    if (!node.IsScalar()) refuse(kind_of(node) + " is no " + shape.type_name());
+    if (!node.IsScalar()) refuse(kind_of(node) + " is not of type " + shape.type_name());
     switch (shape.member->type_id_) {
       case ros::ROS_TYPE_BOOLEAN:
         return put(at, boolean(node, shape));
@@ -181,7 +181,7 @@ class Reader {
       if (std::find(std::begin(yes), std::end(yes), node.Scalar()) != std::end(yes)) return true;
       if (std::find(std::begin(no), std::end(no), node.Scalar()) != std::end(no)) return false;
     }
-    refuse(kind_of(node) + " is no " + shape.type_name());
+    refuse(kind_of(node) + " is not of type " + shape.type_name());
   }
 
   template <class Number>
@@ -191,14 +191,14 @@ class Reader {
     const bool fits =
         !is_quoted(node) && read_integer(std::string_view(node.Scalar()), number, is_number);
     if (!fits)
-      refuse(kind_of(node) + (is_number ? " is out of the range of " : " is no ") +
+      refuse(kind_of(node) + (is_number ? " is out of the range of " : " is not of type ") +
              shape.type_name());
     put(at, number);
   }
 
   double real(const YAML::Node& node, const Shape& shape) const {
     std::string text = node.Scalar();
-    if (is_quoted(node)) refuse(kind_of(node) + " is no " + shape.type_name());
+    if (is_quoted(node)) refuse(kind_of(node) + " is not of type " + shape.type_name());
     std::transform(text.begin(), text.end(), text.begin(),
                    [](char c) { return c >= 'A' && c <= 'Z' ? static_cast<char>(c + 32) : c; });
     if (text == ".nan" || text == "nan") return std::numeric_limits<double>::quiet_NaN();
@@ -211,7 +211,7 @@ class Reader {
       const bool begins_well =
           !text.empty() && (text[0] == '.' || (text[0] >= '0' && text[0] <= '9'));
       if (!begins_well || read.ptr != end || read.ec == std::errc::invalid_argument)
-        refuse(kind_of(node) + " is no " + shape.type_name());
+        refuse(kind_of(node) + " is not of type " + shape.type_name());
       if (read.ec != std::errc())
         refuse(kind_of(node) + " is out of the range of " + shape.type_name());
     }
@@ -227,13 +227,13 @@ class Reader {
 
   std::string bytes(const YAML::Node& node) const {
     const std::vector<unsigned char> raw = YAML::DecodeBase64(node.Scalar());
-    if (raw.empty() && !node.Scalar().empty()) refuse(kind_of(node) + " is no base64");
+    if (raw.empty() && !node.Scalar().empty()) refuse(kind_of(node) + " is not valid base64");
     return {raw.begin(), raw.end()};
   }
   void require_bound(std::size_t count, const Shape& shape) const {
     const std::size_t bound = shape.member->string_upper_bound_;
     if (bound != 0 && count > bound)
-      refuse(std::to_string(count) + " characters are more than " + shape.type_name());
+      refuse(std::to_string(count) + " characters do not fit " + shape.type_name());
   }
   std::string text(const YAML::Node& node, const Shape& shape) const {
     std::string text = is_binary(node) ? bytes(node) : node.Scalar();
@@ -244,11 +244,11 @@ class Reader {
     std::u16string text;
     if (is_binary(node)) {
       const auto words = from_utf16_bytes(bytes(node));
-      if (!words) refuse("an odd number of bytes is no " + shape.type_name());
+      if (!words) refuse("an odd number of bytes cannot be a " + shape.type_name());
       text = *words;
     } else {
       const auto letters = from_utf8(node.Scalar());
-      if (!letters) refuse(kind_of(node) + " is no UTF-8");
+      if (!letters) refuse(kind_of(node) + " is not valid UTF-8");
       text = to_utf16(*letters);
     }
     require_bound(text.size(), shape);

@@ -1,6 +1,6 @@
 // SPDX-License-Identifier: Apache-2.0
 //
-// Text to messages: YAML (and so JSON) as message_text.hpp prints it and as people write it.
+// Text to messages: YAML (hence JSON), as message_text.hpp prints it or as people write it.
 #pragma once
 
 #include <agnocast/generic.hpp>
@@ -12,8 +12,8 @@
 
 namespace agnocast::ctl {
 
-/// A message that was read, with the times in it that are to be those of its publishing: of a
-/// header that is `auto` and a time that is `now`, as `ros2 topic pub` has it.
+/// A message that was read, and the times in it that are set when it is published: those of a
+/// header `auto` and of a time `now`, as in `ros2 topic pub`.
 struct ReadMessage {
   OwnedGenericMessage message;
   std::vector<void*> times;  // std::int32_t seconds, then std::uint32_t nanoseconds
@@ -21,9 +21,9 @@ struct ReadMessage {
   void set_times(std::int64_t nanoseconds_since_epoch) const;
 };
 
-/// Each document of `text` as a message; an empty one at the end (echo ends with "---") is none.
-/// Members that are not named have their defaults. Problems: failed, with the place: "header.stamp.sec:
-/// 'x' is no int32". Bounded: documents nest as deep as the type.
+/// Returns each document of `text` as a message, except an empty one at the end (echo ends with
+/// "---"). Unnamed members keep their defaults. Problems: failed, with the place:
+/// "header.stamp.sec: 'x' is not of type int32". Bounded: documents nest as deep as the type.
 Outcome<std::vector<ReadMessage>> read_messages(const std::string& text,
                                                 const IntrospectedType& type);
 

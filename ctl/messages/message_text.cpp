@@ -16,8 +16,8 @@ namespace {
 
 using std::string_view_literals::operator""sv;
 
-// Digits as Python's repr() has them: the fewest that give the number back, an exponent only below
-// 1e-4 and from 1e16 upwards.
+// Formats a number as Python's repr() does: the fewest digits that restore it, and an exponent
+// only below 1e-4 and from 1e16 upwards.
 std::string python_digits(double number) {
   char text[64];
   const auto end = std::to_chars(text, text + sizeof text, number, std::chars_format::scientific);
@@ -37,7 +37,7 @@ std::string to_base64(std::string_view bytes) {
   return YAML::EncodeBase64(reinterpret_cast<const unsigned char*>(bytes.data()), bytes.size());
 }
 
-/// A text as Unicode, or what it is in base64 if it is no Unicode.
+/// A text as Unicode; in base64 if it is not valid Unicode.
 struct Text {
   std::optional<std::u32string> letters;
   std::string base64;
@@ -130,7 +130,7 @@ std::string double_quoted(std::u32string_view letters) {
   return text + '"';
 }
 
-// Words and forms that a reader of YAML 1.1 or 1.2 takes for something else than text.
+// Returns whether a YAML 1.1 or 1.2 parser takes the plain text for something other than text.
 bool is_taken_for_another(std::string_view text) {
   static constexpr std::string_view words[] = {
       "~",    "null", "Null", "NULL", "true",  "True",  "TRUE",  "false", "False", "FALSE",
@@ -187,7 +187,7 @@ std::string yaml_scalar(const Value& value, const TextOptions& options, bool in_
 
 // --- arrays
 
-/// What ros2 says instead of an array's elements; its types are those of IDL.
+/// Returns the summary that ros2 prints instead of an array's elements, with IDL type names.
 std::string summary_of(const Value& array) {
   const Shape& shape = array.shape();
   std::string type = shape.element().type_name();
@@ -203,7 +203,7 @@ std::string summary_of(const Value& array) {
          ", length: " + std::to_string(array.size()) + ">";
 }
 
-/// Elements that are shown; whether some are left out.
+/// The number of elements to print, and whether others are left out.
 struct Shown {
   std::size_t count;
   bool is_truncated;
@@ -314,7 +314,7 @@ void append_csv(std::string& text, bool& is_first, const Value& value, const Tex
   } else {
     const Scalar scalar = value.scalar();
     if (const auto* const boolean = std::get_if<bool>(&scalar))
-      return add(*boolean ? "True" : "False");  // Python's, as ros2 writes it
+      return add(*boolean ? "True" : "False");  // Python's form, as in ros2
     if (const auto* const number = std::get_if<double>(&scalar)) {
       if (std::isnan(*number)) return add("nan");
       if (std::isinf(*number)) return add(*number > 0 ? "inf" : "-inf");
@@ -334,7 +334,7 @@ std::string yaml_number(double number) {
   if (std::isnan(number)) return ".nan";
   if (std::isinf(number)) return number > 0 ? ".inf" : "-.inf";
   std::string text = python_digits(number);
-  // Without a point it would be no number in YAML 1.1.
+  // Without a decimal point YAML 1.1 does not take it for a number.
   const std::size_t mark = text.find('e');
   if (mark != text.npos && text.find('.') == text.npos) text.insert(mark, ".0");
   return text;

@@ -1,11 +1,11 @@
 // SPDX-License-Identifier: Apache-2.0
 //
-// Messages as text: YAML in the shape of `ros2 topic echo`, the same on one line, CSV, and JSON.
+// Messages as text: YAML in the form of `ros2 topic echo`, the same on one line, CSV, and JSON.
 //
-// YAML and JSON lose nothing (message_read.hpp reads the YAML back): numbers have as many digits as
-// it takes, and text that is no UTF-8 is YAML's !!binary, or {"base64": "…"} in JSON. What is printed
-// is fit for a terminal: control characters, line separators and marks that turn the direction of
-// writing are escaped.
+// YAML and JSON are lossless (message_read.hpp reads the YAML back): numbers have all necessary
+// digits, and text that is not UTF-8 becomes !!binary in YAML or {"base64": "…"} in JSON. The
+// output is safe for a terminal: control characters, line separators and marks that change the
+// direction of writing are escaped.
 #pragma once
 
 #include <ctl/cli/console.hpp>
@@ -21,25 +21,25 @@ namespace agnocast::ctl {
 struct TextOptions {
   static constexpr std::size_t everything = std::numeric_limits<std::size_t>::max();
   std::size_t truncate_length = everything;  // elements of an array, characters of a string
-  bool no_arrays = false;                    // their type and length instead
-  bool no_strings = false;                   // their length instead
+  bool no_arrays = false;                    // prints their type and length instead
+  bool no_strings = false;                   // prints their length instead
 };
 
-/// Lines, the last one ended; of a scalar or an array by itself as well.
+/// Returns lines, each with its newline; also for a single scalar or array.
 std::string yaml_of(const Value& value, const TextOptions& options);
-/// In braces, on one line, without its end.
+/// Returns one line in braces, without a newline.
 std::string flow_yaml_of(const Value& value, const TextOptions& options);
-/// A scalar without quotes if it can be shown so; else as YAML.
+/// Returns a scalar without quotes if possible, else as YAML.
 std::string bare_text_of(const Value& scalar, const TextOptions& options);
-/// All scalars in order, between commas. A text with a comma, a quote or something that needs
-/// escaping is in quotes; quotes in it are doubled.
+/// Returns all scalars in order, separated by commas. A text with a comma, a quote or a character
+/// that needs escaping is quoted; quotes in it are doubled.
 std::string csv_of(const Value& value, const TextOptions& options);
-/// NaN and infinities are "NaN", "Infinity" and "-Infinity".
+/// Returns JSON; NaN and infinities are "NaN", "Infinity" and "-Infinity".
 Object json_of(const Value& value, const TextOptions& options);
-/// Two hexadecimal digits a byte, 32 bytes a line.
+/// Returns two hexadecimal digits a byte, 32 bytes a line.
 std::string hexadecimal_bytes(const void* first, std::size_t bytes, const TextOptions& options);
 
-/// YAML's and Python's: "1.0e+16", "0.1", ".nan", "-.inf".
+/// Returns a number valid in YAML and Python: "1.0e+16", "0.1", ".nan", "-.inf".
 std::string yaml_number(double number);
 
 }  // namespace agnocast::ctl

@@ -11,7 +11,7 @@ namespace {
 
 namespace ros = rosidl_typesupport_introspection_cpp;
 
-// The one member of a message without members; it is none to people.
+// The only member of a message that has no members; hidden from users.
 constexpr std::string_view no_member = "structure_needs_at_least_one_member";
 
 template <class Number>
@@ -133,7 +133,7 @@ Value Value::element(std::size_t index) const {
 Scalar Value::scalar() const {
   switch (shape_.member->type_id_) {
     case ros::ROS_TYPE_BOOLEAN:
-      // Another process's byte may be more than a bool can hold.
+      // A byte of another process may hold values that a bool cannot.
       return bit_ ? *bit_ : number_at<std::uint8_t>(at_) != 0;
     case ros::ROS_TYPE_INT8:
       return std::int64_t{number_at<std::int8_t>(at_)};
@@ -179,7 +179,7 @@ Outcome<Path> Path::parse(std::string_view text, const MessageMembers& type) {
       std::size_t index = 0;
       const auto read = std::from_chars(rest.data() + 1, rest.data() + rest.size(), index);
       if (read.ec != std::errc() || read.ptr == rest.data() + rest.size() || *read.ptr != ']')
-        return wrong("'[' wants an index and ']'");
+        return wrong("'[' needs an index and ']'");
       if (!path.shape_.is_array) return wrong(path.shape_.type_name() + " has no elements");
       if (path.shape_.is_fixed() && index >= path.shape_.member->array_size_)
         return wrong("element " + std::to_string(index) + " is not in " + path.shape_.type_name());

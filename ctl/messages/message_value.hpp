@@ -1,9 +1,9 @@
 // SPDX-License-Identifier: Apache-2.0
 //
 // Value: one place inside a message of any type (the message, a member, an element), as the
-// introspection table describes it; and Path, how people name such a place: "a.b[2].c".
+// introspection table describes it. Path: the name of such a place, as users write it: "a.b[2].c".
 //
-// A view: it is valid as long as its message, and copies nothing.
+// A Value is a view: it is valid as long as its message, and copies nothing.
 #pragma once
 
 #include <agnocast/generic.hpp>
@@ -22,26 +22,26 @@ namespace agnocast::ctl {
 using Scalar =
     std::variant<bool, std::int64_t, std::uint64_t, double, std::string_view, std::u16string_view>;
 
-/// What a Value is, known without a message.
+/// The type of a Value, known without a message.
 struct Shape {
   const MessageMembers* members = nullptr;  // of a message, or of the elements
   const MessageMember* member = nullptr;    // null: the message itself
-  bool is_array = false;                    // the whole member, and not one element
+  bool is_array = false;                    // the whole member, not one element
 
   static Shape of(const MessageMembers& members) { return {&members, nullptr, false}; }
   bool is_message() const { return !is_array && members != nullptr; }
   bool is_scalar() const { return !is_array && members == nullptr; }
   bool is_text() const;
   bool is_boolean() const;
-  /// A member of fixed length.
+  /// Returns whether it is an array of fixed length.
   bool is_fixed() const { return is_array && member->array_size_ != 0 && !member->is_upper_bound_; }
   Shape field(std::uint32_t index) const;
   Shape element() const { return {members, member, false}; }
   std::uint32_t field_count() const;
   std::string_view field_name(std::uint32_t index) const { return members->members_[index].name_; }
-  /// Its index, or nothing.
+  /// Returns the field's index, or nothing.
   std::optional<std::uint32_t> find(std::string_view name) const;
-  /// "float64", "string<=40", "int32[<=5]", "sensor_msgs/msg/PointField[]": as in a .msg file.
+  /// Returns the type as in a .msg file: "float64", "string<=40", "sensor_msgs/msg/PointField[]".
   std::string type_name() const;
 };
 
@@ -55,7 +55,7 @@ class Value {
   const Shape& shape() const { return shape_; }
   const void* address() const { return at_; }
   Value field(std::uint32_t index) const;
-  /// Of arrays.
+  /// Only for arrays.
   std::size_t size() const;
   Value element(std::size_t index) const;
   Scalar scalar() const;
@@ -66,14 +66,14 @@ class Value {
   std::optional<bool> bit_ = {};  // an element of std::vector<bool>, which has no address
 };
 
-/// Where a value lies inside a message of one type. Checked against the type when it is made.
+/// The place of a value inside a message of one type. Checked against the type when it is made.
 class Path {
  public:
-  /// Problems: wrong_usage, with the position and what is there instead.
+  /// Parses a path. Problems: wrong_usage, with the place and the names that exist there.
   static Outcome<Path> parse(std::string_view text, const MessageMembers& type);
   const Shape& shape() const { return shape_; }
   const std::string& text() const { return text_; }
-  /// Nothing when an element is not there.
+  /// Returns the value, or nothing if an element does not exist.
   std::optional<Value> in(const Value& message) const;
 
  private:
@@ -86,9 +86,9 @@ class Path {
   std::string text_;
 };
 
-/// ROS's name of a type: "sensor_msgs/msg/PointCloud2".
+/// Returns the ROS name of a type: "sensor_msgs/msg/PointCloud2".
 std::string type_name(const MessageMembers& members);
-/// "a, b, c", for what is misspelt.
+/// Returns "a, b, c", for hints about misspelt fields.
 std::string names_of_fields(const Shape& message);
 
 }  // namespace agnocast::ctl

@@ -28,13 +28,13 @@ using journal::Invariant;
 
 constexpr auto acquire = std::memory_order_acquire;
 constexpr auto relaxed = std::memory_order_relaxed;
-// How often a publisher is given the chance to be found between two messages.
+// How often to try to copy a queue while its publisher is between two messages.
 constexpr int copies_max = 64;
 constexpr std::chrono::microseconds pause_between_copies{200};
-// How often a link is looked at again that seems broken.
+// How often to check a link again that seems broken.
 constexpr int tries_max = 16;
 
-/// A queue, copied word by word.
+/// A copy of a queue, made word by word.
 class QueueCopy {
  public:
   explicit QueueCopy(std::uint64_t slot_count)
@@ -42,21 +42,21 @@ class QueueCopy {
 
   Words words() { return {reinterpret_cast<std::byte*>(memory_.data()), 0}; }
 
-  /// Tries to catch the publisher between two messages; false when it never was.
+  /// Copies the queue while its publisher is between two messages; false if it never was.
   bool take_at_rest(const Words& queue) {
     for (int i = 0; i < copies_max; ++i) {
-      // In the middle of one: it may need a processor, which we are using.
+      // The publisher is inside an operation, and may need the processor that we use.
       if (i != 0) std::this_thread::sleep_for(pause_between_copies);
       if (queue.intent_op().load(acquire) != abi::intent_idle) continue;
       const std::uint64_t head = queue.head().load(acquire);
       take(queue);
-      // Those were acquire loads: these come after them.
+      // The copy used acquire loads, so these loads come after it.
       if (queue.intent_op().load(acquire) == abi::intent_idle &&
           queue.head().load(acquire) == head && words().head().load(relaxed) == head &&
           words().intent_op().load(relaxed) == abi::intent_idle)
         return true;
     }
-    take(queue);  // as it comes: enough for what always holds
+    take(queue);  // in motion: enough for the invariants that always hold
     return false;
   }
 
@@ -104,7 +104,7 @@ class Auditor {
            (owner == nullptr ? "" : ", pid " + std::to_string(owner->facts.pid)) + ")";
   }
 
-  // --- of the whole system: what the daemon gave out
+  // --- the whole system: what the daemon assigned
 
   void check_windows() {
     const wire::DumpDaemon& daemon = system_.daemon;
@@ -159,7 +159,7 @@ class Auditor {
     }
   }
 
-  // --- of a process: the first page of its region
+  // --- a process: the first page of its region
 
   void check_region(const Process& process) {
     if (!process.region_fault.empty())
@@ -181,7 +181,7 @@ class Auditor {
       const std::uint64_t frontier = word(at + offsetof(abi::WindowEntry, frontier));
       const auto& given = process.facts.window[w];
       const std::string where = name_of(process) + " window " + std::to_string(w);
-      // Zero: it has not written it down yet.
+      // Zero: the process has not written it yet.
       if ((base != 0 && base != given.base) || (length != 0 && length != given.bytes))
         found(Invariant::window_header, where, {base, length, 0});
       if (frontier > given.bytes || frontier % abi::page_bytes != 0)
@@ -189,7 +189,7 @@ class Auditor {
     }
   }
 
-  // --- of a topic: the board against the dump
+  // --- a topic: the board against the dump
 
   void check_board(const Topic& topic) {
     const auto words = system_.words_of(topic);
@@ -249,12 +249,12 @@ class Auditor {
          {offsetof(Entry, quota), facts.quota},
          {offsetof(Entry, executor), facts.executor}});
   }
-  /// `fields`: offsets on the board, and what the dump says of them.
+  /// Compares board words with the dump. `fields`: offsets on the board, and the dumped values.
   template <class Word>
   void check_entry(const Topic& topic, const Endpoint& endpoint, std::size_t member, Word word,
                    std::initializer_list<std::pair<std::size_t, std::uint64_t>> fields) {
     const std::string where = name_of(topic, endpoint);
-    // A free place keeps the generation it had last.
+    // A free entry keeps its last generation.
     expect(where, word(member), endpoint.facts.member, 0);
     if (endpoint.state() == abi::MemberState::free) return;
     std::uint64_t number = 0;
@@ -265,10 +265,10 @@ class Auditor {
     if (board != dumped) found(Invariant::board_endpoint, where, {field, board, dumped});
   }
 
-  // --- of a publisher
+  // --- a publisher
 
   void check_queue(const Topic& topic, const Endpoint& publisher) {
-    if (publisher.state() == abi::MemberState::free) return;  // its owner is putting it away
+    if (publisher.state() == abi::MemberState::free) return;  // its owner is closing it
     std::byte* const region = system_.region_of(publisher);
     if (region == nullptr) return;
     const std::uint64_t slot_count = publisher.facts.slot_count;
@@ -290,7 +290,7 @@ class Auditor {
     }
   }
 
-  // One that the dump does not know yet.
+  // Returns whether the process opened a window after the dump.
   static bool has_newer_window(const Process& process) {
     const std::uint32_t next = process.facts.window_count;
     return next < abi::window_count_max &&
@@ -319,7 +319,7 @@ class Auditor {
     }
   }
 
-  // --- of a subscription
+  // --- a subscription
 
   void check_links(const Topic& topic, const Endpoint& subscription) {
     const bool counts = subscription.state() == abi::MemberState::active ||
@@ -360,7 +360,7 @@ class Auditor {
     if (queue == nullptr) return;
     ++audit_.links;
     const std::uint64_t slot_count = publisher->facts.slot_count;
-    // A take under way may hide what is really wrong: it is over at the next try.
+    // A take in progress may look like a broken link; the next try finds it complete.
     for (int i = 0; i < tries_max; ++i) {
       journal::Witness witness;
       const Invariant broken =

@@ -1,13 +1,13 @@
 // SPDX-License-Identifier: Apache-2.0
 //
-// Audit: one look at the whole system for broken invariants (journal/verify.hpp).
+// Audit: one check of the whole system for broken invariants (journal/verify.hpp).
 //
-// Nobody stops for it, so what it finds may be an operation under way: a hold that is set before the
-// cursor moves, a line half unlinked, a board that is newer than the dump. Each finding carries the
-// words that are wrong; who calls this looks several times and believes only what every look found
-// with the same words. A queue is copied while its publisher does not move and checked in the copy;
-// of one that never rests only what always holds is checked, and counted: such a look says nothing
-// about what can be seen at rest only.
+// No process stops for it, so a finding may be an operation in progress: a hold set before the
+// cursor moves, a line half unlinked, a board newer than the dump. Each finding carries the wrong
+// words; the caller audits several times and believes only findings that every audit made with the
+// same words. A queue is copied and checked while its publisher is at rest. If the publisher never
+// rests, only the invariants that always hold are checked, and the queue is listed in `in_motion`:
+// that audit proves nothing about the others.
 #pragma once
 
 #include <ctl/snapshot/system.hpp>
@@ -25,7 +25,7 @@ struct Finding {
   journal::Invariant invariant = journal::Invariant::none;
   std::string where;
   std::array<std::uint64_t, 3> words{};
-  bool seen_at_rest = false;  // in a queue, and it cannot be seen in one that moves
+  bool seen_at_rest = false;  // visible only in a queue at rest
   friend bool operator<(const Finding& a, const Finding& b) {
     return std::tie(a.where, a.invariant, a.words) < std::tie(b.where, b.invariant, b.words);
   }
@@ -33,14 +33,14 @@ struct Finding {
 
 struct Audit {
   std::set<Finding> findings;
-  std::set<std::string> in_motion;  // queues that could be checked in part only
+  std::set<std::string> in_motion;  // queues that were only partly checked
   std::uint64_t queues = 0;         // checked at rest
   std::uint64_t links = 0;
 };
 
 Audit audit(const System& system, std::uint64_t client_region_bytes);
 
-/// Forgets what a later look shows to be over.
+/// Removes the findings that a later audit does not confirm.
 void keep_what_lasts(std::set<Finding>& findings, const Audit& later);
 
 }  // namespace agnocast::ctl

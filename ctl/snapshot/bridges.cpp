@@ -22,7 +22,7 @@ namespace agnocast::ctl {
 namespace {
 
 constexpr const char* systems_directory = "/run/agnocast-bridge";
-// Thousands of endpoints; and what one name may be.
+// Enough for thousands of endpoints; and the bound of one text.
 constexpr std::size_t answer_bytes_max = std::size_t{16} << 20;
 constexpr std::size_t text_bytes_max = 4096;
 constexpr std::uint64_t patience_ms = 5'000;
@@ -35,7 +35,7 @@ tl::unexpected<Problem> problem_of(Status status, const std::string& path, const
                                                      : "systemctl status 'agnocast-bridge*'");
 }
 
-/// Reads fields of what somebody else wrote; remembers whether one was not as it should be.
+/// Reads fields of an answer that another program wrote, and remembers whether one was not valid.
 class Fields {
  public:
   explicit Fields(const Value& object) : object_(object) {}
@@ -133,7 +133,7 @@ Outcome<std::string> read_text(const std::string& path) {
   if (!address) return problem_of(Status::failed, path, address.error().what);
   const UniqueFd socket(::socket(AF_UNIX, SOCK_STREAM | SOCK_CLOEXEC | SOCK_NONBLOCK, 0));
   if (!socket) return problem_of(Status::failed, path, std::strerror(errno));
-  // EAGAIN: its queue is full, as if nobody listened.
+  // EAGAIN: its queue is full, so treat it as one that nobody listens at.
   if (::connect(socket.get(), address->get(), UnixAddress::size()) != 0)
     return problem_of(errno == EACCES ? Status::permission_denied : Status::not_reachable, path,
                       std::strerror(errno));
@@ -151,7 +151,7 @@ Outcome<std::string> read_text(const std::string& path) {
     if (count == 0) return text;
     text.append(buffer.data(), static_cast<std::size_t>(count));
     if (text.size() > answer_bytes_max)
-      return problem_of(Status::failed, path, "its answer is longer than any bridge's");
+      return problem_of(Status::failed, path, "its answer is too long for a bridge");
   }
 }
 
@@ -177,13 +177,13 @@ std::vector<std::string> bridge_sockets(const std::string& daemon_socket) {
 }
 
 Outcome<BridgeState> parse_bridge(std::string_view text, const std::string& path) {
-  if (text.empty()) return problem_of(Status::timed_out, path, "it is busy, or ends");
+  if (text.empty()) return problem_of(Status::timed_out, path, "it is busy or is ending");
   const Value json = Value::parse(text, nullptr, false);
   Fields fields(json);
   std::string schema;
   fields("schema", schema);
   if (schema != "agnocast.bridge-status/1")
-    return problem_of(Status::failed, path, "it does not say what a bridge of this version says");
+    return problem_of(Status::failed, path, "its answer is not valid for a bridge of this version");
   BridgeState state;
   state.path = path;
   fields("version", state.version);
@@ -193,7 +193,7 @@ Outcome<BridgeState> parse_bridge(std::string_view text, const std::string& path
   fields("discovery_info", state.discovery_info);
   fields("participants", state.participants);
   fields("has_daemon", state.has_daemon);
-  // A bridge that says nothing of these, and below of losses, is active and has lost nothing.
+  // A bridge that omits these and, below, the counts of losses is active and lost nothing.
   if (fields.has("standby_for")) fields("standby_for", state.standby_for);
   if (fields.has("announced")) fields("announced", state.announced);
   if (fields.has("lost_early")) fields("lost_early", state.lost_early);
@@ -278,7 +278,7 @@ Outcome<BridgeState> parse_bridge(std::string_view text, const std::string& path
     of("why", why);
   });
   if (!fields.is_right() || state.domain > domain_max)
-    return problem_of(Status::failed, path, "it does not say what a bridge of this version says");
+    return problem_of(Status::failed, path, "its answer is not valid for a bridge of this version");
   return state;
 }
 
@@ -306,7 +306,7 @@ Outcome<std::vector<BridgeState>> read_bridges(const Arguments& arguments) {
     const std::string domain = std::to_string(arguments.domain);
     return problem(Status::not_reachable,
                    of_domain ? "agnocast-bridge of domain " + domain : "agnocast-bridge",
-                   "none runs beside the daemon at " + escaped(arguments.socket),
+                   "none runs for the daemon at " + escaped(arguments.socket),
                    arguments.socket == system_socket
                        ? "systemctl start agnocast-bridge" + (of_domain ? '@' + domain : "")
                        : "agnocast-bridge --socket " + escaped(arguments.socket) +

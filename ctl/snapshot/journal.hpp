@@ -1,6 +1,6 @@
 // SPDX-License-Identifier: Apache-2.0
 //
-// Journal: the daemon's flight recorder, in words. Pure: a record and its names in, a sentence out.
+// Journal: the daemon's flight recorder, in words. Pure: turns a record with its names into text.
 #pragma once
 
 #include <agnocast/abi/observe.hpp>
@@ -18,37 +18,37 @@ namespace agnocast::ctl {
 
 namespace wire = abi::wire;
 
-/// What an observer was sent of it, oldest first.
+/// The records that the daemon sent to an observer, the oldest first.
 struct Journal {
   std::vector<wire::JournalRecord> records;
   wire::JournalEnd end{};
 };
 
-/// "publisher 3 of /points (lidar, pid 812)": what it is about.
+/// Returns the subject of a record: "publisher 3 of /points (lidar, pid 812)".
 std::string subject_of(const wire::JournalRecord& record);
-/// "ended with its process, last message rolled back": what was done.
+/// Returns what was done: "ended with its process, last message rolled back".
 std::string deed_of(const wire::JournalRecord& record);
 
-/// Nothing in it means anything, but its number.
+/// Returns whether the record is damaged: only its number is valid then.
 bool is_damaged(const wire::JournalRecord& record) noexcept;
-/// An argument by its name in journal/record.hpp; 0 when records of this type have none.
+/// Returns an argument by its name in journal/record.hpp; 0 if records of this type have none.
 std::uint64_t argument(const wire::JournalRecord& record, std::string_view name) noexcept;
 inline std::string text_of(const wire::Name& name) {
   return std::string(name.text, ::strnlen(name.text, sizeof name.text));
 }
 
-/// "12:01:33.120 #4711 publisher 3 of /points (lidar, pid 812): ended …": all of it.
+/// Returns the whole line: "12:01:33.120 #4711 publisher 3 of /points (lidar, pid 812): ended …".
 std::string line_of(const wire::JournalRecord& record, const Journal& journal);
-/// The same for programs.
+/// Returns the same for programs.
 nlohmann::ordered_json record_object(const wire::JournalRecord& record, const Journal& journal);
-/// The clock, now: "12:01:33.120", and "2026-01-31T12:01:33.120Z".
+/// Return the current time: "12:01:33.120", and "2026-01-31T12:01:33.120Z".
 std::string now_for_people();
 std::string now_for_programs();
 
-/// Which records somebody wants to see; empty texts: all.
+/// Selects records; an empty text selects all.
 struct JournalFilter {
   std::string topic;    // its name
-  std::string process;  // its name or pid, as owner, or as the one that is told or reads
+  std::string process;  // name or pid of the owner, the notified process or the reader
 };
 bool passes(const wire::JournalRecord& record, const JournalFilter& filter);
 

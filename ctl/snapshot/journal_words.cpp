@@ -27,7 +27,7 @@ std::string number_of(const JournalRecord& record, std::string_view name) {
   return std::to_string(argument(record, name));
 }
 
-// "lidar, pid 812".
+// Returns "lidar, pid 812".
 std::string words_of(const wire::JournalProcess& process) {
   const std::string name = text_of(process.name);
   if (name.empty() && process.pid == 0) return "forgotten";
@@ -73,7 +73,7 @@ std::string leave_words(LeaveCause cause) {
     case LeaveCause::rolled_forward:
       return "ended with its process, last message rolled forward";
     case LeaveCause::corrupt:
-      return "ended with its process, what it was doing is corrupt";
+      return "ended with its process, its last operation is corrupt";
   }
   return "ended";
 }
@@ -83,14 +83,14 @@ std::string death_words(DeathReason reason) {
     case DeathReason::died:
       return "died";
     case DeathReason::let_go:
-      return "let go of its memory and lives";
+      return "unmapped its memory and still runs";
     case DeathReason::revoked:
-      return "was revoked and lives";
+      return "was revoked and still runs";
   }
   return "ended";
 }
 
-// "subscription 3 (viewer, pid 977, uid 1001)".
+// Returns "subscription 3 (viewer, pid 977, uid 1001)".
 std::string reader_words(const JournalRecord& record) {
   return "subscription " + number_of(record, "subscription") + " (" + words_of(record.receiver) +
          ", uid " + number_of(record, "reader_uid") + ')';
@@ -98,10 +98,10 @@ std::string reader_words(const JournalRecord& record) {
 
 std::string recovered_words(const JournalRecord& record) {
   const std::uint64_t redone = argument(record, "redone_lsn");
-  std::string text = redone == 0 ? "took over, nothing was under way"
+  std::string text = redone == 0 ? "took over, no operation was in progress"
                                  : "took over, completed #" + std::to_string(redone);
   text += ", " + counted(argument(record, "dead_count"), "process", "processes") + " had died, " +
-          counted(argument(record, "board_word_count"), "word") + " of the board written again";
+          counted(argument(record, "board_word_count"), "word") + " of the board rewritten";
   return text;
 }
 
@@ -110,11 +110,11 @@ std::string endpoint_words(EndpointState state) {
     case EndpointState::leaving:
       return "left, may still hold messages";
     case EndpointState::over:
-      return "let go by all";
+      return "released by all peers";
     case EndpointState::dead:
       return "ended with its process";
     case EndpointState::free:
-      return "is over, its place is free";
+      return "removed, its entry is free";
     case EndpointState::active:
     case EndpointState::orphan:
       break;
@@ -151,7 +151,7 @@ std::string subject_of(const JournalRecord& record) {
 }
 
 std::string deed_of(const JournalRecord& record) {
-  if (is_damaged(record)) return "damaged: what lies there is no record";
+  if (is_damaged(record)) return "damaged: not a valid record";
   switch (type_of(record)) {
     case RecordType::none:
       return "nothing";
@@ -162,9 +162,9 @@ std::string deed_of(const JournalRecord& record) {
     case RecordType::add_subscription:
       return "created, may hold " + counted(argument(record, "quota"), "message");
     case RecordType::announced:
-      return receiver_of(record, "to") + " is told";
+      return receiver_of(record, "to") + " is notified";
     case RecordType::unlinked:
-      return receiver_of(record, "by") + " has let go";
+      return receiver_of(record, "by") + " has unmapped it";
     case RecordType::leave_publisher:
       return leave_words(static_cast<LeaveCause>(argument(record, "cause")));
     case RecordType::leave_subscription:
@@ -184,27 +184,27 @@ std::string deed_of(const JournalRecord& record) {
     case RecordType::open_executor:
       return "opened executor " + number_of(record, "executor");
     case RecordType::readers:
-      return "publishes, for one set of readers";
+      return "publishes for one set of readers";
     case RecordType::free_topic:
-      return "is over: nobody publishes or subscribes there";
+      return "removed: it has no endpoints left";
     case RecordType::raise_slots:
       return "has " + counted(argument(record, "slot_count"), "slot") + " now";
     case RecordType::topic_forgotten:
-      return "has let go of everything of this topic";
+      return "has unmapped everything of this topic";
     case RecordType::client_forgotten:
-      return "has let go of everything of others";
+      return "has unmapped everything of other processes";
     case RecordType::recovered:
       return recovered_words(record);
     case RecordType::rejoined:
       return "came back";
     case RecordType::reader_withdrawn:
-      return "says that it serves " + reader_words(record) + " no more: " +
+      return "reports that it no longer serves " + reader_words(record) + ": " +
              journal::sentence_of(static_cast<abi::Withdrawal>(argument(record, "why")));
     case RecordType::reader_served_again:
-      return "says that it serves " + reader_words(record) + " again";
+      return "reports that it serves " + reader_words(record) + " again";
     case RecordType::reader_mute:
-      return "nobody can ring it (executor " + number_of(record, "executor") + ", uid " +
-             number_of(record, "uid") + "), it hears of messages only when it looks";
+      return "has no doorbell (executor " + number_of(record, "executor") + ", uid " +
+             number_of(record, "uid") + "), it finds messages only by polling";
   }
   return "unknown";
 }

@@ -18,8 +18,8 @@ using Line = region::LinkWords<M>;
 constexpr auto relaxed = std::memory_order_relaxed;
 constexpr auto acquire = std::memory_order_acquire;
 
-// Words of hold bits for so many slots; those behind the link line have memory only when there are
-// such slots.
+// Returns the number of words with hold bits for these slots; words behind the link line have
+// memory only if there are such slots.
 std::uint64_t hold_word_count(std::uint64_t slot_count) noexcept {
   return std::min<std::uint64_t>((slot_count + 63) / 64, abi::slot_count_max / 64);
 }
@@ -52,7 +52,7 @@ PublisherCounters counters_in(const Words& words, const Endpoint& publisher) {
   return counters;
 }
 
-/// Its extent may have become somebody else's while we read.
+/// Returns whether the extent still belongs to the endpoint: it may be reused while it is read.
 bool was_its_own(const System& system, const Topic& topic, const Endpoint& endpoint) {
   std::atomic_thread_fence(acquire);
   return system.is_still_there(topic, endpoint);
@@ -133,7 +133,7 @@ RecentStamps recent_stamps(const System& system, const Endpoint& publisher, std:
   const std::uint64_t head = abi::sequence_of(words.head().load(acquire));
   if (head <= publisher.facts.first_sequence) return recent;
   recent.newest = head - publisher.facts.first_sequence;
-  // A place that a newer message has says nothing of an older one that had it before.
+  // A slot that a newer message uses says nothing about the older message that used it before.
   std::vector<bool> used(abi::slot_count_max, false);
   for (std::uint64_t sequence = head;
        sequence > publisher.facts.first_sequence && recent.stamps_ns.size() < count; --sequence) {
@@ -142,7 +142,7 @@ RecentStamps recent_stamps(const System& system, const Endpoint& publisher, std:
     if (abi::sequence_of(entry) != sequence || slot >= abi::slot_count_max || used[slot]) break;
     used[slot] = true;
     const std::uint64_t stamp = words.slot_stamp(slot).load(relaxed);
-    if (!recent.stamps_ns.empty() && stamp > recent.stamps_ns.back()) break;  // used again just now
+    if (!recent.stamps_ns.empty() && stamp > recent.stamps_ns.back()) break;  // reused just now
     recent.stamps_ns.push_back(stamp);
   }
   std::reverse(recent.stamps_ns.begin(), recent.stamps_ns.end());
@@ -214,7 +214,7 @@ std::vector<MessageFacts> messages_of(const System& system, const Topic& topic,
 
 namespace {
 
-/// The slots of one publisher that these subscriptions hold or have not read.
+/// Adds the slots of one publisher that these subscriptions hold or have not read.
 void add_slots(const System& system, const Endpoint& publisher,
                const std::vector<const Endpoint*>& subscriptions, KeptNumbers& kept) {
   std::byte* const queue = system.region_of(publisher);
@@ -260,7 +260,7 @@ KeptNumbers numbers_of_kept(const System& system, const Process& process) {
       kept.unread += numbers->unread;
       kept.held += numbers->held;
       kept.lost += numbers->lost;
-      // Else there is no slot that it keeps, and none is looked at.
+      // Without these the subscription keeps no slot, so none is read.
       if (numbers->unread + numbers->held != 0) own.push_back(&subscription);
     }
     if (own.empty()) continue;

@@ -1,6 +1,6 @@
 // SPDX-License-Identifier: Apache-2.0
 //
-// Objects: what a command says of one thing as JSON, for other commands that say it as well (info, dump).
+// Objects: things as JSON, for the several commands that print them (such as info and dump).
 #pragma once
 
 #include <ctl/cli/console.hpp>
@@ -10,7 +10,7 @@
 
 namespace agnocast::ctl {
 
-/// status.cpp; with its schema.
+/// status.cpp; includes its schema.
 Object status_object(const System& system, const std::string& socket);
 /// status.cpp: what one user has or may have; unlimited is null.
 Object share_object(const wire::UserShare& share);

@@ -25,7 +25,7 @@ constexpr auto acquire = std::memory_order_acquire;
 
 constexpr std::size_t recent_max = 16;
 constexpr std::uint64_t long_hold_ns = 1'000'000'000;
-// Of what was refused: what somebody who looks now may still wonder about.
+// Refusals that a user who looks now may still be interested in.
 constexpr std::uint64_t fresh_ns = 60'000'000'000;
 
 std::string who(const System& system, const Endpoint& endpoint) {
@@ -41,9 +41,9 @@ bool takes_messages(const Endpoint& subscription) noexcept {
          subscription.state() == abi::MemberState::leaving;
 }
 
-/// How one subscription stands towards all publishers of its topic.
+/// The state of one subscription towards all publishers of its topic.
 struct Reading {
-  std::uint64_t unread = 0;  // of the publisher of which it is most
+  std::uint64_t unread = 0;  // the maximum over the publishers
   std::uint64_t held = 0;
   std::uint64_t oldest_held_ns = 0;
 };
@@ -88,7 +88,7 @@ void add_subscription(const System& system, const Topic& topic, const Endpoint& 
     row.lost += words.counter(offsetof(abi::SubscriptionCounters, lost)).load(relaxed);
   }
   const std::uint64_t depth = abi::window_of(abi::unpack_qos(subscription.facts.qos));
-  // Of a depth of one or two nearly everything is unread now and then.
+  // With a depth of one or two, nearly everything is unread now and then.
   if (depth > 2 && reading.unread * 4 >= depth * 3) {
     row.trouble = std::min(row.trouble, Trouble::lagging);
     row.notes.push_back("slow reader: " + who(system, subscription) + " (depth " +
@@ -97,7 +97,7 @@ void add_subscription(const System& system, const Topic& topic, const Endpoint& 
   if (reading.oldest_held_ns > long_hold_ns) {
     row.trouble = std::min(row.trouble, Trouble::holding);
     row.notes.push_back("holder: " + who(system, subscription) + " (" +
-                        counted(reading.held, "message") + ", the oldest of them from " +
+                        counted(reading.held, "message") + ", the oldest published " +
                         time_for_people(reading.oldest_held_ns) + " ago)");
   }
   for (const Endpoint& publisher : topic.publishers) {
@@ -113,8 +113,8 @@ void add_subscription(const System& system, const Topic& topic, const Endpoint& 
 
 }  // namespace
 
-// The rate since the last look that found something new, by the stamps, so it does not matter when we
-// look.
+// Returns the rate since the last look that found new messages. It uses the stamps, so the time of
+// the look does not matter.
 Overview::Seen Overview::look_at(const System& system, const Endpoint& publisher,
                                  std::uint64_t now_ns) const {
   const auto found = seen_.find(publisher.facts.generation);
@@ -160,12 +160,12 @@ std::vector<Row> Overview::look(const System& system, bool all_domains, std::uin
       row.rate_hz += rate;
       row.bytes_per_second += rate * static_cast<double>(seen.message_bytes);
       row.message_bytes = std::max(row.message_bytes, seen.message_bytes);
-      // Idle is what would be read as 0.0.
+      // A rate that would be printed as 0.0 counts as idle.
       if (rate >= 0.05 || (!seen.rate_hz && now_ns - seen.newest_ns < fresh_ns))
         row.trouble = std::min(row.trouble, Trouble::running);
       if (publisher.state() == abi::MemberState::orphan) {
         row.trouble = std::min(row.trouble, Trouble::dead);
-        row.notes.push_back("gone, and not read to its end: " + who(system, publisher));
+        row.notes.push_back("publisher gone, but not fully read: " + who(system, publisher));
       }
     }
     for (const Endpoint& subscription : topic.subscriptions)

@@ -1,10 +1,10 @@
 // SPDX-License-Identifier: Apache-2.0
 //
-// Overview: the whole system as rows, one a topic, for top. Made from looks at the counters: what came
-// since the last look, or, at the first one, what the stamps of the last messages say.
+// Overview: the whole system as rows, one a topic, for top. A row shows the messages since the
+// last look at the counters or, at the first look, what the stamps of the last messages show.
 //
-// It has to be cheap enough to be made twice a second for 500 topics, so it reads heads, cursors and hold
-// words and no slot but of what is held.
+// A look must be cheap enough to run twice a second for 500 topics, so it reads heads, cursors and
+// hold words, and only those slots that are held.
 #pragma once
 
 #include <ctl/cli/console.hpp>
@@ -18,29 +18,29 @@
 
 namespace agnocast::ctl {
 
-/// What hurts most of a topic; in this order, the first that is true.
+/// The worst trouble of a topic: the first of these that is true.
 enum class Trouble : std::uint8_t {
-  refused,  // X  endpoints were refused, or are not matched for their quality of service
-  lagging,  // L  a reader has nearly as much unread as its depth
-  holding,  // H  somebody holds a message for more than a second
-  dead,     // D  a publisher is gone and not read to its end
+  refused,  // X  endpoints were refused, or do not match in quality of service
+  lagging,  // L  a reader has almost its depth of unread messages
+  holding,  // H  a subscription holds a message older than a second
+  dead,     // D  a publisher is gone, and not all its messages are read
   running,  // R
   idle,     // I
 };
 
 struct Row {
   Trouble trouble = Trouble::idle;
-  const Topic* topic = nullptr;  // of the look that it was made from
-  double rate_hz = 0;            // of the publishers of which it is known
+  const Topic* topic = nullptr;  // of the system that it was made from
+  double rate_hz = 0;            // the sum of the known rates
   bool rate_known = true;
   std::uint64_t message_bytes = 0;
   double bytes_per_second = 0;
   std::uint64_t publishers = 0, subscriptions = 0;
-  std::uint64_t lag = 0;   // of the slowest reader, messages
+  std::uint64_t lag = 0;   // messages, of the slowest reader
   std::uint64_t held = 0;  // messages
   std::uint64_t oldest_held_ns = 0;
-  std::uint64_t lost = 0;          // messages, of all subscriptions since they began
-  std::vector<std::string> notes;  // who, for people
+  std::uint64_t lost = 0;          // messages, of all subscriptions since their start
+  std::vector<std::string> notes;  // the endpoints concerned, as text
 };
 
 struct Totals {
@@ -50,7 +50,7 @@ struct Totals {
 
 class Overview {
  public:
-  /// Rows of the domain, or of all.
+  /// Returns the rows of one domain, or of all.
   std::vector<Row> look(const System& system, bool all_domains, std::uint64_t domain,
                         std::uint64_t now_ns);
   static Totals totals_of(const System& system, const std::vector<Row>& rows);
@@ -58,7 +58,7 @@ class Overview {
  private:
   struct Seen {
     std::uint64_t count = 0, bytes = 0;
-    std::uint64_t newest_ns = 0;  // when the newest was committed
+    std::uint64_t newest_ns = 0;  // when the newest message was committed
     std::optional<double> rate_hz;
     std::uint64_t message_bytes = 0;
   };
@@ -69,7 +69,7 @@ class Overview {
 
 char letter_of(Trouble trouble) noexcept;
 const char* word_of(Trouble trouble) noexcept;
-/// By a word of options::sort.
+/// Sorts by a word of options::sort.
 void sort_rows(std::vector<Row>& rows, const std::string& column);
 Object object_of(const Row& row);
 Object object_of(const Totals& totals);

@@ -13,8 +13,8 @@ namespace {
 
 std::string mismatch_of(const abi::Qos& offered, const abi::Qos& requested) {
   if (abi::qos_mismatch(offered, requested) == abi::QosPolicy::reliability)
-    return "the publisher is best_effort, the subscription asks for reliable";
-  return "the publisher is volatile, the subscription asks for transient_local";
+    return "the publisher is best_effort, the subscription requests reliable";
+  return "the publisher is volatile, the subscription requests transient_local";
 }
 
 bool is_linked(const System& system, const Endpoint& publisher, const Endpoint& subscription) {
@@ -26,13 +26,13 @@ bool is_linked(const System& system, const Endpoint& publisher, const Endpoint& 
 }
 
 std::string sentence_of(abi::Withdrawal why) {
-  const std::string said = std::string("the publisher says that ") + journal::sentence_of(why);
-  return why == abi::Withdrawal::not_attached ? said : said + ", and serves it no more";
+  const std::string said = std::string("the publisher reports that ") + journal::sentence_of(why);
+  return why == abi::Withdrawal::not_attached ? said : said + ", and no longer serves it";
 }
 
 const char* end_of(const Endpoint& publisher, const Endpoint& subscription) {
   if (publisher.state() == abi::MemberState::orphan)
-    return "the publisher is gone; what is unread of it is still delivered";
+    return "the publisher is gone; its unread messages are still delivered";
   if (publisher.state() != abi::MemberState::active) return "the publisher is gone";
   if (subscription.state() == abi::MemberState::leaving)
     return "the subscription has left and still holds messages";
@@ -76,9 +76,9 @@ Pair pair_of(const System& system, const Topic& topic, const Endpoint& publisher
     const Process* const process = system.process_of(subscription);
     pair.state = PairState::unreachable;
     pair.why = counted(got->unreachable, "message") + " unreachable: in the subscriber's process " +
-               (process == nullptr || process->blocked_by.empty() ? "something else"
+               (process == nullptr || process->blocked_by.empty() ? "another mapping"
                                                                   : escaped(process->blocked_by)) +
-               " lies where they are";
+               " is at their addresses";
   } else if (sent->adopted_messages != 0) {
     pair.state = PairState::adopted;
     pair.why = std::to_string(sent->adopted_messages) + " of " +

@@ -101,7 +101,7 @@ Outcome<std::vector<const Process*>> find_processes(const System& system, const 
   const bool is_pid = parsed.ec == std::errc() && parsed.ptr == end;
   std::vector<const Process*> found;
   for (const auto& [index, process] : system.processes) {
-    // One that the daemon sees without a pid is not found by 0.
+    // The daemon sees such a process without a pid: 0 does not name it.
     if (is_pid ? pid != 0 && process.facts.pid == pid
                : client_of(process.facts) == name || process.name == name)
       found.push_back(&process);

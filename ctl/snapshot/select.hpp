@@ -1,7 +1,7 @@
 // SPDX-License-Identifier: Apache-2.0
 //
-// Select: which topics, processes and nodes the words of a command line mean, and what to say when there
-// is none of that name.
+// Select: finds the topics, processes and nodes that a command line names, and reports names that
+// do not exist.
 #pragma once
 
 #include <ctl/cli/arguments.hpp>
@@ -14,42 +14,42 @@
 
 namespace agnocast::ctl {
 
-/// Not those that have left and are only being drained.
+/// Counts active endpoints, not those that have left and are being drained.
 std::uint64_t active_count(const std::vector<Endpoint>& endpoints);
 
-/// "points" is meant to be "/points".
+/// Returns the name with its leading slash: "points" means "/points".
 std::string fully_qualified(const std::string& name);
-/// A part of the name begins with an underscore.
+/// Returns whether a part of the name begins with an underscore.
 bool is_hidden(const std::string& name);
 
-/// What --topic and --process want to see. Problems: wrong_usage, what cannot be a topic's name.
+/// Returns the filter of --topic and --process. Problems: wrong_usage (invalid topic name).
 Outcome<JournalFilter> filter_of(const Arguments& arguments);
 
-/// Of the domain or of all, by name.
+/// Returns the topics of the domain or of all domains, by name.
 std::vector<const Topic*> topics_of(const System& system, const Arguments& arguments);
-/// The topic of this name in the domain. Problems: no_such_thing, with what may have been meant.
+/// Returns the topic of this name in the domain. Problems: no_such_thing, with a similar name.
 Outcome<const Topic*> find_topic(const System& system, const Arguments& arguments,
                                  const std::string& name);
 
-/// A service: a topic of requests that somebody subscribes to, who serves, or publishes on, who asks.
+/// A service: a topic of requests to which the servers subscribe and on which the clients publish.
 struct Service {
   std::string name, type;
   const Topic* requests;
 };
-/// Whose requests that topic has; nothing if it is no such topic.
+/// Returns the service whose requests the topic carries; nothing for any other topic.
 std::optional<Service> service_of(const Topic& topic);
-/// Of the domain or of all, by name.
+/// Returns the services of the domain or of all domains, by name.
 std::vector<Service> services_of(const System& system, const Arguments& arguments);
 
-/// "INDEX.GENERATION": never used twice.
+/// Returns "INDEX.GENERATION", which is never used twice.
 std::string client_of(const wire::DumpProcess& process);
-/// Every client that a pid has, or the one that INDEX.GENERATION names, or those of that name. Problems:
-/// no_such_thing.
+/// Returns every client with this pid, or the one of INDEX.GENERATION, or all with this name.
+/// Problems: no_such_thing.
 Outcome<std::vector<const Process*>> find_processes(const System& system, const std::string& name);
 
-/// "/ns/talker".
+/// Returns "/ns/talker".
 std::string node_name_of(const Endpoint& endpoint);
-/// A node: endpoints of one name in one process.
+/// A node: the endpoints with one node name in one process.
 struct Node {
   std::string name, name_space;
   std::uint64_t client = 0, client_generation = 0;
@@ -61,10 +61,10 @@ struct Node {
 
   std::string full_name() const;
 };
-/// Of the domain or of all, by name; two processes may have a node of the same name.
+/// Returns the nodes of the domain or of all, by name; two processes may share a node name.
 std::vector<Node> nodes_of(const System& system, const Arguments& arguments);
 
-/// "the process NAME (pid 1, uid 2)", or "a process that is gone".
+/// Returns "NAME (pid 1, uid 2)", or "a process that is gone".
 std::string process_words(const System& system, const Endpoint& endpoint);
 
 }  // namespace agnocast::ctl

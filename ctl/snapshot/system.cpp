@@ -100,7 +100,7 @@ bool System::is_silent(const Endpoint& subscription) const {
 std::byte* System::region_of(const Endpoint& endpoint) const {
   const Process* const process = process_of(endpoint);
   if (process == nullptr || !process->region) return nullptr;
-  // The mapping reaches as far as the highest extent that fits into the region.
+  // The mapping reaches to the end of the highest extent that fits into the region.
   if (endpoint.facts.extent % abi::page_bytes != 0 ||
       endpoint.facts.extent > process->region.bytes() ||
       process->region.bytes() - endpoint.facts.extent < extent_bytes(endpoint.facts))
@@ -149,7 +149,7 @@ Outcome<Observer> Observer::connect(const std::string& path) {
   if (!socket) {
     const Failure& failure = socket.error();
     if (failure.os_errno == EPROTOTYPE)
-      return unreachable(escaped(path), "this is another program's socket");
+      return unreachable(escaped(path), "this is the socket of another program");
     std::string why = sentence_of(failure.code);
     if (failure.code == Errc::invalid_argument || failure.code == Errc::os_failure)
       why = failure.what;
@@ -182,7 +182,7 @@ template <class Body>
 Outcome<void> Observer::send(Opcode opcode, Body body) {
   body.header = {opcode, sizeof body, 1};
   const auto sent = socket_.send(std::as_bytes(std::span(&body, 1)), {}, Wait::yes);
-  // One that was turned away at the door reads why.
+  // A connection that was refused at once reads the reason.
   if (sent && *sent == Sent::would_block) return unreachable(path_, "agnocastd does not read");
   return {};
 }
@@ -207,7 +207,7 @@ Outcome<AnswerPacket*> Observer::receive() {
 
 Outcome<void> Observer::receive_packet() {
   auto packet = socket_.receive(received_->buffer());
-  // Of many packets the next one is mostly there.
+  // Usually the next one of many packets is there already.
   if (packet && packet->kind == Packet::Kind::nothing) {
     pollfd readable{socket_.fd(), POLLIN, 0};
     int ready = 0;
@@ -219,7 +219,7 @@ Outcome<void> Observer::receive_packet() {
   }
   if (!packet) return unreachable(path_, packet.error().what);
   if (packet->kind != Packet::Kind::data)
-    return unreachable(path_, "agnocastd has ended the connection");
+    return unreachable(path_, "agnocastd has closed the connection");
   if (packet->truncated) return nonsense();
   if (packet->descriptors_lost) return without_descriptors();
   received_->begin(std::move(*packet));
@@ -378,7 +378,7 @@ Outcome<void> Observer::accept(AnswerPacket& body, System& system, wire::DumpEnd
   }
 }
 
-// Each as far as its extents reach, and no further: a region is a gigabyte of addresses.
+// Maps each region only as far as its extents reach: a region is a gigabyte of addresses.
 void Observer::map_regions(System& system) const {
   std::map<std::uint64_t, std::uint64_t> end;
   for (const auto& [index, topic] : system.topics) {

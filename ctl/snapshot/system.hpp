@@ -1,10 +1,10 @@
 // SPDX-License-Identifier: Apache-2.0
 //
-// System: what the daemon says of one moment, with the regions that go with it, mapped for reading.
+// System: the daemon's state at one moment, with the regions that belong to it mapped for reading.
 //
 // Everything in it was checked once: indexes are inside the tables, extents inside their regions,
-// regions as long as they are used. What the regions *say* is other processes' and changes all the
-// time; whoever reads it copies it once and believes nothing.
+// and regions long enough for their use. The contents of the regions belong to other processes and
+// change all the time: copy each word once, and trust none.
 #pragma once
 
 #include <agnocast/abi/board.hpp>
@@ -35,12 +35,12 @@ struct Process {
   std::string name;
   std::string blocked_by;
   UniqueFd region_fd;
-  /// The header and every extent that is in use; empty when the daemon had no region, or one that is
-  /// not what it should be (`region_fault` says so).
+  /// The header and every extent in use; empty if the daemon had no region, or an invalid one (see
+  /// `region_fault`).
   Mapping region;
   std::string region_fault;
   std::uint64_t publisher_count = 0, subscription_count = 0;
-  std::vector<std::uint32_t> topics;  // where it has endpoints, each index once
+  std::vector<std::uint32_t> topics;  // the topics of its endpoints, each index once
 
   bool owns(const Endpoint& endpoint) const noexcept;
 };
@@ -67,53 +67,53 @@ struct System {
   std::vector<wire::DumpRefusal> refusals;  // the oldest first
   std::byte* board = nullptr;               // the observer's
 
-  /// The process of an endpoint; nothing when the daemon's dump names none.
+  /// Returns the process of an endpoint; nullptr if the dump names none.
   const Process* process_of(const Endpoint& endpoint) const;
-  /// Can nobody ring this subscription, as far as the daemon knows?
+  /// Returns whether, as far as the daemon knows, no publisher can ring this subscription.
   bool is_silent(const Endpoint& subscription) const;
-  /// Its mapped region; nullptr when there is none.
+  /// Returns the mapped region of the endpoint; nullptr if there is none.
   std::byte* region_of(const Endpoint& endpoint) const;
   region::TopicWords<SharedMemory> words_of(const Topic& topic) const noexcept {
     return {board, abi::topic_offset(topic.facts.topic)};
   }
-  /// How many messages of the publisher the subscription may hold.
+  /// Returns how many messages of the publisher the subscription may hold.
   std::uint64_t hold_quota(const Endpoint& subscription, const Endpoint& publisher) const;
-  /// Does the board still show this endpoint? What was read of its extent before is its own then.
+  /// Returns whether the board still shows this endpoint; then earlier reads of its extent count.
   bool is_still_there(const Topic& topic, const Endpoint& endpoint) const;
 };
 
-/// "lidar (pid 812, uid 1000)".
+/// Returns "lidar (pid 812, uid 1000)".
 std::string words_of(const Process& process);
-/// The same of the process of an endpoint; empty when the daemon's dump names none.
+/// Returns the same for the process of an endpoint; empty if the dump names none.
 std::string process_words_of(const System& system, const Endpoint& endpoint);
 
-/// Is it held by SIGSTOP or a debugger? Such a process may stand in the middle of anything for any
-/// time. False as well when it cannot be known.
+/// Returns whether SIGSTOP or a debugger has stopped it, possibly in the middle of an operation.
+/// Returns false if that cannot be known.
 bool is_stopped(const wire::DumpProcess& process);
 
-/// A connection that looks. Problems: not_reachable, permission_denied, failed.
+/// An observer's connection to the daemon. Problems: not_reachable, permission_denied, failed.
 class Observer {
  public:
   static Outcome<Observer> connect(const std::string& socket);
-  /// One moment.
+  /// Returns the system at one moment.
   Outcome<System> look();
-  /// Ends the membership of a process. Problems also: no_such_thing.
+  /// Ends the session of a process. Problems also: no_such_thing.
   Outcome<void> revoke(const wire::DumpProcess& process);
-  /// The newest records of the daemon's log, at most `count`, up to `last` (0: the newest).
+  /// Returns at most `count` newest records of the daemon's log, up to `last` (0: the newest).
   Outcome<Journal> read_journal(std::uint64_t last, std::uint64_t count);
-  /// What the daemon logs; `level` 0 changes nothing. Problems also: permission_denied.
+  /// Sets the daemon's log level (0: no change), returns it. Problems also: permission_denied.
   Outcome<std::uint64_t> log_level(std::uint64_t level);
-  /// Who may publish and subscribe there.
+  /// The rules for publishing and subscribing to a topic.
   struct Access {
     wire::AccessIs publish{}, subscribe{};
   };
   Outcome<Access> access(std::uint64_t domain, const std::string& topic);
-  /// How long every client region is.
+  /// Returns the length of every client region.
   std::uint64_t region_bytes() const noexcept { return region_bytes_; }
 
  private:
   Observer(PacketSocket socket, std::string path);
-  /// The next body; what the last one was is gone.
+  /// Returns the next body; the previous one is no longer valid.
   Outcome<AnswerPacket*> receive();
   Outcome<void> receive_packet();
   template <class Body>
@@ -130,7 +130,7 @@ class Observer {
   std::unique_ptr<AnswerPacket> received_;
 };
 
-/// Connects and looks once: what most commands need. `observer` keeps the board.
+/// The connection and one system, enough for most commands. `observer` keeps the board mapped.
 struct Look {
   Observer observer;
   System system;

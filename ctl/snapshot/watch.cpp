@@ -7,10 +7,10 @@
 namespace agnocast::ctl {
 namespace {
 
-// A daemon that restarts is away for seconds at most.
+// A restarting daemon is absent for seconds at most.
 constexpr int failure_max = 100;
 constexpr std::uint64_t retry_ms = 100;
-// What no record of the log tells of: connections, refusals, who was stopped.
+// Changes without a record in the log: connections, refusals, stopped processes.
 constexpr std::uint64_t unlogged_ms = 2'000;
 
 }  // namespace
@@ -47,7 +47,7 @@ Outcome<void> Watch::renew() {
   auto observer = Observer::connect(socket_);
   if (!observer)
     return ++failures_ > failure_max ? tl::unexpected(observer.error()) : Outcome<void>();
-  // What was seen last points into the former board until something newer is there.
+  // The last system points into the former board until a newer system is there.
   Watch again(socket_, std::move(*observer));
   if (auto seen = again.look(); !seen) return ++failures_ > failure_max ? seen : Outcome<void>();
   *this = std::move(again);

@@ -1,8 +1,8 @@
 // SPDX-License-Identifier: Apache-2.0
 //
-// Watch: look after look at one system, over restarts of the daemon, for commands that go on. Between two
-// looks counters move in the regions that are mapped, which costs nobody anything; the tables are asked
-// for again only when the daemon's log says that they have changed.
+// Watch: repeated looks at one system, across restarts of the daemon, for commands that repeat.
+// Between two looks only counters in mapped regions are read, which costs no other process
+// anything; the tables are requested again only when the daemon's log shows a change.
 #pragma once
 
 #include <ctl/snapshot/system.hpp>
@@ -17,10 +17,10 @@ class Watch {
  public:
   static Outcome<Watch> begin(const std::string& socket);
 
-  /// As it was at the last look.
+  /// Returns the system of the last look.
   const System& system() const noexcept { return *system_; }
-  /// Looks again where something may have changed. While the daemon is away, for at most ten seconds of
-  /// looks a tenth of a second apart, everything stays as it was: is_away(). Problems: as Observer.
+  /// Looks again if something may have changed. While the daemon is absent (is_away()), for at
+  /// most 100 attempts 0.1 s apart, the system stays as it was. Problems: as Observer.
   Outcome<void> renew();
   bool is_away() const noexcept { return failures_ != 0; }
   Observer& observer() noexcept { return observer_; }
@@ -33,7 +33,7 @@ class Watch {
   std::string socket_;
   Observer observer_;
   std::optional<System> system_;
-  std::uint64_t newest_ = 0;  // record of the log at the last look
+  std::uint64_t newest_ = 0;  // newest record of the log at the last look
   std::uint64_t looked_ms_ = 0;
   int failures_ = 0;
 };

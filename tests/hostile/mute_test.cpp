@@ -54,11 +54,11 @@ TEST(HostileMute, ASubscriptionThatNobodyCanRingKeepsNoPublisherFromItsSlots) {
     return result.out + result.err;
   };
   EXPECT_THAT(ctl({"doctor", "-j"}),
-              testing::HasSubstr(process + " hears of messages of " + stream_topic));
-  const std::string mute = "nobody can ring it, it hears of messages only when it looks";
+              testing::HasSubstr(process + " finds messages of " + stream_topic));
+  const std::string mute = "it has no doorbell, it finds messages only by polling";
   const std::string info = ctl({"topic", "info", "-v", stream_topic});
   EXPECT_THAT(info, testing::HasSubstr(process));
-  EXPECT_THAT(info, testing::HasSubstr("Bell: nobody can ring it"));
+  EXPECT_THAT(info, testing::HasSubstr("Doorbell: none"));
   EXPECT_THAT(ctl({"verify"}), testing::HasSubstr(std::string("not broken, but: ") + stream_topic));
   EXPECT_THAT(ctl({"verify"}), testing::HasSubstr(process + ": mute: " + mute));
   EXPECT_EQ(run_ctl(stage.socket_path(), {"verify"}).status, 0);
@@ -68,7 +68,7 @@ TEST(HostileMute, ASubscriptionThatNobodyCanRingKeepsNoPublisherFromItsSlots) {
     const std::string said = ctl({"journal", "-n", "4096", "--topic", stream_topic, "--process",
                                   std::to_string(attacker.pid())});
     return said.find(", uid " + std::to_string(hostile_uid) +
-                     "), it hears of messages only when it looks") != std::string::npos;
+                     "), it finds messages only by polling") != std::string::npos;
   })) << "the flight recorder does not record it";
   attacker.end();
   stage.honest_goes_on();
@@ -105,8 +105,7 @@ TEST(HostileMute, DoorbellsWhoseNamesWereRemovedAreRecreatedAfterARestart) {
   Stage stage;
   const auto reader = stage.another_honest_process(third_uid);
   ASSERT_EQ(reader->ask("subscribe /late"), "ok");
-  for (const auto& name :
-       std::filesystem::directory_iterator(stage.socket_path() + ".bells"))
+  for (const auto& name : std::filesystem::directory_iterator(stage.socket_path() + ".bells"))
     std::filesystem::remove(name);
   ASSERT_TRUE(stage.daemon().wait_for_next(stage.daemon().kill_worker()));
   // Older publishers have doorbells that still ring; the daemon announces this one after the

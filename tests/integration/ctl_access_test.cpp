@@ -74,7 +74,7 @@ TEST_F(CtlAccess, NamesTheDecidingRuleAndItsUsersByNameAndNumber) {
   EXPECT_THAT(people.out, HasSubstr("user nobody (uid " + std::to_string(nobody_) + "), gid 4242"));
   EXPECT_THAT(people.out, HasSubstr("rule \"/lidar/**\", line 3 of the configuration"));
   EXPECT_THAT(people.out, HasSubstr("everybody"));
-  EXPECT_THAT(people.out, HasSubstr("none of 3 rules speaks of it"));
+  EXPECT_THAT(people.out, HasSubstr("none of 3 rules matches it"));
 }
 
 TEST_F(CtlAccess, FollowsTheDomainAndTheOrderOfTheFile) {
@@ -112,7 +112,7 @@ TEST_F(CtlAccess, SaysTheSameOfAUserAsTheDaemonDecides) {
   // The calling user is meant, unless another one is named.
   EXPECT_EQ(answer({"/lidar/front"}, nobody_)["user"]["uid"], nobody_);
   EXPECT_EQ(answer({"/lidar/front"}, nobody_)["user"]["publish"]["allowed"], true);
-  EXPECT_THAT(ctl({"/lidar/front"}).out, HasSubstr("publish    no   is not among them"));
+  EXPECT_THAT(ctl({"/lidar/front"}).out, HasSubstr("publish    no   is not one of them"));
 }
 
 // A rule that was added after the publishers: the process goes on with both.
@@ -178,7 +178,7 @@ TEST_F(CtlAccess, RefusesBadInputWithAHint) {
   const CtlResult stranger = ctl({"/a", "--user", "no such user"});
   EXPECT_EQ(stranger.status, 4);
   EXPECT_EQ(stranger.err,
-            "agnocast-ctl: \"no such user\": this host knows no such user\nhint: getent passwd\n");
+            "agnocast-ctl: \"no such user\": this host has no such user\nhint: getent passwd\n");
   daemon_.kill();
   EXPECT_EQ(ctl({"/a"}).status, 3);
 }

@@ -58,24 +58,22 @@ TEST(CtlJournal, ShowsADeathAndItsRecovery) {
   DaemonProcess daemon;
   const std::string& socket = daemon.socket_path();
   const std::string pid = std::to_string(die_while_publishing(socket));
-  ASSERT_TRUE(eventually([&] {
-    return run_ctl(socket, {"journal"}).out.find(" #10 ") != std::string::npos;
-  }));
+  ASSERT_TRUE(eventually(
+      [&] { return run_ctl(socket, {"journal"}).out.find(" #10 ") != std::string::npos; }));
   const std::string process = "process 0 (wire_client, pid " + pid + "): ";
   const std::string publisher = "publisher 0 of /points (wire_client, pid " + pid + "): ";
   const CtlResult all = run_ctl(socket, {"journal"});
   EXPECT_EQ(all.status, 0) << all.err;
   EXPECT_EQ(all.err, "");
-  EXPECT_EQ(without_times(all.out),
-            "#1 " + process + "joined, uid " + std::to_string(::geteuid()) +
-                ", domain 0\n#2 " + process +
-                "publishes, for one set of readers\n#3 topic /points: created\n#4 " + publisher +
-                "created, 384 slots\n#5 " + process + "died\n#6 " + publisher +
-                "ended with its process, last message rolled back\n#7 " + publisher +
-                "is over, its place is free\n#8 topic /points: is over: nobody publishes or "
-                "subscribes there\n#9 " +
-                process + "has let go of everything of others\n#10 " + process +
-                "is over, its place is free\n");
+  EXPECT_EQ(
+      without_times(all.out),
+      "#1 " + process + "joined, uid " + std::to_string(::geteuid()) + ", domain 0\n#2 " + process +
+          "publishes for one set of readers\n#3 topic /points: created\n#4 " + publisher +
+          "created, 384 slots\n#5 " + process + "died\n#6 " + publisher +
+          "ended with its process, last message rolled back\n#7 " + publisher +
+          "removed, its entry is free\n#8 topic /points: removed: it has no endpoints left\n#9 " +
+          process + "has unmapped everything of other processes\n#10 " + process +
+          "removed, its entry is free\n");
   EXPECT_EQ(without_times(run_ctl(socket, {"journal", "-n", "2"}).out).substr(0, 3), "#9 ");
   const std::string of_topic = run_ctl(socket, {"journal", "--topic", "points", "-n", "1"}).out;
   EXPECT_THAT(of_topic, HasSubstr("#8 topic /points"));
@@ -112,7 +110,7 @@ TEST(CtlJournal, ShowsADeathAndItsRecovery) {
   EXPECT_EQ(counters["intents_corrupt"], 0);
   EXPECT_THAT(
       run_ctl(socket, {"status"}).out,
-      HasSubstr("deaths         1 process: 1 died, 0 let go, 0 revoked\nintents        1 "
+      HasSubstr("deaths         1 process: 1 died, 0 left, 0 revoked\nintents        1 "
                 "rolled back, 0 rolled forward, 0 corrupt\nrestarts       0 of the daemon"));
 }
 
@@ -129,10 +127,11 @@ TEST(CtlJournal, SurvivesARestartAndShowsIt) {
   EXPECT_EQ(after["intents_rolled_back"], 1);
   EXPECT_EQ(after["restarts"], 1);
   const std::string out = run_ctl(socket, {"journal"}).out;
-  EXPECT_THAT(out, HasSubstr("last message rolled back\n")) << "the records outlive the daemon as well";
+  EXPECT_THAT(out, HasSubstr("last message rolled back\n"))
+      << "the records outlive the daemon as well";
   EXPECT_THAT(out, HasSubstr("agnocastd (pid " + std::to_string(daemon.pid()) +
-                             "): took over, nothing was under way, 0 processes had died, 0 words "
-                             "of the board written again\n"));
+                             "): took over, no operation was in progress, 0 processes had died, 0 "
+                             "words of the board rewritten\n"));
 }
 
 TEST(CtlJournal, SaysThatOlderOnesAreOverwritten) {
@@ -150,10 +149,10 @@ TEST(CtlJournal, SaysThatOlderOnesAreOverwritten) {
     return std::pair(out.substr(0, out.find('\n')), std::count(out.begin(), out.end(), '\n'));
   };
   const auto all = lines({"-n", "100000"});
-  EXPECT_THAT(all.first, MatchesRegex("what was before #[0-9]+ has been overwritten"));
+  EXPECT_THAT(all.first, MatchesRegex("records before #[0-9]+ have been overwritten"));
   EXPECT_EQ(all.second, 4096 + 1);
   EXPECT_EQ(lines({}).second, 20) << "older records exist, but were not asked for";
-  EXPECT_THAT(lines({"--process", "nobody"}).first, HasSubstr("has been overwritten"));
+  EXPECT_THAT(lines({"--process", "nobody"}).first, HasSubstr("have been overwritten"));
 }
 
 // The publisher is a client that reports a withdrawal as often as it likes.
@@ -179,12 +178,15 @@ TEST(CtlJournal, ShowsWithdrawnReadersAndIsNotFloodedByThem) {
   ASSERT_TRUE(eventually([&] { return counters()["readers_served_again"] == 1; }));
   EXPECT_EQ(counters()["readers_withdrawn"], 1);
   const std::string self = std::to_string(::getpid());
-  const std::string serves = "publisher 0 of /points (camera, pid " + self +
-                             "): says that it serves subscription 0 (viewer, pid " + self + ", uid " +
-                             std::to_string(::geteuid()) + ") ";
+  const auto sentence = [&](const std::string& which, const std::string& end) {
+    return "publisher 0 of /points (camera, pid " + self + "): reports that it " + which +
+           " subscription 0 (viewer, pid " + self + ", uid " + std::to_string(::geteuid()) + ")" +
+           end + '\n';
+  };
   EXPECT_THAT(run_ctl(socket, {"journal", "--process", "viewer", "-n", "2"}).out,
-              testing::AllOf(HasSubstr(serves + "no more: its user kept too much of the heap\n"),
-                             HasSubstr(serves + "again\n")));
+              testing::AllOf(
+                  HasSubstr(sentence("no longer serves", ": its user kept too much of the heap")),
+                  HasSubstr(sentence("serves", " again"))));
   EXPECT_THAT(daemon.log(), HasSubstr("reader served again"));
 
   // The daemon records no reader that does not exist, and none of another client's publisher.
@@ -213,7 +215,7 @@ TEST(CtlJournal, ShowsMuteSubscriptions) {
   b.subscription("/left");
   const auto mute = [&](const std::string& topic) {
     const std::string out = run_ctl(socket, {"journal", "-n", "4096", "--topic", topic}).out;
-    return out.find("(viewer, pid " + std::to_string(::getpid()) + "): nobody can ring it") !=
+    return out.find("(viewer, pid " + std::to_string(::getpid()) + "): has no doorbell") !=
            std::string::npos;
   };
   EXPECT_FALSE(mute("/points"));

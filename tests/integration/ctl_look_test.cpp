@@ -162,12 +162,11 @@ TEST_F(CtlLook, SaysOfEachPairWhetherItIsZeroCopyAndWhyNot) {
   EXPECT_EQ(states(), (std::vector<std::string>{"zero_copy", "incompatible_qos"}));
   const std::string process = " of wire_client (pid " + std::to_string(::getpid()) + ", uid " +
                               std::to_string(::geteuid()) + ")";
-  EXPECT_THAT(
-      out({"topic", "info", "-v", "/points"}),
-      HasSubstr("Is it zero-copy?\n  /lidar -> /viewer: yes\n  /weak" + process + " -> /viewer" +
-                process +
-                ": no, incompatible_qos: the publisher is best_effort, the subscription asks "
-                "for reliable\n"));
+  EXPECT_THAT(out({"topic", "info", "-v", "/points"}),
+              HasSubstr("Is it zero-copy?\n  /lidar -> /viewer: yes\n  /weak" + process +
+                        " -> /viewer" + process +
+                        ": no, incompatible_qos: the publisher is best_effort, the subscription "
+                        "requests reliable\n"));
   auto& endpoint = *reinterpret_cast<abi::PublisherEndpoint*>(a.region.base() + p.extent);
   a.commit(p, 3);
   endpoint.adopted_messages.store(2);
@@ -281,7 +280,7 @@ TEST_F(CtlLook, ShowsOneProcess) {
     EXPECT_THAT(info, HasSubstr("wire_client (pid " + pid + ", uid "));
     EXPECT_THAT(info, HasSubstr("Publishers:\n    /points: test/msg/Type\n"));
     EXPECT_THAT(info, HasSubstr("Subscribers:\n    /clock: test/msg/Type\n"));
-    EXPECT_THAT(info, HasSubstr("Refused lately:\n    type_mismatch: publisher of /points: "));
+    EXPECT_THAT(info, HasSubstr("Refused recently:\n    type_mismatch: publisher of /points: "));
   }
   const auto info = json({"process", "info", pid});
   EXPECT_EQ(info["processes"][0]["windows"].size(), 1u);
@@ -302,7 +301,7 @@ TEST_F(CtlLook, ChangesTheLogLevelOfTheDaemon) {
   EXPECT_EQ(wrong.status, 2);
   EXPECT_EQ(
       wrong.err,
-      "agnocast-ctl: \"debgu\": this is no level; known: error, warning, notice, info, debug\n"
+      "agnocast-ctl: \"debgu\": unknown level; use one of error, warning, notice, info, debug\n"
       "hint: agnocast-ctl log-level debug\n");
 }
 

@@ -152,7 +152,7 @@ TEST_F(CtlMetrics, RefuseImpossibleOptions) {
   const CtlResult no_file = metrics({"--every", "15"});
   EXPECT_EQ(no_file.status, 2);
   EXPECT_EQ(no_file.err,
-            "agnocast-ctl: --every: there is no file to write again and again\n"
+            "agnocast-ctl: --every: there is no file to rewrite\n"
             "hint: agnocast-ctl metrics --every 15 --output FILE\n");
   const CtlResult no_folder = metrics({"--output", "/nowhere/at/all"});
   EXPECT_EQ(no_folder.status, 1);

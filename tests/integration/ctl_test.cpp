@@ -224,9 +224,9 @@ TEST(Ctl, ListsProcessesAliveOrphanedAndDead) {
   EXPECT_THAT(text.out, HasSubstr("  orphaned  "));
   EXPECT_THAT(text.out, HasSubstr("  dead  "));
   EXPECT_THAT(run_ctl(daemon.socket_path(), {"topic", "info", "-v", "/topic"}).out,
-              HasSubstr("Publisher count: 0 (and 1 that has left or died)"));
+              HasSubstr("Publisher count: 0 (and 1 that left or died)"));
   EXPECT_THAT(run_ctl(daemon.socket_path(), {"topic", "info", "-v", "/topic"}).out,
-              HasSubstr("State: orphan: publishes no more, is being read to its end"));
+              HasSubstr("State: orphan: has ended, its last messages are still being read"));
   const CtlResult verdict = run_ctl(daemon.socket_path(), {"verify"});
   EXPECT_EQ(verdict.status, 0) << verdict.out << verdict.err;
 }
@@ -398,7 +398,7 @@ TEST(Ctl, ReportsErrorsInTwoLines) {
        "agnocast-ctl: topic lst: unknown command\nhint: agnocast-ctl topic list\n"},
       {{"topics", "x"},
        2,
-       "agnocast-ctl: x: agnocast-ctl topic list takes no such word\n"
+       "agnocast-ctl: x: agnocast-ctl topic list takes no such argument\n"
        "hint: agnocast-ctl topic list --help\n"},
       {{"statsu"}, 2, "agnocast-ctl: statsu: unknown command\nhint: agnocast-ctl status\n"},
       {{"help"}, 2, "agnocast-ctl: help: unknown command\nhint: agnocast-ctl --help\n"},
@@ -414,16 +414,16 @@ TEST(Ctl, ReportsErrorsInTwoLines) {
       {{"status", "-t"}, 2, "agnocast-ctl: -t: unknown option\nhint: agnocast-ctl status --help\n"},
       {{"status", "--json=xml"},
        2,
-       "agnocast-ctl: --json: \"xml\" is not known; known: short, pretty\n"
+       "agnocast-ctl: --json: \"xml\" is unknown; use one of short, pretty\n"
        "hint: agnocast-ctl status --help\n"},
       {{"topics"},
        2,
-       "agnocast-ctl: ROS_DOMAIN_ID: \"seven\" is no domain; it is a number from 0 to 232\n"
+       "agnocast-ctl: ROS_DOMAIN_ID: \"seven\" is not a domain; use a number from 0 to 232\n"
        "hint: ROS_DOMAIN_ID=0 agnocast-ctl topic list\n",
        {"ROS_DOMAIN_ID=seven"}},
       {{"topics", "--domain", "233"},
        2,
-       "agnocast-ctl: --domain: \"233\" is no domain; it is a number from 0 to 232\n"
+       "agnocast-ctl: --domain: \"233\" is not a domain; use a number from 0 to 232\n"
        "hint: ROS_DOMAIN_ID=0 agnocast-ctl topic list\n"},
       {{"status", "--socket", "/nonexistent/socket"},
        3,
@@ -521,7 +521,7 @@ TEST(Ctl, ReportsThatTheSocketBelongsToAnotherProgram) {
   const CtlResult result = run_ctl(path, {"status"});
   EXPECT_EQ(result.status, 3);
   EXPECT_THAT(result.err, StartsWith("agnocast-ctl: " + path +
-                                     ": this is another program's socket\nhint: start it: "));
+                                     ": this is the socket of another program\nhint: start it: "));
   remove_directory(directory);
 }
 

@@ -57,7 +57,7 @@ TEST_F(DoctorDaemon, NamesTheQuotaThatIsUsedUp) {
   node.publisher("/d");
   const Findings findings = doctor.look();
   ASSERT_THAT(findings.all, ElementsAre("quota: uid " + std::to_string(::geteuid()) +
-                                        " has 4 of [quota] topics = 4"));
+                                        " uses 4 of [quota] topics = 4"));
   EXPECT_EQ(findings.result.status, 6);
   expect_mended_by_reload(daemon, doctor, findings);
 }
@@ -141,7 +141,7 @@ TEST_F(DoctorDaemon, ReportsThatTheDaemonDiesRepeatedly) {
   }
   const Findings findings = doctor.look();
   EXPECT_THAT(findings.all,
-              ElementsAre("daemon-restarts: agnocastd was restarted 3 times within ten minutes"));
+              ElementsAre("daemon-restarts: agnocastd restarted 3 times within ten minutes"));
   EXPECT_THAT(findings.remedies[0], StartsWith("journalctl "));
 }
 

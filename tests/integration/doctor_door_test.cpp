@@ -184,9 +184,10 @@ TEST_F(DoctorDoor, NamesAListenerThatIsNotTrusted) {
   Doctored doctor(path);
   const Findings findings = doctor.look();
   ASSERT_THAT(findings.ids(), ElementsAre("daemon-untrusted"));
-  EXPECT_EQ(findings.all[0], "daemon-untrusted: user 65534 listens at " + path +
-                                 ", and neither root, nor this user, nor whom root has given its "
-                                 "directory");
+  EXPECT_EQ(findings.all[0],
+            "daemon-untrusted: user 65534 listens at " + path +
+                ", but is neither root, nor this user, nor the user to whom root gave its "
+                "directory");
   EXPECT_EQ(findings.remedies[0], "unset AGNOCAST_SOCKET");
   ::setenv("AGNOCAST_DAEMON_UID", "65534", 1);
   EXPECT_THAT(doctor.look().ids(), testing::Not(testing::Contains("daemon-untrusted")));

@@ -216,7 +216,7 @@ TEST_F(DoctorMembers, NamesQualitiesThatDoNotMatch) {
                               std::to_string(::geteuid()) + ")";
   ASSERT_THAT(findings.all,
               ElementsAre("qos-mismatch: /points: /lidar" + process + " -> /viewer" + process +
-                          ": the publisher is best_effort, the subscription asks for reliable"));
+                          ": the publisher is best_effort, the subscription requests reliable"));
   const Remedy remedy(findings.remedies[0], {environment()});
   EXPECT_EQ(remedy.status(), 0) << findings.remedies[0];
 }
@@ -286,7 +286,7 @@ TEST_F(DoctorMembers, NamesAWithdrawnSubscription) {
   words.withdrawn(s.index).store(abi::pack_withdrawal(s.index, abi::Withdrawal::over_share));
   const Findings findings = doctor_.look();
   ASSERT_THAT(findings.ids(), ElementsAre("reader-withdrawn"));
-  EXPECT_THAT(findings.all[0], HasSubstr("the publisher says that its user kept too much"));
+  EXPECT_THAT(findings.all[0], HasSubstr("the publisher reports that its user kept too much"));
   words.withdrawn(s.index).store(0);
   EXPECT_TRUE(is_well());
 }
@@ -336,9 +336,9 @@ TEST_F(DoctorMembers, NamesAMuteSubscription) {
   EXPECT_THAT(
       findings.all[0],
       HasSubstr("/viewer of wire_client (pid " + std::to_string(reader.pid()) + ", uid " +
-                std::to_string(::geteuid()) + ") hears of messages of /points only when it looks"));
+                std::to_string(::geteuid()) + ") finds messages of /points only by polling"));
   EXPECT_THAT(run_ctl(socket(), {"topic", "info", "-v", "/points"}).out,
-              HasSubstr("Bell: nobody can ring it"));
+              HasSubstr("Doorbell: none"));
   const Remedy remedy(first_part(findings.remedies[0]));
   EXPECT_EQ(reader.wait(), -SIGTERM);
   EXPECT_TRUE(is_well());

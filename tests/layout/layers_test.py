@@ -59,7 +59,7 @@ class Layers(unittest.TestCase):
     def test_a_row_that_points_upward(self):
         def upward(text):
             return text.replace("| `views.hpp` | `base/`", "| `views.hpp` | `client/session/`, `base/`")
-        self.assertIn("region/ may include client/session/, which is no row above it", self.found({}, upward)[0])
+        self.assertIn("region/ may include client/session/, which is not a row above it", self.found({}, upward)[0])
 
     def test_another_picture(self):
         self.assertIn("picture", self.found({}, lambda text: text.replace("  ctl --> journal\n", ""))[0])

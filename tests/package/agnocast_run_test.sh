@@ -13,8 +13,8 @@ expect 0 "first.so" env LD_PRELOAD= "$run" sh -c 'LD_PRELOAD="$LD_PRELOAD first.
 expect 0 "scope=" "$run" sh -c 'echo scope=$AGNOCAST_SCOPE'
 expect 0 "scope=all" "$run" --scope all sh -c 'echo scope=$AGNOCAST_SCOPE'
 expect 0 "scope=loan" env AGNOCAST_SCOPE=all "$run" --scope loan sh -c 'echo scope=$AGNOCAST_SCOPE'
-expect 2 "--scope wants loan or all, not 'some'" "$run" --scope some true
-expect 2 "--scope wants loan or all, not ''" "$run" --scope
+expect 2 "--scope needs loan or all, not 'some'" "$run" --scope some true
+expect 2 "--scope needs loan or all, not ''" "$run" --scope
 expect 2 "hint: usage: agnocast-run" "$run"
 expect 2 "unknown option '--bogus'" "$run" --bogus true
 expect 2 "no command" "$run" --

@@ -107,7 +107,7 @@ TEST_F(Bounds, OfAReaderThatDoesNotAcknowledgeAffectItsWritersAlone) {
     for (std::size_t j = 0; j < history; ++j)
       (void)publish(*publishers.back(), std::string(100'000, 'x'));
   }
-  ASSERT_TRUE(other_.eventually([&] { return said("keep-all holds a publisher up") > 0; }));
+  ASSERT_TRUE(other_.eventually([&] { return said("keep-all blocks a publisher") > 0; }));
   // Neither the status nor another topic waits for it.
   DdsReader& beside = other_.reads<String>(dds_topic() + "_beside", keep_last(100));
   auto free = create_publisher<String>(PlainNode(), topic() + "_beside", QoS(10));

@@ -161,8 +161,9 @@ TEST_F(DoctorBridge, NamesADomainWithNodesAndNoBridge) {
   auto publisher = create_publisher<String>(PlainNode(), topic(), 5);
   const Domain other;
   const auto running = bridge(other.id());
-  EXPECT_THAT(found(), testing::ElementsAre("bridge-elsewhere: nodes of this host are in domain " +
-                                            std::to_string(domain->id()) + ", and no bridge is"));
+  EXPECT_THAT(found(),
+              testing::ElementsAre("bridge-elsewhere: this host has nodes in domain " +
+                                   std::to_string(domain->id()) + ", but no bridge serves it"));
   const Remedy remedy(remedy_);
   EXPECT_TRUE(soon([&] { return found().empty(); }));
 }
@@ -179,7 +180,7 @@ TEST_F(DoctorBridge, NamesATypeThatABridgeDoesNotFind) {
   ASSERT_TRUE(soon([&] { return !found().empty(); }));
   EXPECT_THAT(found(),
               testing::ElementsAre("bridge-type: " + topic() + ": the bridge of domain " +
-                                   std::to_string(domain->id()) + " finds no std_msgs/msg/String"));
+                                   std::to_string(domain->id()) + " cannot find std_msgs/msg/String"));
   EXPECT_THAT(findings_.result.out,
               HasSubstr("no libstd_msgs__rosidl_typesupport_introspection_cpp.so"));
   const Findings without = doctor_.look({"AMENT_PREFIX_PATH"});
@@ -207,8 +208,9 @@ TEST_F(DoctorBridge, ChecksTheInstalledUnitsAndNotTheirLeftovers) {
   ASSERT_THAT(seen(), IsEmpty());
 
   etc.write("agnocast/bridge-100.toml", "default = 3\n");
-  EXPECT_THAT(seen(), testing::ElementsAre("bridge-configuration: /etc/agnocast/"
-                                           "bridge-100.toml:1:11: default: this is no direction"));
+  EXPECT_THAT(seen(),
+              testing::ElementsAre("bridge-configuration: /etc/agnocast/"
+                                   "bridge-100.toml:1:11: default: this is not a direction"));
   EXPECT_THAT(remedy_, HasSubstr("--config /etc/agnocast/bridge-100.toml"));
   etc.write("agnocast/bridge-100.toml", "");
 
@@ -216,7 +218,7 @@ TEST_F(DoctorBridge, ChecksTheInstalledUnitsAndNotTheirLeftovers) {
   EXPECT_THAT(seen(), IsEmpty()) << "the unit does not exist any more";
   etc.write("systemd/system/unit", "");
   EXPECT_THAT(seen(), testing::ElementsAre("bridge-not-running: agnocast-bridge@100.service is "
-                                           "enabled, and no bridge of it answers"));
+                                           "enabled, but its bridge does not answer"));
   EXPECT_THAT(remedy_, StartsWith("sudo systemctl restart agnocast-bridge@100.service || "));
   etc.disable("agnocast-bridge@100.service");
   etc.enable("agnocast-bridge.service");
@@ -237,7 +239,7 @@ TEST_F(DoctorBridge, NamesAFileOfCycloneDdsThatTheUnitsDoNotSeeAndItsRemedyMoves
   etc.write("default/agnocast-bridge", "CYCLONEDDS_URI=file://" + file + "\n");
   const auto seen = [&] { return found({"AGNOCAST_SOCKET", "CYCLONEDDS_URI"}); };
   EXPECT_THAT(seen(), testing::ElementsAre("cyclonedds-uri: CYCLONEDDS_URI of the units names " +
-                                           file + ", which they do not see"));
+                                           file + ", which the units cannot see"));
   EXPECT_EQ(etc.mend(remedy_), 0) << remedy_;
   EXPECT_THAT(seen(), IsEmpty());
   std::filesystem::remove(file);
@@ -261,7 +263,7 @@ TEST_F(DoctorBridge, NamesMistakesInTheConfigurationOfOneThatRuns) {
   EXPECT_THAT(found(), IsEmpty());
   std::ofstream(file) << "default = \"some\"\n";
   EXPECT_THAT(found(), testing::ElementsAre("bridge-configuration: " + file +
-                                            ":1:11: default: this is no direction"));
+                                            ":1:11: default: this is not a direction"));
   EXPECT_THAT(remedy_, HasSubstr("agnocast-bridge --check-config --config " + file));
 }
 
@@ -289,9 +291,10 @@ TEST_F(DoctorBridge, NamesASocketBufferThatIsTooSmallForTheTraffic) {
   doctor_.overlay()[rmem_max] = "212992\n";
   // The bridge counts a message when it has published it, possibly after it was taken.
   EXPECT_TRUE(soon([&] { return !found().empty(); }));
-  EXPECT_THAT(found(), testing::ElementsAre("receive-buffer: " + topic() +
-                                            " has messages of 976.6 KiB from DDS, and a socket may "
-                                            "have 208.0 KiB"));
+  EXPECT_THAT(found(),
+              testing::ElementsAre("receive-buffer: " + topic() +
+                                   " receives messages of 976.6 KiB from DDS, but a socket "
+                                   "buffer is limited to 208.0 KiB"));
   EXPECT_THAT(remedy_, HasSubstr("net.core.rmem_max = "));
   EXPECT_EQ(findings_.result.status, 0) << "a warning";
 }

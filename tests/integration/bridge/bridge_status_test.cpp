@@ -123,14 +123,14 @@ TEST_F(BridgeCtl, NamesTheStandbyBridgeAndItsLosses) {
         R"("services":[],"unbridged":[],"failures":[]})");
   }));
   const std::string text = ctl({"list", "-d", "0.05"}).out;
-  EXPECT_THAT(text, HasSubstr("the bridge of domain 7 (pid 12) stands by for pid 11"));
+  EXPECT_THAT(text, HasSubstr("the bridge of domain 7 (pid 12) is on standby for pid 11"));
   EXPECT_THAT(text, HasSubstr("has lost 3 messages of publishers"));
   const auto said = ctl({"list", "-d", "0.05", "-j"}).json()["bridges"][0];
   EXPECT_EQ(said["standby_for"], 11);
   EXPECT_EQ(said["lost_early"], 3);
   EXPECT_THAT(text, HasSubstr("has refused 4 messages about nodes in DDS"));
   EXPECT_EQ(said["discovery_info_refused"], 4);
-  EXPECT_THAT(text, HasSubstr("announces 6 publishers in DDS that nobody reads there"));
+  EXPECT_THAT(text, HasSubstr("announces 6 publishers in DDS without a reader there"));
   EXPECT_EQ(said["announced"], 6);
   EXPECT_THAT(text, HasSubstr("has refused 7 beyond the limit endpoints (9)"));
   EXPECT_THAT(text, testing::Not(HasSubstr("limit x")));
@@ -143,7 +143,7 @@ TEST_F(BridgeCtl, NamesTheStandbyBridgeAndItsLosses) {
   EXPECT_EQ(inlet["overflow"], 8);
   EXPECT_THAT(
       ctl({"info", "/i"}).out,
-      HasSubstr("Dropped: 0 malformed, 0 of writers without a publisher here, 8 beyond a limit"));
+      HasSubstr("Dropped: 0 malformed, 0 of writers without a publisher here, 8 over a limit"));
   EXPECT_EQ(said["routes"][1]["lost"], 5);
   EXPECT_THAT(ctl({"info", "/t"}).out,
               HasSubstr("Lost on the way to DDS: 5 messages (reliable, volatile, keep_last 2)"));

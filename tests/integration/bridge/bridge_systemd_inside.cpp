@@ -234,8 +234,8 @@ TEST_F(BridgeUnit, AppliesReloadedRulesAndKeepsTheOldOnesWhenTheyAreWrong) {
   ASSERT_EQ(::kill(pid, SIGHUP), 0);
   EXPECT_TRUE(eventually([] {
     return output_of(
-               "journalctl -u agnocast-bridge --no-pager 'AGNOCAST_EVENT=configuration not "
-               "taken over' AGNOCAST_WHY='this is no direction' -o cat")
+               "journalctl -u agnocast-bridge --no-pager 'AGNOCAST_EVENT=configuration "
+               "rejected' AGNOCAST_WHY='this is not a direction' -o cat")
                .find("bridge.toml:2:11") != std::string::npos;
   }));
   EXPECT_FALSE(traffic.is_read());
@@ -269,7 +269,7 @@ std::string remedy_of(const std::string& check, const std::string& environment) 
   bool is_it = false;
   for (std::string line; std::getline(said, line);) {
     if (!line.starts_with(' ')) is_it = line.find(": " + check + ": ") != std::string::npos;
-    if (const std::string key = "  mend:  "; is_it && line.starts_with(key))
+    if (const std::string key = "  fix:   "; is_it && line.starts_with(key))
       return line.substr(key.size());
   }
   return {};

@@ -302,7 +302,7 @@ TEST_F(ServiceBridge, DropsARequestThatCannotBeAnswered) {
   ASSERT_EQ(client->ask("ask 1 2 3"), "Success");
   EXPECT_EQ(say(*client, "take"), "1 5");
   ASSERT_TRUE(other_.eventually([&] {
-    return bridge_log().find("no way to the server and back") != std::string::npos;
+    return bridge_log().find("no route to the server and back") != std::string::npos;
   })) << bridge_log();
 }
 

@@ -117,7 +117,7 @@ TEST_F(Standby, HasNoRouteAndTakesOverFromAKilledBridge) {
   // No topic exists yet.
   auto second = bridge(2);
   ASSERT_TRUE(other_.eventually([&] { return is_standby(2); }));
-  EXPECT_EQ(said("stands by"), 1u);
+  EXPECT_EQ(said("another bridge serves this domain"), 1u);
   Flow flow(other_, topic());
   ASSERT_TRUE(flow.flows());
   flow.expect_each_once();
@@ -132,7 +132,7 @@ TEST_F(Standby, HasNoRouteAndTakesOverFromAKilledBridge) {
     ASSERT_TRUE(flow.flows()) << "no bridge has taken over";
     flow.expect_each_once();
   }
-  EXPECT_EQ(said("takes over"), 3u);
+  EXPECT_EQ(said("the other bridge of this domain has ended"), 3u);
 }
 
 TEST_F(Standby, TakesOverFromARevokedBridgeWhichExits) {

@@ -201,15 +201,15 @@ TEST_F(CtlTopic, EchoRequestsTheQosThatAllPublishersOffer) {
   EXPECT_EQ(noted.status, 124);
   EXPECT_EQ(
       noted.err,
-      "agnocast-ctl: some publishers are reliable and some best effort; taking best effort of "
-      "all; some publishers are transient local and some volatile; taking volatile of all\n"
-      "agnocast-ctl: /mixed: 0 messages came within 0.2 s\n"
+      "agnocast-ctl: some publishers are reliable and some best effort; using best effort for "
+      "all; some publishers are transient local and some volatile; using volatile for all\n"
+      "agnocast-ctl: /mixed: 0 messages arrived within 0.2 s\n"
       "hint: agnocast-ctl topic info -v /mixed\n");
   reliable.reset();
   const CtlResult refused =
       ctl({"topic", "echo", "/mixed", "--timeout", "0.5", "--qos-reliability", "reliable"});
   EXPECT_EQ(refused.status, 124);
-  EXPECT_THAT(refused.err, HasSubstr("offers less than is asked for: reliability\n"));
+  EXPECT_THAT(refused.err, HasSubstr("offers less than requested: reliability\n"));
 }
 
 TEST_F(CtlTopic, PubReachesATypedNodeWithoutACopy) {
@@ -276,7 +276,7 @@ TEST_F(CtlTopic, PubSendsTheRequestedNumberOfMessages) {
   EXPECT_EQ(alone.status, 124);
   EXPECT_EQ(alone.out, "Waiting for at least 1 matching subscription(s)...\n");
   EXPECT_EQ(alone.err,
-            "agnocast-ctl: /nobody: 0 matching subscriptions of 1 came in time\n"
+            "agnocast-ctl: /nobody: 0 matching subscriptions of 1 matched in time\n"
             "hint: agnocast-ctl topic info -v /nobody\n");
 }
 
@@ -386,7 +386,7 @@ TEST_F(CtlTopic, AClosedPipeEndsThemWithoutNoise) {
     EXPECT_EQ(status, 0) << words;
     std::string noise;
     std::getline(std::ifstream(errors), noise, '\0');
-    EXPECT_TRUE(noise.empty() || noise.find("came faster") != noise.npos) << noise;
+    EXPECT_TRUE(noise.empty() || noise.find("arrived faster") != noise.npos) << noise;
     std::filesystem::remove(directory.path("status"));
   }
   is_over = true;
@@ -431,19 +431,19 @@ TEST_F(CtlTopic, BadInputIsRefusedInTwoLines) {
                 "\"heador\": sensor_msgs/msg/PointCloud2 has no field \"heador\"; it has: "},
            Case{{"echo", "/refused", "--field", "data[x]"},
                 2,
-                "\"data[x]\": '[' wants an index and ']'\n" + fields},
+                "\"data[x]\": '[' needs an index and ']'\n" + fields},
            Case{{"echo", "/refused", "--filter", "m.height = 1"},
                 2,
-                "--filter: character 10 of \"m.height = 1\": is equal is written ==\n"},
+                "--filter: character 10 of \"m.height = 1\": write == for equality\n"},
            Case{{"echo", "/refused", "--raw", "--csv"},
                 2,
-                "--raw: goes without --csv, --field and --filter\n"},
+                "--raw: cannot be combined with --csv, --field and --filter\n"},
            Case{{"echo", "/refused", "--timeout", "0"},
                 2,
-                "--timeout: \"0\" is no number above 0\n"},
+                "--timeout: \"0\" is not a number above 0\n"},
            Case{{"echo", "/refused", "--qos-reliability", "maybe"},
                 2,
-                "--qos-reliability: \"maybe\" is not known; known: reliable, best_effort, "},
+                "--qos-reliability: \"maybe\" is unknown; use one of reliable, best_effort, "},
            Case{{"echo", "/refused", "--qos-depth", "0"}, 2, "--qos-depth: "},
            Case{{"echo", "/refused", "-n", "0"}, 2, "--number: "},
            Case{{"echo", "/refused", "std_msgs/msg/String"},
@@ -456,23 +456,25 @@ TEST_F(CtlTopic, BadInputIsRefusedInTwoLines) {
                 "height: '-1' is out of the range of uint32\nhint: "},
            Case{{"pub", "/x", type, "{header: {stamp: {sec: soon}}}"},
                 1,
-                "header.stamp.sec: 'soon' is no int32\nhint: "},
+                "header.stamp.sec: 'soon' is not of type int32\nhint: "},
            Case{{"pub", "/x", type, "{heigth: 1}"},
                 1,
                 "sensor_msgs/msg/PointCloud2: sensor_msgs/msg/PointCloud2 has no field 'heigth'; "},
            Case{{"pub", "/x", type, "{height: "}, 1, "YAML: line 1, column "},
            Case{{"pub", "/x", type, "{}", "--stdin"},
                 2,
-                "VALUES: only one of VALUES, --stdin and --yaml-file\n"},
+                "VALUES: use only one of VALUES, --stdin and --yaml-file\n"},
            Case{{"pub", "/x", type, "--yaml-file", "/nowhere"},
                 1,
                 "/nowhere: the operating system refused an operation: opening: No such file or "
                 "directory\n"},
-           Case{{"pub", "/x", type, "--once", "--times", "3"}, 2, "--once: goes without --times\n"},
-           Case{{"pub", "/x", type, "--rate", "0"}, 2, "--rate: \"0\" is no number above 0"},
+           Case{{"pub", "/x", type, "--once", "--times", "3"},
+                2,
+                "--once: cannot be combined with --times\n"},
+           Case{{"pub", "/x", type, "--rate", "0"}, 2, "--rate: \"0\" is not a number above 0"},
            Case{{"pub", "/x", type, "--max-wait-time-secs", "1"},
                 2,
-                "--max-wait-time-secs: goes with --once, "},
+                "--max-wait-time-secs: needs --once, "},
            Case{{"pub", "/x", type, "--node-name", "a/b"}, 2, "a/b: a name is not a ROS 2 name: "},
            Case{{"pub", "/refused", "std_msgs/msg/String", "-1"},
                 1,

@@ -121,7 +121,7 @@ TEST_F(CtlCall, EndsWhenNoResponseArrivesInTime) {
   EXPECT_EQ(nobody.status, 124);
   EXPECT_EQ(nobody.out, "waiting for service to become available...\n");
   EXPECT_EQ(nobody.err,
-            "agnocast-ctl: /nobody: nobody serves it within 0.2 s\n"
+            "agnocast-ctl: /nobody: it has no server within 0.2 s\n"
             "hint: agnocast-ctl service info -v /nobody\n");
   const auto silent =
       node.create_service<AddTwoInts>("/silent", [](const ServiceRequest<AddTwoInts>&) {});
@@ -159,7 +159,7 @@ TEST_F(CtlCall, RefusesARequestOfAnotherType) {
   refused({"/refuses"}, 2, "TYPE: is missing\n");
   refused({"/refuses", "nowhere/srv/X"}, 4, "nowhere/srv/X: ");
   refused({"/refuses", add_type, "{c: 1}"}, 1, "'c'");
-  refused({"/refuses", add_type, "{a: x}"}, 1, "a: 'x' is no int64");
+  refused({"/refuses", add_type, "{a: x}"}, 1, "a: 'x' is not of type int64");
   refused({"/refuses", "std_srvs/srv/SetBool", "{data: true}"}, 1,
           "/refuses: " + std::string(sentence_of(Errc::type_mismatch)));
   refused({"no name", add_type}, 2, "a name is not a ROS 2 name");

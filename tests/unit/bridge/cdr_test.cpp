@@ -380,7 +380,7 @@ TEST(Cdr, AMessageThatGrowsDuringTheWriteDoesNotOverflowTheBuffer) {
   Bytes memory(32, std::byte{0xa5});
   const auto grown = write(memory);
   ASSERT_FALSE(grown);
-  EXPECT_EQ(grown.error().text(), "no room, or the message changes at byte 8 in value");
+  EXPECT_EQ(grown.error().text(), "no room, or the message changed at byte 8 in value");
   EXPECT_EQ(memory[12], std::byte{0xa5});
 
   count = 4;

@@ -488,7 +488,7 @@ TEST_F(Routes, SayThatNoWriterIsFoundBecauseTheTypeIsUnknown) {
   const Plan nothing = plan();
   ASSERT_THAT(nothing.unbridged, SizeIs(1));
   EXPECT_EQ(nothing.unbridged[0].why, WhyNot::no_writer);
-  EXPECT_THAT(nothing.unbridged[0].detail, HasSubstr("cannot be handled here"));
+  EXPECT_THAT(nothing.unbridged[0].detail, HasSubstr("is not available here"));
 }
 
 TEST_F(Routes, LeaveOutBridgesOtherDomainsServicesAndNamesOutsideRos) {

@@ -138,7 +138,7 @@ TEST_F(ServicePlans, SayWhichTypeTheServiceHasInDdsAndThatATypeIsUnknown) {
   remote_server(1, "Trigger");
   ASSERT_THAT(plan().unbridged, SizeIs(1));
   EXPECT_EQ(plan().unbridged[0].why, WhyNot::other_type);
-  EXPECT_EQ(plan().unbridged[0].detail, "there it is example_interfaces/srv/Trigger");
+  EXPECT_EQ(plan().unbridged[0].detail, "in DDS it is example_interfaces/srv/Trigger");
   locals_.clear();
   local(EndpointKind::publisher, "client", "example_interfaces/srv/Trigger");
   ASSERT_THAT(plan().unbridged, SizeIs(1));

@@ -61,23 +61,22 @@ TEST(Journal, DescribesDeathsAndRecoveries) {
   EXPECT_EQ(publisher(1), who + "ended with its process, nothing was open");
   EXPECT_EQ(publisher(2), who + "ended with its process, last message rolled back");
   EXPECT_EQ(publisher(3), who + "ended with its process, last message rolled forward");
-  EXPECT_EQ(publisher(4), who + "ended with its process, what it was doing is corrupt");
+  EXPECT_EQ(publisher(4), who + "ended with its process, its last operation is corrupt");
   const auto death = [](std::uint64_t reason) {
     return sentence(named(record(RecordType::client_dead, {{"client", 7}, {"reason", reason}}), "",
                           "lidar", 812));
   };
   EXPECT_EQ(death(0), "process 7 (lidar, pid 812): died");
-  EXPECT_EQ(death(1), "process 7 (lidar, pid 812): let go of its memory and lives");
-  EXPECT_EQ(death(2), "process 7 (lidar, pid 812): was revoked and lives");
+  EXPECT_EQ(death(1), "process 7 (lidar, pid 812): unmapped its memory and still runs");
+  EXPECT_EQ(death(2), "process 7 (lidar, pid 812): was revoked and still runs");
   EXPECT_EQ(sentence(record(
                 RecordType::recovered,
                 {{"pid", 99}, {"redone_lsn", 4710}, {"dead_count", 1}, {"board_word_count", 2}})),
             "agnocastd (pid 99): took over, completed #4710, 1 process had died, 2 "
-            "words of the board written again");
-  EXPECT_EQ(
-      sentence(record(RecordType::recovered, {{"pid", 99}})),
-      "agnocastd (pid 99): took over, nothing was under way, 0 processes had died, 0 words of "
-      "the board written again");
+            "words of the board rewritten");
+  EXPECT_EQ(sentence(record(RecordType::recovered, {{"pid", 99}})),
+            "agnocastd (pid 99): took over, no operation was in progress, 0 processes had died, 0 "
+            "words of the board rewritten");
   EXPECT_EQ(sentence(named(record(RecordType::rejoined, {{"client", 7}}), "", "lidar", 812)),
             "process 7 (lidar, pid 812): came back");
 }
@@ -89,17 +88,17 @@ TEST(Journal, DescribesNotificationsAndAcknowledgements) {
                              {{"index", 0}, {"kind", kind(wire::Kind::subscription)}, {"to", 5}}),
                       "/points", "viewer", 2),
                 "lidar", 812)),
-            "subscription 0 of /points (viewer, pid 2): lidar (pid 812) is told");
+            "subscription 0 of /points (viewer, pid 2): lidar (pid 812) is notified");
   EXPECT_EQ(sentence(named(record(RecordType::unlinked,
                                   {{"index", 4}, {"kind", kind(wire::Kind::publisher)}, {"by", 5}}),
                            "/points", "lidar", 812)),
-            "publisher 4 of /points (lidar, pid 812): process 5 (forgotten) has let go");
+            "publisher 4 of /points (lidar, pid 812): process 5 (forgotten) has unmapped it");
   EXPECT_EQ(
       sentence(told(named(record(RecordType::unlinked,
                                  {{"client", 7}, {"kind", kind(wire::Kind::region)}, {"by", 5}}),
                           "", "lidar", 812),
                     "viewer", 2)),
-      "memory of process 7 (lidar, pid 812): viewer (pid 2) has let go");
+      "memory of process 7 (lidar, pid 812): viewer (pid 2) has unmapped it");
 }
 
 TEST(Journal, DescribesWithdrawnReadersAndTheReason) {
@@ -110,28 +109,29 @@ TEST(Journal, DescribesWithdrawnReadersAndTheReason) {
               "/points", "camera", 820),
         "viewer", 977);
   };
-  const std::string who =
-      "publisher 0 of /points (camera, pid 820): says that it serves subscription 2 (viewer, pid 977, uid "
-      "1001) ";
-  EXPECT_EQ(sentence(withdrawn(1)), who + "no more: it held more messages than it may");
-  EXPECT_EQ(sentence(withdrawn(2)), who + "no more: its user kept too much of the heap");
-  EXPECT_EQ(sentence(withdrawn(3)), who + "no more: its process could not be mapped");
+  const std::string who = "publisher 0 of /points (camera, pid 820): reports that it ";
+  const std::string reader = "serves subscription 2 (viewer, pid 977, uid 1001)";
+  EXPECT_EQ(sentence(withdrawn(1)),
+            who + "no longer " + reader + ": it held more messages than it may");
+  EXPECT_EQ(sentence(withdrawn(2)),
+            who + "no longer " + reader + ": its user kept too much of the heap");
+  EXPECT_EQ(sentence(withdrawn(3)),
+            who + "no longer " + reader + ": its process could not be mapped");
   // The names belong to other processes now; the pids are those of the record.
-  EXPECT_EQ(
-      sentence(told(named(withdrawn(2), "", "", 820), "", 977)),
-      "publisher 0 of topic 0 (forgotten) (pid 820): says that it serves subscription 2 (pid 977, uid 1001) no "
-      "more: its user kept too much of the heap");
+  EXPECT_EQ(sentence(told(named(withdrawn(2), "", "", 820), "", 977)),
+            "publisher 0 of topic 0 (forgotten) (pid 820): reports that it no longer serves "
+            "subscription 2 (pid 977, uid 1001): "
+            "its user kept too much of the heap");
   EXPECT_EQ(sentence(told(named(record(RecordType::reader_served_again,
                                        {{"index", 0}, {"subscription", 2}, {"reader_uid", 1001}}),
                                 "/points", "camera", 820),
                           "viewer", 977)),
-            who + "again");
-  EXPECT_EQ(
-      sentence(
-          named(record(RecordType::reader_mute, {{"index", 2}, {"executor", 4}, {"uid", 1001}}),
+            who + reader + " again");
+  EXPECT_EQ(sentence(named(
+                record(RecordType::reader_mute, {{"index", 2}, {"executor", 4}, {"uid", 1001}}),
                 "/points", "viewer", 977)),
-      "subscription 2 of /points (viewer, pid 977): nobody can ring it (executor 4, uid 1001), it "
-      "hears of messages only when it looks");
+            "subscription 2 of /points (viewer, pid 977): has no doorbell (executor 4, uid 1001), "
+            "it finds messages only by polling");
   const auto object = record_object(withdrawn(2), {});
   EXPECT_EQ(object["type"], "reader_withdrawn");
   EXPECT_EQ(object["arguments"]["why"], "over_share");
@@ -160,12 +160,12 @@ TEST(Journal, ReportsUnreadableRecords) {
   JournalRecord damaged{};
   damaged.lsn = 4711;
   damaged.state = JournalState::damaged;
-  EXPECT_EQ(sentence(damaged), "record: damaged: what lies there is no record");
+  EXPECT_EQ(sentence(damaged), "record: damaged: not a valid record");
   JournalRecord strange = record(RecordType::announced, {});
   strange.type = 999;
-  EXPECT_EQ(sentence(strange), "record: damaged: what lies there is no record");
+  EXPECT_EQ(sentence(strange), "record: damaged: not a valid record");
   EXPECT_EQ(sentence(record(RecordType::free_publisher, {{"topic", 3}, {"index", 1}})),
-            "publisher 1 of topic 3 (forgotten) (forgotten): is over, its place is free");
+            "publisher 1 of topic 3 (forgotten) (forgotten): removed, its entry is free");
   // A topic cannot have this name; a process can.
   EXPECT_EQ(sentence(named(record(RecordType::rejoined, {{"client", 7}}), "", "\x1b[2J", 1)),
             "process 7 (\\x1b[2J, pid 1): came back");

@@ -201,10 +201,10 @@ TEST(MessageText, APathFindsItsField) {
            {"height.x", "uint32 has no field \"x\""},
            {"height[0]", "uint32 has no elements"},
            {"fields.name", "sensor_msgs/msg/PointField[] has no field \"name\""},
-           {"fields[x]", "'[' wants an index and ']'"},
-           {"fields[-1]", "'[' wants an index and ']'"},
-           {"fields[1", "'[' wants an index and ']'"},
-           {"fields[99999999999999999999]", "'[' wants an index and ']'"},
+           {"fields[x]", "'[' needs an index and ']'"},
+           {"fields[-1]", "'[' needs an index and ']'"},
+           {"fields[1", "'[' needs an index and ']'"},
+           {"fields[99999999999999999999]", "'[' needs an index and ']'"},
            {"fields[1]name", "a '.' or '[' is missing"}}) {
     const auto path = Path::parse(place, message.type().members());
     ASSERT_FALSE(path) << place;
