@@ -9,10 +9,13 @@
 // all that its announce sets say; so nothing that was sent on an earlier connection needs to be
 // known to have arrived.
 //
-// settle() is the other half of rule RU: called for whatever somebody has let go of, it frees what
-// nobody has any more, and then what that made free: endpoint, topic, process.
+// What the end of something means is decided without I/O (endings.hpp, leaving.hpp) and carried out by
+// EffectRunner.
 #pragma once
 
+#include <daemon/lifecycle/effect_runner.hpp>
+#include <daemon/lifecycle/endings.hpp>
+#include <daemon/lifecycle/leaving.hpp>
 #include <daemon/lifecycle/regions.hpp>
 #include <daemon/state/registry.hpp>
 #include <daemon/transport/doorbells.hpp>
@@ -35,8 +38,9 @@ namespace agnocast::daemon {
 
 class Membership {
  public:
-  Membership(Registry& registry, Regions& regions, Doorbells& doorbells, Post& post) noexcept
-      : registry_(registry), regions_(regions), doorbells_(doorbells), post_(post) {}
+  Membership(Registry& registry, Regions& regions, Doorbells& doorbells, Post& post);
+  Membership(const Membership&) = delete;
+  Membership& operator=(const Membership&) = delete;
 
   /// Called with a process that is over: everything of it may be used again.
   std::function<void(ClientIndex)> on_ended;
@@ -48,9 +52,6 @@ class Membership {
   [[nodiscard]] Result<void> create(ClientIndex client, const CreateRequest& request);
   /// A creation that is asked for again: answers and announces as before, if it was carried out.
   bool answer_again(ClientIndex client, const CreateRequest& request);
-  /// A refusal for lack of places, and who keeps publishers there that are gone (of that user).
-  [[nodiscard]] tl::unexpected<Failure> explain_full(TopicIndex topic, const Failure& why,
-                                                     std::optional<std::uint32_t> uid = {}) const;
   /// Errors: protocol_violation.
   [[nodiscard]] Result<void> leave(ClientIndex client, const LeaveRequest& request);
   [[nodiscard]] Result<void> drained(ClientIndex client, const DrainedRequest& request);
@@ -78,33 +79,21 @@ class Membership {
   void notice(const EndpointRef& ref, Errc code, const std::string& text,
               abi::QosPolicy policy = abi::QosPolicy::none);
 
-  // --- for the reaper
-  /// A subscription whose process is no member any more.
-  void bury_subscription(const EndpointRef& ref);
-  /// Nobody publishes there any more: board, then everybody is rung and told.
-  void orphan(const EndpointRef& ref, std::uint64_t final_head, journal::LeaveCause cause);
-  /// Frees the endpoint if it is over and nobody has it any more, and with it its topic and its process.
-  void settle(const EndpointRef& ref);
-  void settle_topic(TopicIndex topic);
-  /// When it has left the announce sets of all topics.
+  // --- the end of a process (death/client_death.hpp has the states)
+  /// Decides; run() carries out what it says.
+  Endings& endings() noexcept { return endings_; }
+  const Endings& endings() const noexcept { return endings_; }
+  void run(const Effects& effects) { runner_.run(effects); }
+  /// The process has left the announce sets of all topics, and now leaves those of regions.
   void forget_client(ClientIndex client);
-  /// Frees the place of a process if nobody has anything of it any more.
-  void settle_client(ClientIndex client);
-  void settle_clients();
-  /// Of the processes that are gone and of which others have something, gives up the oldest of the user
-  /// who has most, when they are too many.
-  void limit_gone();
-  /// What is over, by the user whose it was and generation: whoever was told of it and holds nothing of it
-  /// is to let go now.
-  using GivenUp = std::map<std::uint32_t, std::map<std::uint64_t, EndpointRef>>;
-  const GivenUp& given_up() const noexcept { return given_up_; }
 
   // --- for a daemon that goes on
   /// Carries out what follows from the records of the former life and has no record yet: who has
   /// drained has let go as well, and what nobody has any more is free.
-  void finish();
+  void carry_out_what_is_owed();
 
  private:
+  [[nodiscard]] Result<void> run(const Result<Effects>& decision);
   [[nodiscard]] Result<void> create_publisher(ClientIndex client, TopicIndex topic,
                                               const CreateRequest& request);
   [[nodiscard]] Result<void> create_subscription(ClientIndex client, TopicIndex topic,
@@ -136,38 +125,18 @@ class Membership {
   void tell_next(ClientIndex client, ToTell& rest);
   void tell_what_is_over(ClientIndex client, TopicIndex topic);
   void tell_region(ClientIndex client, std::uint32_t owner);
-  void say_orphaned(const EndpointRef& ref, ClientIndex to);
   void notice_mismatches(const EndpointRef& ref, bool to_all = true);
   std::string type_mismatch_text(ClientIndex client, TopicIndex topic,
                                  const CreateRequest& request) const;
-  [[nodiscard]] bool may_judge(ClientIndex client, const Announced& subject, std::uint64_t seen);
   void notice_types(ClientIndex client, TopicIndex topic, const std::string& text);
-  void kick(TopicIndex topic, std::uint32_t publisher);
-  void kick_publishers_of(const EndpointRef& subscription);
-  void forget_subscription(const EndpointRef& ref);
-  void limit_orphans(TopicIndex topic);
-  void limit_dead_subscriptions(TopicIndex topic);
-  void give_up_oldest(std::vector<std::pair<std::uint64_t, EndpointRef>>& over, std::size_t kept);
-  void give_up(const EndpointRef& ref);
-  std::uint32_t user_of(const EndpointRef& ref) const;
-  bool is_given_up(const EndpointRef& ref) const;
-  void forget_given_up(const EndpointRef& ref);
-  void give_up_all_of(ClientIndex client);
-  void let_go(const EndpointRef& ref, ClientIndex by);
-  /// Frees what nobody has any more, everywhere.
-  void settle_all();
-  void say_done(ClientIndex client, const wire::Reference& reference);
-  bool is_own(ClientIndex client, const wire::Reference& reference) const;
-  bool is_active(ClientIndex client, const wire::Reference& reference) const;
-  /// Nothing is left to be drained.
-  bool is_drained(ClientIndex client, const wire::Reference& reference) const;
-  template <class Function>
-  void for_each_told(const AnnounceSet& set, Function function) const;
 
   Registry& registry_;
   Regions& regions_;
   Doorbells& doorbells_;
   Post& post_;
+  Endings endings_;
+  Leaving leaving_;
+  EffectRunner runner_;
   // By client: the topics whose members have been told of its wrong types; once is enough. 512 bytes of each
   // process, 1 MiB of all.
   std::map<std::uint32_t, std::bitset<abi::topic_count_max>> type_notices_;
@@ -178,7 +147,6 @@ class Membership {
   // descriptor, and now. Not a pair each: most of a topic's publishers lack the same bells.
   std::map<std::uint64_t, EndpointRef> waiting_, renewed_;
   std::map<ClientIndex, ToTell> to_tell_;
-  GivenUp given_up_;
 };
 
 }  // namespace agnocast::daemon

@@ -4,7 +4,8 @@
 // notices. Whoever is told of something is entered into its announce set first (tell()).
 
 #include <base/check.hpp>
-#include <daemon/lifecycle/membership_parts.hpp>
+#include <daemon/lifecycle/membership.hpp>
+#include <daemon/lifecycle/references.hpp>
 #include <daemon/state/memory_reserve.hpp>
 
 #include <algorithm>
@@ -172,7 +173,7 @@ void Membership::announce_window(ClientIndex owner) {
       return ref.kind == Kind::publisher && registry_.told_of(ref).contains(number(to));
     });
   };
-  for_each_told(record.told, [&](ClientIndex to) {
+  for_each_told(registry_, record.told, [&](ClientIndex to) {
     Session* const session = post_.session_of(to);
     if (session == nullptr || !reads(to)) return;
     session->announcements().announced(region_of(owner), session->packet_count() + 1);
@@ -307,7 +308,7 @@ void Membership::tell_next(ClientIndex client, ToTell& rest) {
 void Membership::tell_what_is_over(ClientIndex client, TopicIndex topic) {
   registry_.for_each_publisher(topic, [&](std::uint32_t i, const PublisherRecord& record) {
     if (record.state == EndpointState::orphan && record.told.contains(number(client)))
-      say_orphaned({Kind::publisher, topic, i}, client);
+      post_.send(client, packet_of(endings_.orphaned({Kind::publisher, topic, i})), {});
   });
   registry_.for_each_subscription(topic, [&](std::uint32_t i, const SubscriptionRecord& record) {
     if (record.told.contains(number(client)) && !is_looked_at(topic, record, client))

@@ -68,7 +68,7 @@ Broker::Broker(const BrokerOptions& options, Log& log, Dispatcher& dispatcher, L
       observer_requests_(options_.config.access, registry_, regions_, admission_, connections_,
                          output_, termination_, answers_, log),
       hold_watch_(registry_, regions_),
-      let_go_watch_(registry_, regions_, membership_, output_),
+      let_go_watch_(registry_, regions_, membership_.endings(), output_),
       readers_(registry_, doorbells_, log),
       refusal_report_(registry_, admission_, refusals_, output_, log),
       server_(admission_, conflicts_, refusal_report_, termination_),

@@ -245,7 +245,7 @@ void FakeBroker::die(Process& process) {
   const ClientIndex client = *dead.client;
   if (dead.revoked) {
     registry_.client_died(client, journal::DeathReason::died);
-    membership_.settle_client(client);
+    membership_.run(membership_.endings().free_unused_client(client));
     return;
   }
   obstacles_.forget(client);

@@ -99,7 +99,7 @@ TEST_F(WatchesTest, FindsWhoDoesNotLetGoWhateverAnotherUserHasLeftBehind) {
     return keeper;
   };
   const auto looks_until = [&](ClientIndex wanted) {
-    LetGoWatch watch(core.registry, core.regions, core.membership, core.post);
+    LetGoWatch watch(core.registry, core.regions, core.membership.endings(), core.post);
     for (int looks = 1; looks < 10'000; ++looks) {
       for (const LetGoWatch::Finding& finding : watch.look()) {
         if (finding.client == wanted) return looks;
