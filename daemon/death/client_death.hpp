@@ -12,7 +12,7 @@
 //       │            orphaning        orphan its publishers, with their queues repaired → Endings::orphan
 //       │            unmapping        unmap its region in the daemon → Regions::unmap_client
 //       │            acknowledging    acknowledge for it what it was told of, topic by topic
-//       │                               → Registry::forget_in_topic, then Endings::free_unused of what is there
+//       │                               → Registry::acknowledge_topic; then Endings::free_unused of what is there
 //       │            forgetting       forget it: it leaves the announce sets of regions, and its doorbells go
 //       │                               → Membership::forget_client, Doorbells::close_client
 //       ▼
@@ -22,7 +22,8 @@
 //     free
 //
 // One that was revoked goes the same way while its process lives, and stays `forgotten` until that ends
-// (ClientTermination::free_revoked).
+// (ClientTermination::free_revoked). Which of these states a daemon that starts begins with says journal/cases.hpp: its
+// `recover` and `finish` are the first one, its `settle` is the last one.
 //
 // Truths: from `orphaning` on no subscription of it is active or leaving; from `unmapping` on no publisher of it is
 // active; from `forgetting` on no announce set of an endpoint has it. The daemon may die in each state: the tables

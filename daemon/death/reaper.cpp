@@ -97,7 +97,7 @@ bool Reaping::carry_out(const death::Unmap&) {
 }
 
 bool Reaping::carry_out(const death::Acknowledge& step) {
-  registry_.forget_in_topic(client(), step.topic);
+  registry_.acknowledge_topic(client(), step.topic);
   return true;
 }
 

@@ -33,8 +33,11 @@ void EffectRunner::carry_out(const effect::FreeTopic& effect) {
   if (on_topic_freed) on_topic_freed(effect.topic);
 }
 void EffectRunner::carry_out(const effect::FreeClient& effect) {
-  registry_.end_client(effect.client);
+  registry_.free_client(effect.client);
   if (on_client_freed) on_client_freed(effect.client);
+}
+void EffectRunner::carry_out(const effect::RecordMember& effect) {
+  announcer_.record_member(effect.ref, effect.to);
 }
 void EffectRunner::carry_out(const effect::Acknowledge& effect) {
   registry_.let_go(effect.ref, effect.by);
@@ -52,6 +55,12 @@ void EffectRunner::carry_out(const effect::Ring& effect) {
 void EffectRunner::carry_out(const effect::Send& effect) {
   std::visit([&](const auto& packet) { post_.send(effect.to, packet_of(packet), {}); },
              effect.packet);
+}
+void EffectRunner::carry_out(const effect::Announce& effect) {
+  announcer_.announce(effect.subject, effect.member);
+}
+void EffectRunner::carry_out(const effect::Notice& effect) {
+  announcer_.notice(effect.ref, effect.code, effect.text, effect.policy);
 }
 void EffectRunner::carry_out(const effect::BeginAnew& effect) {
   post_.begin_anew(effect.client,

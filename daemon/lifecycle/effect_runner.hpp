@@ -3,6 +3,7 @@
 // EffectRunner: carries out what the life cycle has decided (effects.hpp), one effect after the other.
 #pragma once
 
+#include <daemon/lifecycle/announcer.hpp>
 #include <daemon/lifecycle/effects.hpp>
 #include <daemon/lifecycle/endings.hpp>
 #include <daemon/state/registry.hpp>
@@ -15,8 +16,13 @@ namespace agnocast::daemon {
 
 class EffectRunner {
  public:
-  EffectRunner(Registry& registry, Endings& endings, Doorbells& doorbells, Post& post) noexcept
-      : registry_(registry), endings_(endings), doorbells_(doorbells), post_(post) {}
+  EffectRunner(Registry& registry, Endings& endings, Announcer& announcer, Doorbells& doorbells,
+               Post& post) noexcept
+      : registry_(registry),
+        endings_(endings),
+        announcer_(announcer),
+        doorbells_(doorbells),
+        post_(post) {}
 
   /// Called with a process whose place is free: everything of it may be used again.
   std::function<void(ClientIndex)> on_client_freed;
@@ -31,10 +37,13 @@ class EffectRunner {
   void carry_out(const effect::FreeSubscription& effect);
   void carry_out(const effect::FreeTopic& effect);
   void carry_out(const effect::FreeClient& effect);
+  void carry_out(const effect::RecordMember& effect);
   void carry_out(const effect::Acknowledge& effect);
   void carry_out(const effect::AcknowledgeRegion& effect);
   void carry_out(const effect::Ring& effect);
   void carry_out(const effect::Send& effect);
+  void carry_out(const effect::Announce& effect);
+  void carry_out(const effect::Notice& effect);
   void carry_out(const effect::BeginAnew& effect);
   void carry_out(const effect::ForgetAnnounced& effect);
   void carry_out(const effect::CountAnsweredAgain& effect);
@@ -47,6 +56,7 @@ class EffectRunner {
 
   Registry& registry_;
   Endings& endings_;
+  Announcer& announcer_;
   Doorbells& doorbells_;
   Post& post_;
 };

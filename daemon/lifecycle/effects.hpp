@@ -2,7 +2,7 @@
 //
 // Effects: what a decision of the life cycle brings about, as values.
 //
-// A decision (endings.hpp, leaving.hpp) reads the registry and returns effects. EffectRunner carries them out, in
+// A decision (endings.hpp, leaving.hpp, announcing.hpp) reads the registry and returns effects. EffectRunner carries them out, in
 // their order. A decision does no I/O and changes no table; the runner decides nothing.
 //
 // Some decisions must see what an earlier effect has changed: whether a place is free is known when its last reader
@@ -14,12 +14,15 @@
 #pragma once
 
 #include <agnocast/abi/wire.hpp>
+#include <agnocast/abi/words.hpp>
+#include <agnocast/error.hpp>
 #include <daemon/state/registry.hpp>
 #include <daemon/transport/session.hpp>
 #include <journal/record.hpp>
 
 #include <cstdint>
 #include <deque>
+#include <string>
 #include <utility>
 #include <variant>
 
@@ -54,6 +57,11 @@ struct FreeTopic {
 struct FreeClient {
   ClientIndex client{};
 };
+/// The process is to be told of the endpoint, and has to unmap it before the place is used again.
+struct RecordMember {
+  EndpointRef ref;
+  ClientIndex to{};
+};
 /// A process has unmapped an endpoint, or the region of another process.
 struct Acknowledge {
   EndpointRef ref;
@@ -69,10 +77,22 @@ struct Ring {
   ClientIndex client{};
   std::uint64_t executor = 0;
 };
-using Packet = std::variant<wire::Reference, wire::Orphaned, wire::Done>;
+using Packet = std::variant<wire::Reference, wire::Orphaned, wire::Done, wire::EndpointCreated, wire::Own>;
 struct Send {
   ClientIndex to{};
   Packet packet;
+};
+/// The process of `member` is told of `subject`, and gets the descriptors of its process and its doorbells. The record
+/// of that (RecordMember) is made first.
+struct Announce {
+  EndpointRef subject, member;
+};
+/// What is the matter with an endpoint, for its owner.
+struct Notice {
+  EndpointRef ref;
+  Errc code{};
+  std::string text;
+  abi::QosPolicy policy = abi::QosPolicy::none;
 };
 /// The process comes back on a new connection, and is told everything once more.
 struct BeginAnew {
@@ -115,9 +135,9 @@ struct BeginFree {};
 using Effect =
     std::variant<effect::OrphanPublisher, effect::ChangeSubscription, effect::EndPublisher,
                  effect::FreeSubscription, effect::FreeTopic, effect::FreeClient,
-                 effect::Acknowledge, effect::AcknowledgeRegion, effect::Ring, effect::Send,
-                 effect::BeginAnew, effect::ForgetAnnounced, effect::CountAnsweredAgain,
-                 effect::FreeUnused, effect::FreeUnusedTopic, effect::FreeUnusedClient,
+                 effect::RecordMember, effect::Acknowledge, effect::AcknowledgeRegion, effect::Ring,
+                 effect::Send, effect::Announce, effect::Notice, effect::BeginAnew,
+                 effect::ForgetAnnounced, effect::CountAnsweredAgain, effect::FreeUnused, effect::FreeUnusedTopic, effect::FreeUnusedClient,
                  effect::GiveUpOrphans, effect::GiveUpSubscriptions, effect::BeginFree>;
 
 /// A deque, because a list for a thousand readers must fit into the pieces of the memory reserve (memory_reserve.hpp).

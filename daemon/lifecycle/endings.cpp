@@ -267,7 +267,7 @@ Effects Endings::free_unused_topic(TopicIndex topic) const {
 }
 
 Effects Endings::free_unused_client(ClientIndex client) const {
-  if (!registry_.can_end(client)) return {};
+  if (!registry_.can_free(client)) return {};
   return {effect::FreeClient{client}};
 }
 

@@ -1,7 +1,6 @@
 // SPDX-License-Identifier: Apache-2.0
 //
-// Membership, requests: who creates an endpoint, leaves, has drained, has unlinked. Whom that concerns
-// and how they hear of it: membership_announce.cpp; what is over then: endings.cpp.
+// Membership: see the header.
 
 #include <base/check.hpp>
 #include <daemon/lifecycle/membership.hpp>
@@ -17,9 +16,12 @@ Membership::Membership(Registry& registry, Regions& regions, Doorbells& doorbell
       post_(post),
       endings_(registry),
       leaving_(registry, endings_),
-      runner_(registry, endings_, doorbells, post) {
+      announcing_(registry, endings_),
+      announcer_(registry, regions, doorbells, post),
+      runner_(registry, endings_, announcer_, doorbells, post),
+      welcome_back_(registry, announcing_, announcer_, runner_, post) {
   runner_.on_client_freed = [this](ClientIndex client) {
-    if (on_ended) on_ended(client);
+    if (on_client_freed) on_client_freed(client);
   };
   runner_.on_topic_freed = [this](TopicIndex topic) {
     for (auto& [client, topics] : type_notices_) topics.reset(number(topic));
@@ -71,19 +73,7 @@ Result<void> Membership::create_publisher(ClientIndex client, TopicIndex topic,
     if (!backed) return backed;
   }
   registry_.add_publisher(client, topic, request.qos, *plan, request.node, request.request);
-
-  answer_creation({Kind::publisher, topic, plan->index}, request.request);
-
-  const PublisherRecord& publisher = registry_.publisher(topic, plan->index);
-  registry_.for_each_subscription(topic, [&](std::uint32_t i, const SubscriptionRecord& record) {
-    if (record.state == EndpointState::active && matches(publisher, record))
-      announce_publisher(topic, plan->index, i);
-  });
-  registry_.for_each_subscription(topic, [&](std::uint32_t i, const SubscriptionRecord& record) {
-    if (record.state == EndpointState::active && matches(publisher, record))
-      announce_subscription(topic, i, plan->index);
-  });
-  notice_mismatches({Kind::publisher, topic, plan->index});
+  run(announcing_.created({Kind::publisher, topic, plan->index}, request.request));
   return {};
 }
 
@@ -103,68 +93,14 @@ Result<void> Membership::create_subscription(ClientIndex client, TopicIndex topi
   for (const SlotRaise& raise : plan->raises) registry_.raise_slots(topic, raise);
   registry_.add_subscription(client, topic, request.qos, quota, request.executor, *plan,
                              request.node, request.request);
-
-  answer_creation({Kind::subscription, topic, plan->index}, request.request);
-
-  const SubscriptionRecord& subscription = registry_.subscription(topic, plan->index);
-  registry_.for_each_publisher(topic, [&](std::uint32_t i, const PublisherRecord& record) {
-    if (record.state == EndpointState::active && matches(record, subscription))
-      announce_publisher(topic, i, plan->index);
-  });
-  registry_.for_each_publisher(topic, [&](std::uint32_t i, const PublisherRecord& record) {
-    if (record.state == EndpointState::active && matches(record, subscription))
-      announce_subscription(topic, plan->index, i);
-  });
-  notice_mismatches({Kind::subscription, topic, plan->index});
+  run(announcing_.created({Kind::subscription, topic, plan->index}, request.request));
   return {};
-}
-
-// Whoever is to get a publisher's messages is told before anybody may rely on it, whatever becomes
-// of both afterwards.
-void Membership::tell_members(const EndpointRef& ref) {
-  if (ref.kind == Kind::publisher) {
-    const PublisherRecord& own = registry_.publisher(ref.topic, ref.index);
-    if (own.state != EndpointState::active) return;
-    registry_.for_each_subscription(ref.topic, [&](std::uint32_t, const SubscriptionRecord& other) {
-      if (other.state == EndpointState::active && matches(own, other)) tell(ref, other.client);
-    });
-  } else {
-    const SubscriptionRecord& own = registry_.subscription(ref.topic, ref.index);
-    if (own.state != EndpointState::active) return;
-    registry_.for_each_publisher(ref.topic, [&](std::uint32_t p, const PublisherRecord& other) {
-      if (other.state == EndpointState::active && matches(other, own))
-        tell({Kind::publisher, ref.topic, p}, own.client);
-    });
-  }
-}
-
-// A daemon that died between the record of the creation and those of the announcements leaves the
-// rest to the next one, which is asked again: so every answer tells first.
-void Membership::answer_creation(const EndpointRef& ref, std::uint64_t request) {
-  tell_members(ref);
-  auto answer = make_body<wire::EndpointCreated>(wire::Opcode::endpoint_created, request);
-  answer.topic = number(ref.topic);
-  answer.index = ref.index;
-  answer.generation = registry_.generation_of(ref);
-  if (ref.kind == Kind::publisher) {
-    const PublisherRecord& record = registry_.publisher(ref.topic, ref.index);
-    answer.extent = record.extent;
-    answer.slot_count = record.slot_count;
-    answer.first_sequence = abi::first_sequence_of(record.generation);
-  } else {
-    answer.extent = registry_.subscription(ref.topic, ref.index).extent;
-  }
-  post_.send(registry_.owner_of(ref), packet_of(answer), {});
 }
 
 bool Membership::answer_again(ClientIndex client, const CreateRequest& request) {
   const auto ref = registry_.find_creation(client, request.kind, request.request);
   if (!ref) return false;
-  ++registry_.counters().requests_answered_again;
-  answer_creation(*ref, request.request);
-  // What was announced before this answer was for an endpoint that the process did not know yet.
-  announce_to_owner(*ref);
-  notice_mismatches(*ref, false);
+  run(announcing_.answered_again(*ref, request.request));
   return true;
 }
 
@@ -190,6 +126,54 @@ Result<void> Membership::make_ready(TopicIndex topic, const SubscriptionPlan& pl
   return ready;
 }
 
+// For both sides. What may be long comes last: a packet has 255 bytes for it.
+std::string Membership::type_mismatch_text(ClientIndex client, TopicIndex topic,
+                                           const CreateRequest& request) const {
+  const TopicRecord& there = registry_.topic(topic);
+  return printable(request.type) + " (layout " + hexadecimal(request.layout_hash) +
+         ") is asked for by process " + std::to_string(registry_.client(client).pid) + ", " +
+         printable(there.type) + " (layout " + hexadecimal(there.layout_hash) +
+         ") is the type of " + std::string(there.name);
+}
+
+void Membership::notice_types(ClientIndex client, TopicIndex topic, const std::string& text) {
+  auto told = type_notices_[number(client)][number(topic)];
+  if (told) return;
+  told = true;
+  registry_.for_each_publisher(topic, [&](std::uint32_t i, const PublisherRecord& record) {
+    if (record.state == EndpointState::active)
+      notice({Kind::publisher, topic, i}, Errc::type_mismatch, text);
+  });
+  registry_.for_each_subscription(topic, [&](std::uint32_t i, const SubscriptionRecord& record) {
+    if (record.state == EndpointState::active)
+      notice({Kind::subscription, topic, i}, Errc::type_mismatch, text);
+  });
+}
+
+// --- bells that are others now
+
+void Membership::renewed(ClientIndex client, std::uint64_t executor) {
+  for (const EndpointRef& ref : registry_.endpoints_of(client)) {
+    if (ref.kind == Kind::subscription &&
+        registry_.subscription(ref.topic, ref.index).executor == executor)
+      renewed_.emplace(registry_.generation_of(ref), ref);
+  }
+}
+
+void Membership::announce_renewed() {
+  // Some 10 µs each, with the socket that is made for it.
+  constexpr std::size_t announcements_max = 200;
+  for (std::size_t made = 0; !renewed_.empty() && made < announcements_max;) {
+    const auto generation = renewed_.begin()->first;
+    const EndpointRef ref = renewed_.begin()->second;
+    renewed_.erase(renewed_.begin());
+    if (!registry_.is_used(ref) || registry_.generation_of(ref) != generation) continue;
+    const Effects announcements = announcing_.to_publishers_of(ref);
+    run(announcements);
+    made += announcements.size();
+  }
+}
+
 // --- leave
 
 Result<void> Membership::leave(ClientIndex client, const LeaveRequest& request) {
@@ -212,7 +196,7 @@ Result<void> Membership::unlinked(ClientIndex client, const wire::Unlinked& stat
   Session* const session = post_.session_of(client);
   AGNOCAST_CHECK(session != nullptr);
   return run(leaving_.unlinked(
-      client, statement, {session->announcements(), session->packet_count(), tells(client)}));
+      client, statement, {session->announcements(), session->packet_count(), welcome_back_.tells(client)}));
 }
 
 Result<void> Membership::run(const Result<Effects>& decision) {
@@ -225,8 +209,8 @@ Result<void> Membership::run(const Result<Effects>& decision) {
 
 void Membership::forget_client(ClientIndex client) {
   registry_.client_forgotten(client);
-  missed_notices_.erase(number(client));
-  to_tell_.erase(client);
+  announcer_.forget_client(client);
+  welcome_back_.forget_client(client);
   type_notices_.erase(number(client));
 }
 

@@ -9,14 +9,17 @@
 // all that its announce sets say; so nothing that was sent on an earlier connection needs to be
 // known to have arrived.
 //
-// What the end of something means is decided without I/O (endings.hpp, leaving.hpp) and carried out by
-// EffectRunner.
+// What the end of something means is decided without I/O (endings.hpp, leaving.hpp), and so is who is told
+// (announcing.hpp). EffectRunner carries it out.
 #pragma once
 
+#include <daemon/lifecycle/announcer.hpp>
+#include <daemon/lifecycle/announcing.hpp>
 #include <daemon/lifecycle/effect_runner.hpp>
 #include <daemon/lifecycle/endings.hpp>
 #include <daemon/lifecycle/leaving.hpp>
 #include <daemon/lifecycle/regions.hpp>
+#include <daemon/lifecycle/welcome_back.hpp>
 #include <daemon/state/registry.hpp>
 #include <daemon/transport/doorbells.hpp>
 #include <daemon/transport/post.hpp>
@@ -27,12 +30,8 @@
 #include <cstdint>
 #include <functional>
 #include <map>
-#include <set>
-#include <span>
 #include <string>
-#include <string_view>
 #include <utility>
-#include <vector>
 
 namespace agnocast::daemon {
 
@@ -43,9 +42,11 @@ class Membership {
   Membership& operator=(const Membership&) = delete;
 
   /// Called with a process that is over: everything of it may be used again.
-  std::function<void(ClientIndex)> on_ended;
+  std::function<void(ClientIndex)> on_client_freed;
   /// Called with a publisher and the subscription it was just announced for.
-  std::function<void(const EndpointRef&, const EndpointRef&)> on_matched;
+  void set_on_matched(std::function<void(const EndpointRef&, const EndpointRef&)> then) {
+    announcer_.on_matched = std::move(then);
+  }
 
   /// Creates an endpoint, answers and announces. Rights and quotas were checked. A failure is
   /// answered by the caller: type_mismatch, limit_reached, invalid_argument, os_failure.
@@ -57,11 +58,11 @@ class Membership {
   [[nodiscard]] Result<void> drained(ClientIndex client, const DrainedRequest& request);
   [[nodiscard]] Result<void> unlinked(ClientIndex client, const wire::Unlinked& statement);
   /// Tells every process that has the region of `owner` about its newest window.
-  void announce_window(ClientIndex owner);
+  void announce_window(ClientIndex owner) { announcer_.announce_window(owner); }
   /// Announcements that went without doorbells because no descriptor was left: they are made again, by
   /// announce_renewed().
-  bool has_waiting() const noexcept { return !waiting_.empty(); }
-  void announce_waiting() { renewed_.merge(waiting_); }
+  bool has_waiting() const noexcept { return announcer_.has_waiting(); }
+  void announce_waiting() { announcer_.move_waiting_to(renewed_); }
   /// The bells of an executor are others now: publishers are told of its subscriptions once more, a part of
   /// them with each announce_renewed().
   void renewed(ClientIndex client, std::uint64_t executor);
@@ -69,15 +70,15 @@ class Membership {
   void announce_renewed();
   /// Tells a process on a new connection what it has and whom it knows. A part of it at first when
   /// that is much: go_on_telling() says more as the process reads.
-  void welcome_back(ClientIndex client);
-  void go_on_telling();
-  /// Whether somebody is still being told, and whether this one is.
-  bool tells() const noexcept { return !to_tell_.empty(); }
-  bool tells(ClientIndex client) const { return to_tell_.contains(client); }
+  void welcome_back(ClientIndex client) { welcome_back_.begin(client); }
+  void go_on_telling() { welcome_back_.go_on(); }
+  /// Whether somebody is still being told.
+  bool tells() const noexcept { return welcome_back_.tells(); }
 
   /// Tells the owner of an endpoint what is the matter with it.
-  void notice(const EndpointRef& ref, Errc code, const std::string& text,
-              abi::QosPolicy policy = abi::QosPolicy::none);
+  void notice(const EndpointRef& ref, Errc code, const std::string& text) {
+    announcer_.notice(ref, code, text);
+  }
 
   // --- the end of a process (death/client_death.hpp has the states)
   /// Decides; run() carries out what it says.
@@ -100,32 +101,6 @@ class Membership {
                                                  const CreateRequest& request);
   [[nodiscard]] Result<void> make_ready(TopicIndex topic, const SubscriptionPlan& plan,
                                         ClientIndex client, std::uint64_t extent);
-  void announce_publisher(TopicIndex topic, std::uint32_t index, std::uint32_t subscription);
-  void announce_subscription(TopicIndex topic, std::uint32_t index, std::uint32_t publisher);
-  bool are_of_one_user(ClientIndex one, ClientIndex other) const;
-  void tell_members(const EndpointRef& ref);
-  void answer_creation(const EndpointRef& ref, std::uint64_t request);
-  Session* tell(const EndpointRef& ref, ClientIndex to);
-  void announce(const EndpointRef& ref, ClientIndex to, Outgoing packet);
-  /// What a process does not know yet on its connection, in this order.
-  struct ToTell {
-    std::map<std::uint64_t, EndpointRef> own;        // endpoints, by generation
-    std::map<std::uint64_t, EndpointRef> endpoints;  // whose peers
-    std::set<TopicIndex> topics;                     // what is over there
-    std::uint32_t next_region = 0;                   // what it has of others
-  };
-  void add_doorbells(Outgoing& packet, const EndpointRef& ref, std::uint64_t generation,
-                     bool same_user);
-  bool is_to_know(const PublisherRecord& own, const SubscriptionRecord& other) const;
-  void announce_to_owner(const EndpointRef& ref);
-  /// Has a process a publisher that still looks at this subscription?
-  bool is_looked_at(TopicIndex topic, const SubscriptionRecord& subscription, ClientIndex by) const;
-  void say_own(const EndpointRef& ref);
-  void tell_more(ClientIndex client, ToTell rest);
-  void tell_next(ClientIndex client, ToTell& rest);
-  void tell_what_is_over(ClientIndex client, TopicIndex topic);
-  void tell_region(ClientIndex client, std::uint32_t owner);
-  void notice_mismatches(const EndpointRef& ref, bool to_all = true);
   std::string type_mismatch_text(ClientIndex client, TopicIndex topic,
                                  const CreateRequest& request) const;
   void notice_types(ClientIndex client, TopicIndex topic, const std::string& text);
@@ -136,17 +111,15 @@ class Membership {
   Post& post_;
   Endings endings_;
   Leaving leaving_;
+  Announcing announcing_;
+  Announcer announcer_;
   EffectRunner runner_;
+  WelcomeBack welcome_back_;
   // By client: the topics whose members have been told of its wrong types; once is enough. 512 bytes of each
   // process, 1 MiB of all.
   std::map<std::uint32_t, std::bitset<abi::topic_count_max>> type_notices_;
-  // By client: what it could not be told because it had no connection. The first ones are enough.
-  static constexpr std::size_t missed_notices_max = 64;
-  std::map<std::uint32_t, std::vector<wire::Notice>> missed_notices_;
-  // Subscriptions by generation: whose publishers are to be told of them once more, as soon as there is a
-  // descriptor, and now. Not a pair each: most of a topic's publishers lack the same bells.
-  std::map<std::uint64_t, EndpointRef> waiting_, renewed_;
-  std::map<ClientIndex, ToTell> to_tell_;
+  // Subscriptions by generation: whose publishers are to be told of them once more.
+  Announcer::ByGeneration renewed_;
 };
 
 }  // namespace agnocast::daemon
