@@ -73,7 +73,7 @@ void ClientTermination::reap(Peer& peer, DeathReason reason, std::string_view ho
     };
     if (!reaping_.append(client, free_place)) free_revoked(client, reason, how);
   } else {
-    repair(client, reason, how);
+    reap(client, reason, how);
   }
   AGNOCAST_CRASH_POINT(B_reaped);
 }
@@ -89,11 +89,11 @@ void ClientTermination::free_revoked(ClientIndex client, DeathReason reason, std
                 {"uid", record.uid},
                 {"how", how},
                 {"was", "revoked"}});
-  membership_.settle_client(client);
+  membership_.run(membership_.endings().free_unused_client(client));
 }
 
-void ClientTermination::repair(ClientIndex client, DeathReason reason, std::string_view how,
-                               std::uint64_t budget_ns) {
+void ClientTermination::reap(ClientIndex client, DeathReason reason, std::string_view how,
+                             std::uint64_t budget_ns) {
   const std::uint32_t uid = registry_.client(client).uid;
   const std::uint32_t pid = registry_.client(client).pid;
   obstacles_.forget(client);

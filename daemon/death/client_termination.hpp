@@ -45,9 +45,9 @@ class ClientTermination {
   void disconnect(Peer& peer, std::string_view why);
   /// The process has ended, or has nothing of its region any more.
   void reap(Peer& peer, journal::DeathReason reason, std::string_view how);
-  /// Ends a client that has no peer.
-  void repair(ClientIndex client, journal::DeathReason reason, std::string_view how,
-              std::uint64_t budget_ns = ReapingQueue::budget_ns_of_turn);
+  /// The same of a client that has no peer.
+  void reap(ClientIndex client, journal::DeathReason reason, std::string_view how,
+            std::uint64_t budget_ns = ReapingQueue::budget_ns_of_turn);
   /// Ends the membership of a process that lives. `why` is for it and for the log.
   void revoke(Peer& peer, const std::string& why);
   /// Sends what a revoked process is to hear last, then shuts its connection.

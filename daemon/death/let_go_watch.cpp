@@ -65,10 +65,10 @@ void LetGoWatch::note_debtors(Round& round, std::uint64_t generation, const Endp
 
 void LetGoWatch::take_turn(std::uint32_t uid, Round& round,
                            std::map<ClientIndex, Finding>& found) {
-  const auto of_user = membership_.given_up().find(uid);
+  const auto of_user = endings_.given_up().find(uid);
   const std::uint64_t until = steps_ + steps_per_turn;
   for (; steps_ < until; ++round.next) {
-    if (of_user == membership_.given_up().end()) return conclude(round, found);
+    if (of_user == endings_.given_up().end()) return conclude(round, found);
     const auto oldest = of_user->second.lower_bound(round.next);
     if (oldest == of_user->second.end()) return conclude(round, found);
     round.next = oldest->first;
@@ -77,7 +77,7 @@ void LetGoWatch::take_turn(std::uint32_t uid, Round& round,
 }
 
 std::vector<LetGoWatch::Finding> LetGoWatch::look() {
-  const auto& given_up = membership_.given_up();
+  const auto& given_up = endings_.given_up();
   std::map<ClientIndex, Finding> found;
   std::erase_if(rounds_, [&](const auto& one) { return !given_up.contains(one.first); });
   steps_ = 0;

@@ -3,7 +3,7 @@
 // LetGoWatch: finds processes that do not let go of what is over, and so keep its place from others.
 //
 // By rule RU the place of an endpoint that is gone is free when everybody who was told of it has said
-// `unlinked`. Of more than a bounded number Membership gives the oldest up: what is unread there is
+// `unlinked`. Of more than a bounded number Endings gives the oldest up: what is unread there is
 // nobody's any more. Then nothing is left that a living process could want of them but messages that
 // it holds, and a library answers as soon as its control thread has read that it is to. Who neither
 // holds something nor answers is stopped, or broken, and what it keeps is others' to use: places,
@@ -20,9 +20,10 @@
 // one has left behind makes no look at another's longer.
 #pragma once
 
-#include <daemon/lifecycle/membership.hpp>
+#include <daemon/lifecycle/endings.hpp>
 #include <daemon/lifecycle/regions.hpp>
 #include <daemon/state/registry.hpp>
+#include <daemon/transport/post.hpp>
 
 #include <cstdint>
 #include <map>
@@ -32,9 +33,9 @@ namespace agnocast::daemon {
 
 class LetGoWatch {
  public:
-  LetGoWatch(const Registry& registry, const Regions& regions, const Membership& membership,
+  LetGoWatch(const Registry& registry, const Regions& regions, const Endings& endings,
              Post& post) noexcept
-      : registry_(registry), regions_(regions), membership_(membership), post_(post) {}
+      : registry_(registry), regions_(regions), endings_(endings), post_(post) {}
 
   struct Finding {
     ClientIndex client{};
@@ -72,7 +73,7 @@ class LetGoWatch {
 
   const Registry& registry_;
   const Regions& regions_;
-  const Membership& membership_;
+  const Endings& endings_;
   Post& post_;
   std::map<std::uint32_t, Round> rounds_;  // by uid
   std::uint32_t next_user_ = 0;            // whose turn is the first

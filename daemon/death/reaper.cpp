@@ -14,6 +14,7 @@
 #include <cstdio>
 #include <memory>
 #include <utility>
+#include <variant>
 
 namespace agnocast::daemon {
 
@@ -42,59 +43,39 @@ journal::LeaveCause count(journal::IntentDecision decision, Reaped& reaped) noex
 
 Reaping::Reaping(ClientIndex client, DeathReason reason, Registry& registry, Regions& regions,
                  Doorbells& doorbells, Membership& membership)
-    : client_(client),
-      reason_(reason),
+    : reason_(reason),
       registry_(registry),
       regions_(regions),
       doorbells_(doorbells),
-      membership_(membership) {
-  if (registry_.is_alive(client_)) registry_.client_died(client_, reason_);
-  endpoints_ = registry_.endpoints_of(client_);
-  for (const EndpointRef& ref : endpoints_) topics_.insert(ref.topic);
+      membership_(membership),
+      death_(die(client, reason, registry), registry) {}
+
+ClientIndex Reaping::die(ClientIndex client, DeathReason reason, Registry& registry) {
+  if (registry.is_alive(client)) registry.client_died(client, reason);
+  return client;
 }
 
 bool Reaping::go_on(std::uint64_t until_ns) {
-  while (next_subscription_ < endpoints_.size()) {
-    if (end_subscription(endpoints_[next_subscription_++]) && monotonic_ns() >= until_ns)
-      return false;
+  while (const std::optional<DeathStep> step = death_.next()) {
+    const bool may_pause = std::visit([this](const auto& it) { return carry_out(it); }, *step);
+    if (may_pause && monotonic_ns() >= until_ns) return false;
   }
-  while (next_publisher_ < endpoints_.size()) {
-    if (end_publisher(endpoints_[next_publisher_++]) && monotonic_ns() >= until_ns) return false;
-  }
-  // Others keep what they map; nobody new is told of it. What it has itself stays as it is: it may live.
-  if (!std::exchange(buried_, true)) {
-    regions_.bury_client(client_);
-    AGNOCAST_CRASH_POINT(B_buried);
-  }
-  while (settle_next()) {
-    if (monotonic_ns() >= until_ns) return false;
-  }
-  if (!std::exchange(done_, true)) finish();
   return true;
 }
 
-// A place that was free by the time may be somebody else's by now.
-bool Reaping::is_ours(const EndpointRef& ref) const noexcept {
-  return registry_.is_used(ref) && registry_.owner_of(ref) == client_;
-}
-
-bool Reaping::end_subscription(const EndpointRef& ref) {
-  if (ref.kind != Kind::subscription || !is_ours(ref)) return false;
-  const EndpointState state = registry_.subscription(ref.topic, ref.index).state;
-  if (state != EndpointState::active && state != EndpointState::leaving) return false;
-  membership_.bury_subscription(ref);
+bool Reaping::carry_out(const death::Close& step) {
+  membership_.run(membership_.endings().close_subscription(step.subscription));
   ++reaped_.subscriptions;
   return true;
 }
 
-bool Reaping::end_publisher(const EndpointRef& ref) {
-  if (ref.kind != Kind::publisher || !is_ours(ref)) return false;
+bool Reaping::carry_out(const death::Orphan& step) {
+  const EndpointRef& ref = step.publisher;
   const PublisherRecord& record = registry_.publisher(ref.topic, ref.index);
-  if (record.state != EndpointState::active) return false;
   std::uint64_t final_head = abi::pack_entry(abi::first_sequence_of(record.generation), 0);
   journal::LeaveCause cause = journal::LeaveCause::nothing_open;
-  if (regions_.is_open(client_)) {
-    const region::PublisherWords<SharedMemory> words{regions_.region(client_), record.extent};
+  if (regions_.is_open(client())) {
+    const region::PublisherWords<SharedMemory> words{regions_.region(client()), record.extent};
     AGNOCAST_CRASH_POINT(B_recover);
     if (reason_ == DeathReason::revoked) {
       cause = journal::LeaveCause::left;
@@ -103,39 +84,35 @@ bool Reaping::end_publisher(const EndpointRef& ref) {
       cause = count(journal::recover_queue(words, record.slot_count, final_head), reaped_);
     }
   }
-  membership_.orphan(ref, final_head, cause);
+  membership_.run(membership_.endings().orphan(ref, final_head, cause));
   ++reaped_.publishers;
   return true;
 }
 
-// What nobody has any more lies in the topics that it knew, and in those of its own endpoints. Nothing of it is
-// active by now, so it is told of nothing again.
-bool Reaping::settle_next() {
-  if (!to_settle_.empty()) {
-    const EndpointRef ref = to_settle_.back();
-    to_settle_.pop_back();
-    membership_.settle(ref);
-    return true;
-  }
-  std::optional<TopicIndex> topic = registry_.known_topic_of(client_);
-  if (!topic && !topics_.empty()) topic = *topics_.begin();
-  if (!topic) return false;
-  topics_.erase(*topic);
-  registry_.forget_in_topic(client_, *topic);
-  for (const Kind kind : {Kind::subscription, Kind::publisher}) {
-    for (auto at = registry_.next_place(kind, *topic, 0); at;
-         at = registry_.next_place(kind, *topic, *at + 1))
-      to_settle_.push_back({kind, *topic, *at});
-  }
+// Others keep what they map; nobody new is told of it. What it has itself stays as it is: it may live.
+bool Reaping::carry_out(const death::Unmap&) {
+  regions_.unmap_client(client());
+  AGNOCAST_CRASH_POINT(B_buried);
+  return false;
+}
+
+bool Reaping::carry_out(const death::Acknowledge& step) {
+  registry_.acknowledge_topic(client(), step.topic);
   return true;
 }
 
-void Reaping::finish() {
-  membership_.forget_client(client_);
-  doorbells_.close_client(client_);
+bool Reaping::carry_out(const death::FreeUnused& step) {
+  membership_.run(membership_.endings().free_unused(step.ref));
+  return true;
+}
+
+bool Reaping::carry_out(const death::Forget&) {
+  membership_.forget_client(client());
+  doorbells_.close_client(client());
   AGNOCAST_CRASH_POINT(B_bells_closed);
-  membership_.settle_clients();
-  membership_.limit_gone();
+  membership_.run(membership_.endings().free_unused_clients());
+  membership_.run(membership_.endings().give_up_gone());
+  return false;
 }
 
 std::optional<bool> maps_file(pid_t pid, const Regions::FileId& file) noexcept {

@@ -4,11 +4,8 @@
 //
 // A dead process leaves (a) holds on other people's messages, (b) at most one open intent per
 // publisher, (c) a region and windows that others still map. They are undone in exactly this order,
-// and a window may be used again only when everybody who was told about it has let go (rule RU):
-//
-//     journal the death → its subscriptions dead → its intents back or forward, its publishers
-//     orphans, everybody rung and told → topic by topic it leaves the announce sets, and what became
-//     free is freed → it leaves those of regions
+// and a window may be used again only when everybody who was told about it has let go (rule RU). The
+// steps and their order: client_death.hpp.
 //
 // Every step may be repeated. The reaper never trusts a value that the dead process wrote, and
 // never takes the end of a connection for a death: only the pidfd says it, or a process that has no
@@ -19,14 +16,13 @@
 // What lies behind the copied head is read by nobody who has heard of the end.
 #pragma once
 
+#include <daemon/death/client_death.hpp>
 #include <daemon/lifecycle/membership.hpp>
 
 #include <sys/types.h>
 
 #include <cstdint>
 #include <optional>
-#include <set>
-#include <vector>
 
 namespace agnocast::daemon {
 
@@ -51,27 +47,25 @@ class Reaping {
 
   /// Goes on until that time (CLOCK_MONOTONIC), with one step at least. True: it is done.
   bool go_on(std::uint64_t until_ns);
-  ClientIndex client() const noexcept { return client_; }
+  ClientIndex client() const noexcept { return death_.client(); }
   const Reaped& reaped() const noexcept { return reaped_; }
 
  private:
-  bool is_ours(const EndpointRef& ref) const noexcept;
-  bool end_subscription(const EndpointRef& ref);
-  bool end_publisher(const EndpointRef& ref);
-  bool settle_next();
-  void finish();
+  static ClientIndex die(ClientIndex client, journal::DeathReason reason, Registry& registry);
+  // Each returns whether others may be served before the next step.
+  bool carry_out(const death::Close& step);
+  bool carry_out(const death::Orphan& step);
+  bool carry_out(const death::Unmap& step);
+  bool carry_out(const death::Acknowledge& step);
+  bool carry_out(const death::FreeUnused& step);
+  bool carry_out(const death::Forget& step);
 
-  ClientIndex client_;
   journal::DeathReason reason_;
   Registry& registry_;
   Regions& regions_;
   Doorbells& doorbells_;
   Membership& membership_;
-  std::vector<EndpointRef> endpoints_;  // as they were at the beginning: they go one by one
-  std::size_t next_subscription_ = 0, next_publisher_ = 0;
-  std::set<TopicIndex> topics_;       // of those endpoints, yet to be settled
-  std::vector<EndpointRef> to_settle_;  // of one topic, the last one first
-  bool buried_ = false, done_ = false;
+  ClientDeath death_;
   Reaped reaped_;
 };
 

@@ -1,25 +1,32 @@
 // SPDX-License-Identifier: Apache-2.0
 //
-// Membership, requests: who creates an endpoint, leaves, has drained, has unlinked. Whom that concerns
-// and how they hear of it: membership_announce.cpp; what is over then: membership_end.cpp.
+// Membership: see the header.
 
 #include <base/check.hpp>
-#include <daemon/lifecycle/membership_parts.hpp>
+#include <daemon/lifecycle/membership.hpp>
+#include <daemon/lifecycle/references.hpp>
 #include <daemon/state/steps.hpp>
-#include <journal/cases.hpp>
 
 namespace agnocast::daemon {
-namespace {
 
-/// The request was carried out and its answer was lost. What is to be refused is refused by
-/// the checks that follow.
-bool is_done_before(std::uint8_t what, bool again, bool is_so) noexcept {
-  return journal::decide_request(what, again,
-                                 is_so ? journal::request::done : journal::request::not_done) ==
-         journal::RequestDecision::say_done;
+Membership::Membership(Registry& registry, Regions& regions, Doorbells& doorbells, Post& post)
+    : registry_(registry),
+      regions_(regions),
+      doorbells_(doorbells),
+      post_(post),
+      endings_(registry),
+      leaving_(registry, endings_),
+      announcing_(registry, endings_),
+      announcer_(registry, regions, doorbells, post),
+      runner_(registry, endings_, announcer_, doorbells, post),
+      welcome_back_(registry, announcing_, announcer_, runner_, post) {
+  runner_.on_client_freed = [this](ClientIndex client) {
+    if (on_client_freed) on_client_freed(client);
+  };
+  runner_.on_topic_freed = [this](TopicIndex topic) {
+    for (auto& [client, topics] : type_notices_) topics.reset(number(topic));
+  };
 }
-
-}  // namespace
 
 // --- create
 
@@ -41,14 +48,14 @@ Result<void> Membership::create(ClientIndex client, const CreateRequest& request
   }
   auto created = request.kind == Kind::publisher ? create_publisher(client, *topic, request)
                                                  : create_subscription(client, *topic, request);
-  if (!created) settle_topic(*topic);
+  if (!created) run(endings_.free_unused_topic(*topic));
   return created;
 }
 
 Result<void> Membership::create_publisher(ClientIndex client, TopicIndex topic,
                                           const CreateRequest& request) {
   const auto plan = registry_.plan_publisher(client, topic, request.qos);
-  if (!plan) return explain_full(topic, plan.error());
+  if (!plan) return endings_.explain_full(topic, plan.error(), {});
   const auto ready = regions_.renew(client, {plan->extent, abi::publisher_extent_bytes},
                                     abi::slot_offset(abi::ring_count, plan->slot_count));
   if (!ready) return ready;
@@ -66,19 +73,7 @@ Result<void> Membership::create_publisher(ClientIndex client, TopicIndex topic,
     if (!backed) return backed;
   }
   registry_.add_publisher(client, topic, request.qos, *plan, request.node, request.request);
-
-  answer_creation({Kind::publisher, topic, plan->index}, request.request);
-
-  const PublisherRecord& publisher = registry_.publisher(topic, plan->index);
-  registry_.for_each_subscription(topic, [&](std::uint32_t i, const SubscriptionRecord& record) {
-    if (record.state == EndpointState::active && matches(publisher, record))
-      announce_publisher(topic, plan->index, i);
-  });
-  registry_.for_each_subscription(topic, [&](std::uint32_t i, const SubscriptionRecord& record) {
-    if (record.state == EndpointState::active && matches(publisher, record))
-      announce_subscription(topic, i, plan->index);
-  });
-  notice_mismatches({Kind::publisher, topic, plan->index});
+  run(announcing_.created({Kind::publisher, topic, plan->index}, request.request));
   return {};
 }
 
@@ -98,68 +93,14 @@ Result<void> Membership::create_subscription(ClientIndex client, TopicIndex topi
   for (const SlotRaise& raise : plan->raises) registry_.raise_slots(topic, raise);
   registry_.add_subscription(client, topic, request.qos, quota, request.executor, *plan,
                              request.node, request.request);
-
-  answer_creation({Kind::subscription, topic, plan->index}, request.request);
-
-  const SubscriptionRecord& subscription = registry_.subscription(topic, plan->index);
-  registry_.for_each_publisher(topic, [&](std::uint32_t i, const PublisherRecord& record) {
-    if (record.state == EndpointState::active && matches(record, subscription))
-      announce_publisher(topic, i, plan->index);
-  });
-  registry_.for_each_publisher(topic, [&](std::uint32_t i, const PublisherRecord& record) {
-    if (record.state == EndpointState::active && matches(record, subscription))
-      announce_subscription(topic, plan->index, i);
-  });
-  notice_mismatches({Kind::subscription, topic, plan->index});
+  run(announcing_.created({Kind::subscription, topic, plan->index}, request.request));
   return {};
-}
-
-// Whoever is to get a publisher's messages is told before anybody may rely on it, whatever becomes
-// of both afterwards.
-void Membership::tell_members(const EndpointRef& ref) {
-  if (ref.kind == Kind::publisher) {
-    const PublisherRecord& own = registry_.publisher(ref.topic, ref.index);
-    if (own.state != EndpointState::active) return;
-    registry_.for_each_subscription(ref.topic, [&](std::uint32_t, const SubscriptionRecord& other) {
-      if (other.state == EndpointState::active && matches(own, other)) tell(ref, other.client);
-    });
-  } else {
-    const SubscriptionRecord& own = registry_.subscription(ref.topic, ref.index);
-    if (own.state != EndpointState::active) return;
-    registry_.for_each_publisher(ref.topic, [&](std::uint32_t p, const PublisherRecord& other) {
-      if (other.state == EndpointState::active && matches(other, own))
-        tell({Kind::publisher, ref.topic, p}, own.client);
-    });
-  }
-}
-
-// A daemon that died between the record of the creation and those of the announcements leaves the
-// rest to the next one, which is asked again: so every answer tells first.
-void Membership::answer_creation(const EndpointRef& ref, std::uint64_t request) {
-  tell_members(ref);
-  auto answer = make_body<wire::EndpointCreated>(wire::Opcode::endpoint_created, request);
-  answer.topic = number(ref.topic);
-  answer.index = ref.index;
-  answer.generation = registry_.generation_of(ref);
-  if (ref.kind == Kind::publisher) {
-    const PublisherRecord& record = registry_.publisher(ref.topic, ref.index);
-    answer.extent = record.extent;
-    answer.slot_count = record.slot_count;
-    answer.first_sequence = abi::first_sequence_of(record.generation);
-  } else {
-    answer.extent = registry_.subscription(ref.topic, ref.index).extent;
-  }
-  post_.send(registry_.owner_of(ref), packet_of(answer), {});
 }
 
 bool Membership::answer_again(ClientIndex client, const CreateRequest& request) {
   const auto ref = registry_.find_creation(client, request.kind, request.request);
   if (!ref) return false;
-  ++registry_.counters().requests_answered_again;
-  answer_creation(*ref, request.request);
-  // What was announced before this answer was for an endpoint that the process did not know yet.
-  announce_to_owner(*ref);
-  notice_mismatches(*ref, false);
+  run(announcing_.answered_again(*ref, request.request));
   return true;
 }
 
@@ -185,157 +126,113 @@ Result<void> Membership::make_ready(TopicIndex topic, const SubscriptionPlan& pl
   return ready;
 }
 
+// For both sides. What may be long comes last: a packet has 255 bytes for it.
+std::string Membership::type_mismatch_text(ClientIndex client, TopicIndex topic,
+                                           const CreateRequest& request) const {
+  const TopicRecord& there = registry_.topic(topic);
+  return printable(request.type) + " (layout " + hexadecimal(request.layout_hash) +
+         ") is asked for by process " + std::to_string(registry_.client(client).pid) + ", " +
+         printable(there.type) + " (layout " + hexadecimal(there.layout_hash) +
+         ") is the type of " + std::string(there.name);
+}
+
+void Membership::notice_types(ClientIndex client, TopicIndex topic, const std::string& text) {
+  auto told = type_notices_[number(client)][number(topic)];
+  if (told) return;
+  told = true;
+  registry_.for_each_publisher(topic, [&](std::uint32_t i, const PublisherRecord& record) {
+    if (record.state == EndpointState::active)
+      notice({Kind::publisher, topic, i}, Errc::type_mismatch, text);
+  });
+  registry_.for_each_subscription(topic, [&](std::uint32_t i, const SubscriptionRecord& record) {
+    if (record.state == EndpointState::active)
+      notice({Kind::subscription, topic, i}, Errc::type_mismatch, text);
+  });
+}
+
+// --- bells that are others now
+
+void Membership::renewed(ClientIndex client, std::uint64_t executor) {
+  for (const EndpointRef& ref : registry_.endpoints_of(client)) {
+    if (ref.kind == Kind::subscription &&
+        registry_.subscription(ref.topic, ref.index).executor == executor)
+      renewed_.emplace(registry_.generation_of(ref), ref);
+  }
+}
+
+void Membership::announce_renewed() {
+  // Some 10 µs each, with the socket that is made for it.
+  constexpr std::size_t announcements_max = 200;
+  for (std::size_t made = 0; !renewed_.empty() && made < announcements_max;) {
+    const auto generation = renewed_.begin()->first;
+    const EndpointRef ref = renewed_.begin()->second;
+    renewed_.erase(renewed_.begin());
+    if (!registry_.is_used(ref) || registry_.generation_of(ref) != generation) continue;
+    const Effects announcements = announcing_.to_publishers_of(ref);
+    run(announcements);
+    made += announcements.size();
+  }
+}
+
 // --- leave
 
-bool Membership::is_own(ClientIndex client, const wire::Reference& reference) const {
-  const EndpointRef ref = ref_of(reference);
-  if (!registry_.is_used(ref)) return false;
-  const EndpointState state = ref.kind == Kind::publisher
-                                  ? registry_.publisher(ref.topic, ref.index).state
-                                  : registry_.subscription(ref.topic, ref.index).state;
-  return state != EndpointState::free && registry_.owner_of(ref) == client &&
-         registry_.generation_of(ref) == reference.generation;
-}
-
-bool Membership::is_active(ClientIndex client, const wire::Reference& reference) const {
-  if (!is_own(client, reference)) return false;
-  const EndpointRef ref = ref_of(reference);
-  return EndpointState::active == (ref.kind == Kind::publisher
-                                       ? registry_.publisher(ref.topic, ref.index).state
-                                       : registry_.subscription(ref.topic, ref.index).state);
-}
-
-bool Membership::is_drained(ClientIndex client, const wire::Reference& reference) const {
-  if (!is_own(client, reference)) return true;
-  const EndpointRef ref = ref_of(reference);
-  return ref.kind == Kind::subscription &&
-         registry_.subscription(ref.topic, ref.index).state == EndpointState::over;
-}
-
 Result<void> Membership::leave(ClientIndex client, const LeaveRequest& request) {
-  const wire::Reference& reference = request.reference;
-  if (is_done_before(journal::request::leave, request.again, !is_active(client, reference))) {
-    ++registry_.counters().requests_answered_again;
-    say_done(client, reference);
-    return {};
-  }
-  if (!is_own(client, reference))
-    return fail(Errc::protocol_violation, "this is not an endpoint of the process");
-  const EndpointRef ref = ref_of(reference);
-  if (ref.kind == Kind::publisher) {
-    const PublisherRecord& record = registry_.publisher(ref.topic, ref.index);
-    if (record.state != EndpointState::active)
-      return fail(Errc::protocol_violation, "the publisher has left before");
-    const region::PublisherWords<SharedMemory> words{regions_.region(client), record.extent};
+  const EndpointRef ref = ref_of(request.reference);
+  std::uint64_t final_head = 0;
+  if (ref.kind == Kind::publisher && leaving_.is_own(client, request.reference)) {
+    const region::PublisherWords<SharedMemory> words{
+        regions_.region(client), registry_.publisher(ref.topic, ref.index).extent};
     // What the process wrote; readers check it like any other value of a publisher.
-    orphan(ref, words.head().load(std::memory_order_acquire), journal::LeaveCause::left);
-  } else {
-    if (registry_.subscription(ref.topic, ref.index).state != EndpointState::active)
-      return fail(Errc::protocol_violation, "the subscription has left before");
-    registry_.change_subscription(ref.topic, ref.index, EndpointState::leaving);
-    kick_publishers_of(ref);
+    final_head = words.head().load(std::memory_order_acquire);
   }
-  say_done(client, reference);
-  settle(ref);
-  return {};
+  return run(leaving_.leave(client, request, final_head));
 }
 
 Result<void> Membership::drained(ClientIndex client, const DrainedRequest& request) {
-  const wire::Reference& reference = request.reference;
-  if (is_done_before(journal::request::drained, request.again, is_drained(client, reference))) {
-    ++registry_.counters().requests_answered_again;
-    say_done(client, reference);
-    return {};
-  }
-  if (!is_own(client, reference))
-    return fail(Errc::protocol_violation, "this is not an endpoint of the process");
-  const EndpointRef ref = ref_of(reference);
-  const bool publisher = ref.kind == Kind::publisher;
-  const EndpointState expected = publisher ? EndpointState::over : EndpointState::leaving;
-  const EndpointState state = publisher ? registry_.publisher(ref.topic, ref.index).state
-                                        : registry_.subscription(ref.topic, ref.index).state;
-  if (state != expected)
-    return fail(Errc::protocol_violation, publisher ? "the publisher's word is not free yet"
-                                                    : "the subscription has not left");
-  if (publisher) {
-    registry_.end_publisher(ref.topic, ref.index, EndpointState::free);
-    say_done(client, reference);
-    bool last = true;
-    registry_.for_each_publisher(ref.topic, [&](std::uint32_t, const PublisherRecord& record) {
-      last = last && record.client != client;
-    });
-    // What it had attached is detached with it.
-    if (last) {
-      registry_.for_each_subscription(ref.topic, [&](std::uint32_t i, const SubscriptionRecord&) {
-        let_go({Kind::subscription, ref.topic, i}, client);
-      });
-    }
-  } else {
-    registry_.change_subscription(ref.topic, ref.index, EndpointState::over);
-    say_done(client, reference);
-    registry_.for_each_publisher(ref.topic, [&](std::uint32_t p, const PublisherRecord& record) {
-      bool other = false;
-      registry_.for_each_subscription(
-          ref.topic, [&](std::uint32_t s, const SubscriptionRecord& subscription) {
-            other = other || (s != ref.index && subscription.client == client &&
-                              (subscription.state == EndpointState::active ||
-                               subscription.state == EndpointState::leaving) &&
-                              matches(record, subscription));
-          });
-      if (!other) let_go({Kind::publisher, ref.topic, p}, client);
-    });
-    forget_subscription(ref);
-    settle(ref);
-  }
-  settle_topic(ref.topic);
-  return {};
-}
-
-void Membership::say_done(ClientIndex client, const wire::Reference& reference) {
-  const auto answer = make_body<wire::Done>(wire::Opcode::done, reference.header.request);
-  post_.send(client, packet_of(answer), {});
-}
-
-bool Membership::may_judge(ClientIndex client, const Announced& subject, std::uint64_t seen) {
-  if (!post_.session_of(client)->announcements().may_be_void(subject, seen)) return true;
-  post_.begin_anew(
-      client, "what was announced to the processes of its user is more than the daemon remembers");
-  return false;
+  return run(leaving_.drained(client, request));
 }
 
 Result<void> Membership::unlinked(ClientIndex client, const wire::Unlinked& statement) {
   Session* const session = post_.session_of(client);
   AGNOCAST_CHECK(session != nullptr);
-  if (statement.seen > session->packet_count())
-    return fail(Errc::protocol_violation, "more packets were seen than were sent");
-  if (statement.kind == Kind::region) {
-    const ClientIndex owner{static_cast<std::uint32_t>(statement.index)};
-    if (number(owner) >= registry_.client_high() ||
-        registry_.client(owner).state == ClientState::free ||
-        registry_.client(owner).generation != statement.generation)
-      return {};  // late: it is over
-    // Who is not told everything yet is asked again when it is.
-    if (tells(client) || session->announcements().is_void(region_of(owner), statement.seen) ||
-        !may_judge(client, region_of(owner), statement.seen))
-      return {};
-    for (const EndpointRef& ref : registry_.endpoints_of(owner)) {
-      if (registry_.told_of(ref).contains(number(client)))
-        return fail(Errc::protocol_violation, "something of this region is linked");
-    }
-    session->announcements().forget(region_of(owner));
-    registry_.let_go_of_region(owner, client);
-    settle_client(owner);
-    return {};
-  }
-  const EndpointRef ref{statement.kind, static_cast<TopicIndex>(statement.topic),
-                        static_cast<std::uint32_t>(statement.index)};
-  if (!registry_.is_used(ref) || registry_.generation_of(ref) != statement.generation ||
-      session->announcements().is_void(subject_of(ref), statement.seen) ||
-      !may_judge(client, subject_of(ref), statement.seen))
-    return {};
-  session->announcements().forget(subject_of(ref));
-  let_go(ref, client);
+  return run(leaving_.unlinked(
+      client, statement, {session->announcements(), session->packet_count(), welcome_back_.tells(client)}));
+}
+
+Result<void> Membership::run(const Result<Effects>& decision) {
+  if (!decision) return tl::unexpected(decision.error());
+  run(*decision);
   return {};
+}
+
+// --- the end of a process
+
+void Membership::forget_client(ClientIndex client) {
+  registry_.client_forgotten(client);
+  announcer_.forget_client(client);
+  welcome_back_.forget_client(client);
+  type_notices_.erase(number(client));
+}
+
+// Places are freed in the middle of this, and the topic goes with its last endpoint.
+void Membership::carry_out_what_is_owed() {
+  const auto for_each_topic = [this](const auto& decide) {
+    for (std::uint32_t t = 0; t < registry_.topic_high(); ++t) {
+      if (registry_.topic(TopicIndex{t}).state == TopicState::used) decide(TopicIndex{t});
+    }
+  };
+  for_each_topic([this](TopicIndex topic) {
+    run(endings_.owed_acknowledgements(Kind::publisher, topic));
+    run(endings_.owed_acknowledgements(Kind::subscription, topic));
+  });
+  for_each_topic([this](TopicIndex topic) { run(endings_.free_all_unused(topic)); });
+  run(endings_.free_unused_clients());
+  // Who comes back is told at once whom to let go of.
+  for_each_topic([this](TopicIndex topic) {
+    run(endings_.give_up_orphans(topic));
+    run(endings_.give_up_subscriptions(topic));
+  });
+  run(endings_.give_up_gone());
 }
 
 }  // namespace agnocast::daemon

@@ -353,7 +353,7 @@ void Regions::free_elsewhere(ClientMemory memory) noexcept {
   }
 }
 
-void Regions::bury_client(ClientIndex client) noexcept {
+void Regions::unmap_client(ClientIndex client) noexcept {
   ClientMemory& memory = clients_[number(client)];
   if (!memory.region) return;
   ClientMemory writable;

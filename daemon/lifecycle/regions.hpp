@@ -131,10 +131,10 @@ class Regions {
     return of(client).window_readers;
   }
 
-  /// The process is dead and recovered: drops what can write. What readers need stays for as long
+  /// The process is dead and recovered: unmaps its region, and closes what can write. What readers need stays for as long
   /// as its place is taken: who was without a connection when it died is still to be announced its
   /// last messages, and observers look at it.
-  void bury_client(ClientIndex client) noexcept;
+  void unmap_client(ClientIndex client) noexcept;
   /// The process is over, or never came to life: nothing is kept. Its memory is freed a little later.
   void close_client(ClientIndex client) noexcept;
 

@@ -68,7 +68,7 @@ Broker::Broker(const BrokerOptions& options, Log& log, Dispatcher& dispatcher, L
       observer_requests_(options_.config.access, registry_, regions_, admission_, connections_,
                          output_, termination_, answers_, log),
       hold_watch_(registry_, regions_),
-      let_go_watch_(registry_, regions_, membership_, output_),
+      let_go_watch_(registry_, regions_, membership_.endings(), output_),
       readers_(registry_, doorbells_, log),
       refusal_report_(registry_, admission_, refusals_, output_, log),
       server_(admission_, conflicts_, refusal_report_, termination_),
@@ -87,10 +87,10 @@ Broker::Broker(const BrokerOptions& options, Log& log, Dispatcher& dispatcher, L
                  connections_, scheduler_, namespaces_, log}) {
   regions_.use(errands);
   fill_request_table();
-  membership_.on_ended = [this](ClientIndex client) { on_ended(client); };
-  membership_.on_matched = [this](const EndpointRef& publisher, const EndpointRef& subscription) {
+  membership_.on_client_freed = [this](ClientIndex client) { free_client(client); };
+  membership_.set_on_matched([this](const EndpointRef& publisher, const EndpointRef& subscription) {
     conflicts_.look_at(publisher, subscription);
-  };
+  });
 }
 
 void Broker::fill_request_table() {
@@ -217,7 +217,7 @@ void Broker::watch_letting_go() {
   }
 }
 
-void Broker::on_ended(ClientIndex client) {
+void Broker::free_client(ClientIndex client) {
   AGNOCAST_CRASH_POINT(B_place_free);
   regions_.close_client(client);
   const ClientRecord& record = registry_.client(client);

@@ -101,7 +101,7 @@ class Broker final {
   void watch_letting_go();
   void announce_what_waits();
   /// The place of a process is free, and so are its addresses.
-  void on_ended(ClientIndex client);
+  void free_client(ClientIndex client);
 
   BrokerOptions options_;
   Log& log_;

@@ -37,7 +37,7 @@ Result<void> Recovery::run() {
   const std::size_t strangers = of_.store.remove_left_over();
   of_.doorbells.clear_strangers();
   const std::uint64_t dead = reap_while_away(ended);
-  of_.membership.finish();
+  of_.membership.carry_out_what_is_owed();
   of_.registry.note_recovered({static_cast<std::uint32_t>(::getpid()), dead, repaired});
   of_.doorbells.ring_all();
   of_.log.write(lost == 0 && repaired == 0 ? LogLevel::notice : LogLevel::error, "resumed",
@@ -98,7 +98,7 @@ Result<journal::FoundDecision> Recovery::adopt_client(ClientIndex client, std::u
     of_.registry.client_died(client, DeathReason::died);
     of_.store.remove(DescriptorStore::process(client));
   }
-  if (record.state == ClientState::forgotten) of_.regions.bury_client(client);
+  if (record.state == ClientState::forgotten) of_.regions.unmap_client(client);
   if (is_lost) {
     ++lost;
     of_.log.write(LogLevel::error, "client lost",
@@ -159,11 +159,11 @@ std::uint64_t Recovery::reap_while_away(const std::vector<ClientIndex>& ended) {
     // The end of one may be the end of another that was waited for.
     const ClientState state = of_.registry.client(client).state;
     if (state == ClientState::alive) {
-      of_.termination.repair(client, DeathReason::died, "ended while the daemon was away",
+      of_.termination.reap(client, DeathReason::died, "ended while the daemon was away",
                              UINT64_MAX);
       ++dead;
     } else if (state == ClientState::dead) {
-      of_.termination.repair(client, of_.registry.client(client).reason,
+      of_.termination.reap(client, of_.registry.client(client).reason,
                              "its end was not finished by the former daemon", UINT64_MAX);
     }
   }

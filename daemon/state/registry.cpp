@@ -297,7 +297,7 @@ void Registry::client_died(ClientIndex index, DeathReason reason) {
           death_counter(counters(), reason) + more});
 }
 
-void Registry::forget_in_topic(ClientIndex gone, TopicIndex topic) {
+void Registry::acknowledge_topic(ClientIndex gone, TopicIndex topic) {
   AGNOCAST_CHECK(client(gone).state == ClientState::dead);
   if (views_[number(gone)].knows.count(number(topic)) == 0) return;
   change(Type::topic_forgotten, {number(topic), number(gone), client(gone).generation});
@@ -315,13 +315,13 @@ void Registry::client_forgotten(ClientIndex index) {
   change(Type::client_forgotten, {number(index), client(index).generation});
 }
 
-bool Registry::can_end(ClientIndex index) const {
+bool Registry::can_free(ClientIndex index) const {
   return client(index).state == ClientState::forgotten && !is_revoked(index) &&
          endpoints_of(index).empty() && client(index).told.reusable();
 }
 
-void Registry::end_client(ClientIndex index) {
-  AGNOCAST_CHECK(can_end(index));
+void Registry::free_client(ClientIndex index) {
+  AGNOCAST_CHECK(can_free(index));
   change(Type::client_end, {number(index), client(index).generation});
 }
 

@@ -8,7 +8,7 @@
 // it would be (index, generation, extent), the shell makes the memory ready, add_*() makes it so;
 // between the two nothing else may change.
 //
-// The rules about *when* something may change lie in membership.cpp and reaper.cpp; here are the
+// The rules about *when* something may change lie in endings.cpp, leaving.cpp and reaper.cpp; here are the
 // facts that they ask for. What is kept beside the tables (names to topics, endpoints and extents
 // of a process) is derived from them and made anew by open().
 //
@@ -218,17 +218,17 @@ class Registry {
     return client(index).state >= ClientState::dead &&
            client(index).reason == journal::DeathReason::revoked;
   }
-  /// It leaves the announce sets of all endpoints of this topic.
-  void forget_in_topic(ClientIndex gone, TopicIndex topic);
+  /// It is dead, and leaves the announce sets of all endpoints of this topic: what it had mapped there is unmapped.
+  void acknowledge_topic(ClientIndex gone, TopicIndex topic);
   /// A topic with an endpoint that it was told of and has not let go of.
   std::optional<TopicIndex> known_topic_of(ClientIndex index) const;
   /// It leaves those of all regions, and has let go of everything that it was ever told about. Only when
   /// there is no such topic any more.
   void client_forgotten(ClientIndex index);
   /// Gone, forgotten, without endpoints, known to nobody: its place may be used again after
-  /// end_client().
-  bool can_end(ClientIndex index) const;
-  void end_client(ClientIndex index);
+  /// free_client().
+  bool can_free(ClientIndex index) const;
+  void free_client(ClientIndex index);
 
   // --- the flight recorder
   /// Counters outlive the daemon. What a record counts is set by the record; the others are the
@@ -358,7 +358,9 @@ class Registry {
   void change(Type type, std::initializer_list<std::uint64_t> arguments);
   void apply(const Record& record);
   void apply_to_client(const Record& record);
-  void apply_to_endpoint(const Record& record);
+  void apply_to_topic(const Record& record);
+  void apply_to_publisher(const Record& record);
+  void apply_to_subscription(const Record& record);
   void apply_to_announce_sets(const Record& record);
   void apply_to_counters(const Record& record);
   void rebuild();

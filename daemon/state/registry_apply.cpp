@@ -71,41 +71,20 @@ void Registry::apply(const Record& record) {
     case Type::client_end:
       apply_to_client(record);
       break;
-    case Type::add_topic: {
-      const TopicIndex at = topic_of(record);
-      TopicRecord& topic = tables_.topic[number(at)];
-      store(topic.generation, record.argument[1]);
-      store(topic.domain, record.argument[2]);
-      store(topic.layout_hash, record.argument[3]);
-      store(topic.publisher_high, 0);
-      store(topic.subscription_high, 0);
-      for (std::uint64_t& word : topic.publishers) store(word, 0);
-      for (std::uint64_t& word : topic.subscriptions) store(word, 0);
-      store(topic.state, TopicState::used);
-      store(tables_.header.topic_high, std::max(tables_.header.topic_high, number(at) + 1));
-      note_generation(topic.generation);
-      const auto line = words(at);
-      AGNOCAST_CRASH_POINT(B_board_field);
-      line.publisher_high().store(0, std::memory_order_relaxed);
-      AGNOCAST_CRASH_POINT(B_board_field);
-      line.subscription_high().store(0, std::memory_order_relaxed);
-      topics_.insert_or_assign(topic_key(topic.domain, topic.name), at);
+    case Type::add_topic:
+    case Type::free_topic:
+      apply_to_topic(record);
       break;
-    }
-    case Type::free_topic: {
-      TopicRecord& topic = tables_.topic[number(topic_of(record))];
-      topics_.erase(topic_key(topic.domain, topic.name));
-      store(topic.state, TopicState::free);
-      break;
-    }
     case Type::add_publisher:
-    case Type::add_subscription:
     case Type::raise_slots:
     case Type::leave_publisher:
     case Type::free_publisher:
+      apply_to_publisher(record);
+      break;
+    case Type::add_subscription:
     case Type::leave_subscription:
     case Type::free_subscription:
-      apply_to_endpoint(record);
+      apply_to_subscription(record);
       break;
     case Type::announced:
     case Type::unlinked:
@@ -113,6 +92,32 @@ void Registry::apply(const Record& record) {
       apply_to_announce_sets(record);
       break;
   }
+}
+
+void Registry::apply_to_topic(const Record& record) {
+  const TopicIndex at = topic_of(record);
+  TopicRecord& topic = tables_.topic[number(at)];
+  if (record.type == Type::free_topic) {
+    topics_.erase(topic_key(topic.domain, topic.name));
+    store(topic.state, TopicState::free);
+    return;
+  }
+  store(topic.generation, record.argument[1]);
+  store(topic.domain, record.argument[2]);
+  store(topic.layout_hash, record.argument[3]);
+  store(topic.publisher_high, 0);
+  store(topic.subscription_high, 0);
+  for (std::uint64_t& word : topic.publishers) store(word, 0);
+  for (std::uint64_t& word : topic.subscriptions) store(word, 0);
+  store(topic.state, TopicState::used);
+  store(tables_.header.topic_high, std::max(tables_.header.topic_high, number(at) + 1));
+  note_generation(topic.generation);
+  const auto line = words(at);
+  AGNOCAST_CRASH_POINT(B_board_field);
+  line.publisher_high().store(0, std::memory_order_relaxed);
+  AGNOCAST_CRASH_POINT(B_board_field);
+  line.subscription_high().store(0, std::memory_order_relaxed);
+  topics_.insert_or_assign(topic_key(topic.domain, topic.name), at);
 }
 
 void Registry::apply_to_announce_sets(const Record& record) {
@@ -184,7 +189,7 @@ void Registry::apply_to_client(const Record& record) {
             record.argument[3]);
       break;
     case Type::client_forgotten: {
-      // Of endpoints it has left them: forget_in_topic().
+      // Of endpoints it has left them: acknowledge_topic().
       const std::uint64_t gone = record.argument[0];
       for (std::uint32_t i = 0; i < tables_.header.client_high; ++i) {
         if (tables_.client[i].state == ClientState::free) continue;
@@ -201,13 +206,11 @@ void Registry::apply_to_client(const Record& record) {
   count_client(static_cast<ClientIndex>(record.argument[0]));
 }
 
-void Registry::apply_to_endpoint(const Record& record) {
+void Registry::apply_to_publisher(const Record& record) {
   const TopicIndex at = topic_of(record);
   const std::uint32_t index = index_of(record);
   TopicRecord& topic = tables_.topic[number(at)];
-  PublisherRecord& publisher =
-      tables_.publisher[number(at)][std::min(index, abi::publisher_count_max - 1)];
-  SubscriptionRecord& subscription = tables_.subscription[number(at)][index];
+  PublisherRecord& publisher = tables_.publisher[number(at)][index];
   const std::uint64_t* const argument = record.argument;
   switch (record.type) {
     case Type::add_publisher:
@@ -247,7 +250,7 @@ void Registry::apply_to_endpoint(const Record& record) {
         store(*counter, argument[6]);
       board(at).orphan_publisher(index, publisher.generation, argument[2]);
       break;
-    case Type::free_publisher: {
+    default: {  // free_publisher
       const auto state = static_cast<EndpointState>(argument[2]);
       store(publisher.state, state);
       board(at).free_publisher(index, publisher.generation);
@@ -256,6 +259,16 @@ void Registry::apply_to_endpoint(const Record& record) {
       vacate_place({Kind::publisher, at, index});
       break;
     }
+  }
+}
+
+void Registry::apply_to_subscription(const Record& record) {
+  const TopicIndex at = topic_of(record);
+  const std::uint32_t index = index_of(record);
+  TopicRecord& topic = tables_.topic[number(at)];
+  SubscriptionRecord& subscription = tables_.subscription[number(at)][index];
+  const std::uint64_t* const argument = record.argument;
+  switch (record.type) {
     case Type::add_subscription:
       store(subscription.generation, argument[2]);
       store(subscription.client, static_cast<ClientIndex>(argument[3]));

@@ -128,7 +128,7 @@ void ask(const Registry& registry) {
   const abi::Qos qos{1, false, true, false, false};
   for (std::uint32_t c = 0; c < registry.client_high(); ++c) {
     const ClientIndex client{c};
-    static_cast<void>(registry.can_end(client));
+    static_cast<void>(registry.can_free(client));
     for (const EndpointRef& ref : registry.endpoints_of(client)) {
       static_cast<void>(registry.told_of(ref).reusable());
       REQUIRE(registry.owner_of(ref) == client);

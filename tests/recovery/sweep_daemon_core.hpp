@@ -171,7 +171,7 @@ class Core final : private Post {
   void end(std::uint32_t client) {
     const ClientIndex index{client};
     if (registry_.is_revoked(index)) registry_.client_died(index, journal::DeathReason::died);
-    membership_.settle_client(index);
+    membership_.run(membership_.endings().free_unused_client(index));
   }
 
   /// Resumes as a new daemon does: completes the change and the deaths under way and those that it
@@ -183,7 +183,7 @@ class Core final : private Post {
       if (ended.count(i) != 0 && registry_.is_revoked(ClientIndex{i})) end(i);
       if (is_dying(i) || ended.count(i) != 0) reap(i);
     }
-    membership_.finish();
+    membership_.carry_out_what_is_owed();
     for (std::uint32_t i = 0; i < registry_.client_high(); ++i) {
       if (!registry_.is_alive(ClientIndex{i})) continue;
       if (registry_.client(ClientIndex{i}).executors != 0) ring_at(i);

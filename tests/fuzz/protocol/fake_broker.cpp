@@ -40,7 +40,7 @@ FakeBroker::FakeBroker()
       doorbells_(bells_directory(), store_),
       membership_(registry_, regions_, doorbells_, *this) {
   registry_.create(incarnation);
-  membership_.on_ended = [this](ClientIndex client) {
+  membership_.on_client_freed = [this](ClientIndex client) {
     regions_.close_client(client);
     const ClientRecord& record = registry_.client(client);
     for (std::uint64_t w = 0; w < record.window_count; ++w)
@@ -245,7 +245,7 @@ void FakeBroker::die(Process& process) {
   const ClientIndex client = *dead.client;
   if (dead.revoked) {
     registry_.client_died(client, journal::DeathReason::died);
-    membership_.settle_client(client);
+    membership_.run(membership_.endings().free_unused_client(client));
     return;
   }
   obstacles_.forget(client);

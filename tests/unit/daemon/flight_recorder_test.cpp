@@ -127,7 +127,7 @@ TEST_F(FlightRecorder, NamesAPlaceOnlyUntilItIsReused) {
   for (const ClientIndex gone : {a, b}) {
     registry.client_died(gone, journal::DeathReason::died);
     registry.client_forgotten(gone);
-    registry.end_client(gone);
+    registry.free_client(gone);
   }
   check(true);  // the places are not reused yet
   EXPECT_EQ(client("thief", 900), a);
@@ -184,7 +184,7 @@ TEST_F(FlightRecorder, NamesBothSidesOfAWithdrawalAndKeepsTheirPids) {
   for (const ClientIndex gone : {a, b}) {
     registry.client_died(gone, journal::DeathReason::died);
     registry.client_forgotten(gone);
-    registry.end_client(gone);
+    registry.free_client(gone);
   }
   EXPECT_EQ(client("thief", 900), a);
   EXPECT_EQ(client("other", 901), b);

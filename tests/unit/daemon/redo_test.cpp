@@ -195,7 +195,7 @@ TEST_F(Redo, CompletesEveryChangeWhateverPartWasMade) {
   step(RecordType::leave_subscription,
        [&](R& r) { r.change_subscription(t, 0, EndpointState::over); });
   step(RecordType::client_dead, [&](R& r) { r.client_died(a, DeathReason::died); });
-  step(RecordType::topic_forgotten, [&](R& r) { r.forget_in_topic(a, t); });
+  step(RecordType::topic_forgotten, [&](R& r) { r.acknowledge_topic(a, t); });
   step(RecordType::client_forgotten, [&](R& r) { r.client_forgotten(a); });
   step(RecordType::unlinked, [&](R& r) { r.let_go(publisher, b); });
   step(RecordType::unlinked, [&](R& r) { r.let_go_of_region(a, b); });
@@ -203,7 +203,7 @@ TEST_F(Redo, CompletesEveryChangeWhateverPartWasMade) {
   step(RecordType::free_publisher, [&](R& r) { r.end_publisher(t, 0, EndpointState::free); });
   step(RecordType::free_subscription, [&](R& r) { r.free_subscription(t, 0); });
   step(RecordType::free_topic, [&](R& r) { r.free_topic(t); });
-  step(RecordType::client_end, [&](R& r) { r.end_client(a); });
+  step(RecordType::client_end, [&](R& r) { r.free_client(a); });
   // Reused places.
   step(RecordType::register_client, [&](R& r) {
     ASSERT_EQ(r.add_client({1, 2, 78, 3, "c"}).value(), a);

@@ -109,7 +109,7 @@ TEST_F(RegistryTest, KeepsTheUsageEqualToACount) {
         if (!endpoints.empty()) break;
         life->client_died(one, journal::DeathReason::died);
         life->client_forgotten(one);
-        life->end_client(one);
+        life->free_client(one);
         std::erase(clients, one);
         ++ended;
     }

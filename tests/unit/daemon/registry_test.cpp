@@ -112,19 +112,19 @@ TEST_F(RegistryTest, EndsAProcessOnlyWhenNoOtherProcessKnowsPartOfIt) {
   const TopicIndex t = topic();
   const auto p = publisher(a, t);
   registry.tell({Kind::publisher, t, p.index}, b);
-  EXPECT_FALSE(registry.can_end(a));
+  EXPECT_FALSE(registry.can_free(a));
   registry.client_died(a, journal::DeathReason::died);
   registry.orphan_publisher(t, p.index, 0);
-  EXPECT_FALSE(registry.can_end(a));
+  EXPECT_FALSE(registry.can_free(a));
   registry.let_go({Kind::publisher, t, p.index}, b);
   registry.end_publisher(t, p.index, EndpointState::free);
-  EXPECT_FALSE(registry.can_end(a)) << "b still maps its region";
+  EXPECT_FALSE(registry.can_free(a)) << "b still maps its region";
   registry.let_go_of_region(a, b);
-  EXPECT_FALSE(registry.can_end(a)) << "it still counts as notified of others' endpoints";
+  EXPECT_FALSE(registry.can_free(a)) << "it still counts as notified of others' endpoints";
   registry.client_forgotten(a);
-  EXPECT_TRUE(registry.can_end(a));
+  EXPECT_TRUE(registry.can_free(a));
   const std::uint64_t generation = registry.client(a).generation;
-  registry.end_client(a);
+  registry.free_client(a);
   EXPECT_EQ(client(), a);
   EXPECT_GT(registry.client(a).generation, generation);
 }
@@ -138,9 +138,9 @@ TEST_F(RegistryTest, ForgetsADeadProcessEverywhere) {
   registry.tell({Kind::subscription, u, s.index}, b);
   registry.client_died(b, journal::DeathReason::died);
   EXPECT_EQ(registry.known_topic_of(b), t);
-  registry.forget_in_topic(b, t);
+  registry.acknowledge_topic(b, t);
   EXPECT_EQ(registry.known_topic_of(b), u);
-  registry.forget_in_topic(b, u);
+  registry.acknowledge_topic(b, u);
   EXPECT_FALSE(registry.known_topic_of(b));
   EXPECT_TRUE(registry.client(a).told.contains(number(b))) << "its region is forgotten last";
   registry.client_forgotten(b);

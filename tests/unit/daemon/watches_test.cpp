@@ -100,7 +100,7 @@ TEST_F(WatchesTest, FindsAMissingAcknowledgementHoweverMuchAnotherUserLeft) {
     return keeper;
   };
   const auto looks_until = [&](ClientIndex wanted) {
-    LetGoWatch watch(core.registry, core.regions, core.membership, core.post);
+    LetGoWatch watch(core.registry, core.regions, core.membership.endings(), core.post);
     for (int looks = 1; looks < 10'000; ++looks) {
       for (const LetGoWatch::Finding& finding : watch.look()) {
         if (finding.client == wanted) return looks;
@@ -119,6 +119,68 @@ TEST_F(WatchesTest, FindsAMissingAcknowledgementHoweverMuchAnotherUserLeft) {
     leave_behind(1, topic, 40);
   }
   EXPECT_LE(looks_until(keeper), alone + 1);
+}
+
+TEST_F(WatchesTest, NeverFindsWhoHoldsAsManyAsItAskedFor) {
+  const ClientIndex owner = core.process(1), reader = core.process(2);
+  core.create(owner, Kind::publisher, "/t");
+  const EndpointRef subscription = core.create(reader, Kind::subscription, "/t");
+  line(subscription, 0).hold(0).store(1);  // its quota is one
+  HoldWatch watch(core.registry, core.regions);
+  for (int looks = 0; looks < 20; ++looks) EXPECT_TRUE(watch.look().empty());
+}
+
+TEST_F(WatchesTest, BeginsAnewWithWhoIsBackWithinItsQuotaForOneLook) {
+  const ClientIndex owner = core.process(1), reader = core.process(2);
+  core.create(owner, Kind::publisher, "/t");
+  const EndpointRef subscription = core.create(reader, Kind::subscription, "/t");
+  HoldWatch watch(core.registry, core.regions);
+  for (int looks = 0; looks < 20; ++looks) {
+    line(subscription, 0).hold(0).store(looks % 5 == 4 ? 1 : 0xff);
+    EXPECT_TRUE(watch.look().empty()) << looks;
+  }
+}
+
+TEST_F(WatchesTest, GivesAProcessThatCameBackAsLongAsOneWithoutAConnection) {
+  const ClientIndex reader = core.process(2);
+  core.create(reader, Kind::subscription, "/t");
+  for (int i = 0; i < 33; ++i) {
+    const ClientIndex owner = core.process(1);
+    core.create(owner, Kind::publisher, "/t");
+    core.end(owner);
+  }
+  ASSERT_FALSE(core.membership.endings().given_up().empty());
+  const auto looks_until_found = [&](bool comes_back) {
+    LetGoWatch watch(core.registry, core.regions, core.membership.endings(), core.post);
+    for (int looks = 1; looks < 100; ++looks) {
+      const auto found = watch.look();
+      if (!found.empty()) {
+        EXPECT_EQ(found[0].client, reader);
+        EXPECT_TRUE(watch.is_true(found[0]));
+        return looks;
+      }
+      if (comes_back) watch.told_again(reader);
+    }
+    return 100;
+  };
+  const int without_connection = looks_until_found(false);
+  core.post.sessions.emplace(reader, Session(PacketSocket(), PeerIdentity()));
+  const int deaf = looks_until_found(false);
+  EXPECT_LT(deaf, without_connection) << "everything was sent to it";
+  EXPECT_EQ(looks_until_found(true), without_connection);
+}
+
+TEST_F(WatchesTest, FindsNobodyWhoHoldsAMessageOfWhatWasGivenUp) {
+  const ClientIndex reader = core.process(2);
+  const EndpointRef subscription = core.create(reader, Kind::subscription, "/t");
+  for (int i = 0; i < 33; ++i) {
+    const ClientIndex owner = core.process(1);
+    const EndpointRef publisher = core.create(owner, Kind::publisher, "/t");
+    line(subscription, publisher.index).hold(0).store(1);
+    core.end(owner);
+  }
+  LetGoWatch watch(core.registry, core.regions, core.membership.endings(), core.post);
+  for (int looks = 0; looks < 100; ++looks) ASSERT_TRUE(watch.look().empty()) << looks;
 }
 
 }  // namespace

@@ -1,10 +1,12 @@
 // SPDX-License-Identifier: Apache-2.0
 //
-// What the three files of Membership share: names for the same thing in tables, packets and the book of
-// announcements.
+// Names for the same thing in tables, packets and the book of announcements, and what several decisions ask of the
+// registry.
 #pragma once
 
-#include <daemon/lifecycle/membership.hpp>
+#include <daemon/state/registry.hpp>
+#include <daemon/transport/post.hpp>
+#include <daemon/transport/session.hpp>
 
 namespace agnocast::daemon {
 
@@ -35,9 +37,15 @@ inline bool matches(const PublisherRecord& publisher,
   return abi::qos_match(abi::unpack_qos(publisher.qos), abi::unpack_qos(subscription.qos));
 }
 
+inline EndpointState state_of(const Registry& registry, const EndpointRef& ref) noexcept {
+  return ref.kind == Kind::publisher ? registry.publisher(ref.topic, ref.index).state
+                                     : registry.subscription(ref.topic, ref.index).state;
+}
+
+/// Calls function(client) for each process in the announce set.
 template <class Function>
-void Membership::for_each_told(const AnnounceSet& set, Function function) const {
-  for (std::uint32_t i = 0; i < registry_.client_high(); ++i) {
+void for_each_told(const Registry& registry, const AnnounceSet& set, Function function) {
+  for (std::uint32_t i = 0; i < registry.client_high(); ++i) {
     if (set.contains(i)) function(static_cast<ClientIndex>(i));
   }
 }

@@ -1,0 +1,58 @@
+// SPDX-License-Identifier: Apache-2.0
+//
+// Leaving: decides about what processes say of the end of endpoints: that one of their own leaves, that it has
+// drained, that they have unmapped another one. A core without I/O, as endings.hpp.
+//
+// A request may be said again after its answer was lost with the connection. What was carried out is answered as
+// before (journal/cases.hpp, Q).
+#pragma once
+
+#include <agnocast/result.hpp>
+#include <daemon/lifecycle/effects.hpp>
+#include <daemon/lifecycle/endings.hpp>
+#include <daemon/transport/requests.hpp>
+
+#include <cstdint>
+
+namespace agnocast::daemon {
+
+/// What a connection has brought to its process.
+struct Reader {
+  const AnnouncementNumbers& announcements;
+  std::uint64_t packet_count = 0;  // sent so far
+  bool is_being_told = false;      // what there was before it came back, and not all of that yet
+};
+
+class Leaving {
+ public:
+  Leaving(const Registry& registry, const Endings& endings) noexcept
+      : registry_(registry), endings_(endings) {}
+
+  /// `final_head` counts for a publisher only. Errors: protocol_violation.
+  [[nodiscard]] Result<Effects> leave(ClientIndex client, const LeaveRequest& request,
+                                      std::uint64_t final_head) const;
+  [[nodiscard]] Result<Effects> drained(ClientIndex client, const DrainedRequest& request) const;
+  [[nodiscard]] Result<Effects> unlinked(ClientIndex client, const wire::Unlinked& statement,
+                                         const Reader& reader) const;
+
+  bool is_own(ClientIndex client, const wire::Reference& reference) const;
+
+ private:
+  Effects answered_again(ClientIndex client, const wire::Reference& reference) const;
+  effect::Send done(ClientIndex client, const wire::Reference& reference) const;
+  Effects publisher_drained(ClientIndex client, const wire::Reference& reference) const;
+  Effects subscription_drained(ClientIndex client, const wire::Reference& reference) const;
+  [[nodiscard]] Result<Effects> region_unlinked(ClientIndex client, const wire::Unlinked& statement,
+                                                const Reader& reader) const;
+  bool is_active(ClientIndex client, const wire::Reference& reference) const;
+  /// Nothing is left to be drained.
+  bool is_drained(ClientIndex client, const wire::Reference& reference) const;
+  /// Has the process another subscription of the topic that reads this publisher?
+  bool has_another_reader(ClientIndex client, const EndpointRef& subscription,
+                          const PublisherRecord& publisher) const;
+
+  const Registry& registry_;
+  const Endings& endings_;
+};
+
+}  // namespace agnocast::daemon

@@ -1,0 +1,136 @@
+// SPDX-License-Identifier: Apache-2.0
+//
+// Goal: a process hears of exactly the endpoints that concern it, behind the record of that, when one is created and
+// when it comes back.
+// Method: a registry and nothing else; the effects say who is told of what.
+
+#include <daemon/lifecycle/announcing.hpp>
+#include <tests/support/registry_scene.hpp>
+
+#include <gtest/gtest.h>
+
+#include <variant>
+#include <vector>
+
+namespace agnocast::daemon {
+namespace {
+
+using test::count_of;
+
+class AnnouncingTest : public testing::Test {
+ protected:
+  template <class Kind>
+  static std::vector<Kind> all(const Effects& effects) {
+    std::vector<Kind> found;
+    for (const Effect& one : effects) {
+      if (const auto* const it = std::get_if<Kind>(&one)) found.push_back(*it);
+    }
+    return found;
+  }
+  /// Of the first effect of this type.
+  template <class Kind>
+  static std::size_t place_of(const Effects& effects) {
+    std::size_t at = 0;
+    while (at < effects.size() && !std::holds_alternative<Kind>(effects[at])) ++at;
+    return at;
+  }
+  EndpointRef subscription_with_history(ClientIndex owner) {
+    const abi::Qos qos{1, true, true, false, false};
+    const TopicIndex at = scene.topic("/topic");
+    const auto plan = registry.plan_subscription(owner, at, qos, {1, 1}).value();
+    registry.add_subscription(owner, at, qos, {1, 1}, 0, plan, "node");
+    return {Kind::subscription, at, plan.index};
+  }
+
+  test::RegistryScene scene;
+  Registry& registry = scene.registry;
+  Endings endings{scene.registry};
+  Announcing announcing{scene.registry, endings};
+};
+
+TEST_F(AnnouncingTest, RecordsMembersThenAnswersThenTellsReadersThenThePublisher) {
+  const ClientIndex owner = scene.process(), first = scene.process(), second = scene.process();
+  const EndpointRef a = scene.subscription(first), b = scene.subscription(second);
+  const EndpointRef publisher = scene.publisher(owner);
+  const Effects effects = announcing.created(publisher, 42);
+  ASSERT_EQ(effects.size(), 7u);
+  const auto members = all<effect::RecordMember>(effects);
+  ASSERT_EQ(members.size(), 2u);
+  EXPECT_EQ(members[0].to, first);
+  ASSERT_TRUE(std::holds_alternative<effect::Send>(effects[2]));
+  const auto& answer = std::get<effect::Send>(effects[2]);
+  EXPECT_EQ(answer.to, owner);
+  EXPECT_EQ(std::get<wire::EndpointCreated>(answer.packet).header.request, 42u);
+  const auto told = all<effect::Announce>(effects);
+  ASSERT_EQ(told.size(), 4u);
+  EXPECT_EQ(told[0].subject, publisher);
+  EXPECT_EQ(told[0].member, a);
+  EXPECT_EQ(told[1].member, b);
+  EXPECT_EQ(told[2].subject, a) << "a reader has mapped the publisher before it is rung";
+  EXPECT_EQ(told[2].member, publisher);
+}
+
+TEST_F(AnnouncingTest, TellsNobodyWhoLeavesOrIsOver) {
+  const EndpointRef leaving = scene.subscription(scene.process());
+  const EndpointRef orphan = scene.publisher(scene.process());
+  registry.change_subscription(leaving.topic, leaving.index, EndpointState::leaving);
+  scene.orphan(orphan);
+  const ClientIndex owner = scene.process();
+  EXPECT_EQ(announcing.created(scene.publisher(owner), 1).size(), 1u) << "the answer alone";
+  const EndpointRef subscription = scene.subscription(owner);
+  const auto told = all<effect::Announce>(announcing.created(subscription, 2));
+  for (const auto& one : told) EXPECT_NE(one.subject, orphan) << "nobody joins an orphan";
+}
+
+TEST_F(AnnouncingTest, AnswersAgainToItsProcessAlone) {
+  const ClientIndex owner = scene.process(), reader = scene.process();
+  const EndpointRef subscription = scene.subscription(reader), publisher = scene.publisher(owner);
+  const Effects effects = announcing.answered_again(publisher, 7);
+  EXPECT_EQ(count_of<effect::CountAnsweredAgain>(effects), 1u);
+  EXPECT_LT(place_of<effect::RecordMember>(effects), place_of<effect::Send>(effects));
+  const auto told = all<effect::Announce>(effects);
+  ASSERT_EQ(told.size(), 1u);
+  EXPECT_EQ(told[0].subject, subscription);
+  EXPECT_EQ(told[0].member, publisher);
+}
+
+TEST_F(AnnouncingTest, AReaderThatComesBackHearsOfAnOrphanThatItHadJoined) {
+  const ClientIndex owner = scene.process(), reader = scene.process();
+  const EndpointRef publisher = scene.publisher(owner);
+  const EndpointRef before = scene.subscription(reader);
+  registry.tell(publisher, reader);
+  scene.orphan(publisher);
+  const EndpointRef after = scene.subscription(reader);
+  EXPECT_EQ(count_of<effect::Announce>(announcing.to_owner(before)), 1u);
+  EXPECT_EQ(count_of<effect::Announce>(announcing.to_owner(after)), 0u);
+  EXPECT_EQ(count_of<effect::Send>(announcing.what_is_over(reader, publisher.topic)), 1u);
+  registry.let_go(publisher, reader);
+  EXPECT_TRUE(announcing.what_is_over(reader, publisher.topic).empty());
+}
+
+TEST_F(AnnouncingTest, APublisherThatComesBackIsAskedToUnmapWhatItDoesNotLookAt) {
+  const ClientIndex owner = scene.process(), reader = scene.process();
+  scene.publisher(owner);
+  const EndpointRef subscription = scene.subscription(reader);
+  registry.tell(subscription, owner);
+  EXPECT_TRUE(announcing.what_is_over(owner, subscription.topic).empty());
+  registry.change_subscription(subscription.topic, subscription.index, EndpointState::dead);
+  EXPECT_EQ(count_of<effect::Send>(announcing.what_is_over(owner, subscription.topic)), 1u);
+  EXPECT_EQ(count_of<effect::Announce>(announcing.to_publishers_of(subscription)), 0u);
+}
+
+TEST_F(AnnouncingTest, TellsBothOwnersOfAMismatchAndAnnouncesNothing) {
+  const ClientIndex owner = scene.process();
+  const EndpointRef publisher = scene.publisher(owner);
+  subscription_with_history(scene.process());
+  const Effects effects = announcing.created(publisher, 1);
+  EXPECT_EQ(count_of<effect::RecordMember>(effects), 0u);
+  EXPECT_EQ(count_of<effect::Announce>(effects), 0u);
+  const auto notices = all<effect::Notice>(effects);
+  ASSERT_EQ(notices.size(), 2u);
+  EXPECT_EQ(notices[0].policy, abi::QosPolicy::durability);
+  EXPECT_EQ(count_of<effect::Notice>(announcing.answered_again(publisher, 1)), 1u);
+}
+
+}  // namespace
+}  // namespace agnocast::daemon
