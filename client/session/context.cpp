@@ -54,7 +54,6 @@ Context& Context::first() noexcept {
   static Context* const context =
       new Context;  // immortal: messages in statics outlive every static of ours
   Context* none = nullptr;
-  context->was_present_.store(true, std::memory_order_release);
   present_.compare_exchange_strong(none, context, std::memory_order_acq_rel);
   return *context;
 }
@@ -75,11 +74,11 @@ bool Context::has_more_room() noexcept {
 }
 
 bool Context::is_connected() const noexcept {
-  return !is_forked_child() && is_connected_.load(std::memory_order_acquire);
+  return !is_forked_child() && state_.is_connected();
 }
 
 ConnectionState Context::state() const noexcept {
-  return is_forked_child() ? ConnectionState::unconnected : state_.load(std::memory_order_acquire);
+  return is_forked_child() ? ConnectionState::unconnected : state_.connection();
 }
 
 ConnectionState connection_state() noexcept { return Context::instance().state(); }
@@ -416,7 +415,7 @@ Result<void> Context::make_place(Sleeper& sleeper) {
   if (Result<void> connected = connect(); !connected) return connected;
   const std::lock_guard making(places_making_);
   if (sleeper.index_in(this)) return {};
-  if (is_alone_.load(std::memory_order_acquire))
+  if (state_.is_alone())
     return fail(Errc::started_anew, "agnocastd has lost what it knew");
   wire::ExecutorRequest request{};
   bool again = false;

@@ -31,6 +31,7 @@
 #include <client/session/connection.hpp>
 #include <client/session/control_wake.hpp>
 #include <client/session/reconnection.hpp>
+#include <client/session/session_state.hpp>
 #include <client/shares/reader_shares.hpp>
 #include <client/shares/unmapped_users.hpp>
 
@@ -140,7 +141,7 @@ class Context {
   /// False in a forked child, and before the first endpoint.
   bool is_connected() const noexcept;
   ConnectionState state() const noexcept;
-  Errc island_reason() const noexcept { return island_reason_.load(std::memory_order_acquire); }
+  Errc island_reason() const noexcept { return state_.reason(); }
   void wake_control() noexcept {
     if (wake_ != nullptr) (*wake_)();
   }
@@ -236,8 +237,7 @@ class Context {
   void become_island(const Failure& why) noexcept;
   // control thread: a former membership
   bool is_former() const noexcept {
-    return was_present_.load(std::memory_order_acquire) &&
-           is_alone_.load(std::memory_order_acquire) && present_.load() != this;
+    return state_.may_end_by_itself() && present_.load() != this;
   }
   void run_former_errands();
   bool is_unused();
@@ -277,17 +277,12 @@ class Context {
   bool is_attached(std::uint32_t topic, std::uint64_t subscription, std::uint64_t generation) const;
 
   static std::atomic<Context*> present_;
-  std::atomic<bool> was_present_{false};  // until then whoever begins it ends it
 
-  const Context* former_ = nullptr;      // while this membership begins
-  std::atomic<bool> is_alone_{false};    // an island whose daemon will not come back
-  std::atomic<bool> has_begun_{false};   // a further one: what moves here is here
-  std::atomic<bool> tells_{true};        // its state; a further one does not before it has begun
-  std::atomic<bool> may_grow_{true};     // its heap: not before all publishers have moved here
-  std::atomic<bool> is_dropped_{false};  // it never became the present one: gone with its thread
+  SessionState state_;  // a forked child inherits it
+  const Context* former_ = nullptr;   // while this membership begins
+  std::atomic<bool> may_grow_{true};  // its heap: not before all publishers have moved here
   bool has_thread_ = false;
   mutable std::mutex connecting_;
-  std::atomic<bool> is_connected_{false};  // a forked child inherits it
   // As found by the first membership.
   std::string socket_path_, process_name_;
   std::uint64_t domain_ = 0;
@@ -320,8 +315,6 @@ class Context {
   ReaderShares shares_;
   UnmappedUsers unmapped_users_;
   bool descriptors_lost_ = false;
-  std::atomic<ConnectionState> state_{ConnectionState::unconnected};
-  std::atomic<Errc> island_reason_{Errc::ok};
   std::mutex departing_;
   std::condition_variable departed_;
 

@@ -53,7 +53,7 @@ void Context::serve() noexcept {
   for (;;) {
     try {
       serve_once(passes_due_ms());
-      if (is_dropped_.load(std::memory_order_acquire)) return;
+      if (state_.is_dropped()) return;
       LibraryThread::look_for_users();
       if (LibraryThread::is_over()) return serve_nobody();
       if (is_former() && is_unused() && let_go_of_everything()) return;
@@ -84,7 +84,7 @@ int Context::passes_due_ms() {
   was_reclaimable_ = reclaimable;
   const bool awaits_link = std::any_of(
       all.begin(), all.end(), [](const auto& publisher) { return publisher->awaits_link(); });
-  if (is_alone_.load(std::memory_order_acquire)) return former_look_ms;
+  if (state_.is_alone()) return former_look_ms;
   if (!awaits_link) {
     link_look_ = link_look_first_ms;
     return passes_pause_;
@@ -543,12 +543,10 @@ void Context::say_unlinked(Kind kind, std::uint32_t topic, std::uint64_t index,
 
 void Context::run_errands() {
   HeapReturn::instance().look();
-  if (is_alone_.load(std::memory_order_acquire)) return run_former_errands();
-  if (has_begun_.load(std::memory_order_acquire) &&
-      reconnection_.state() == Reconnection::State::connected) {
-    has_begun_.store(false, std::memory_order_relaxed);
-    tells_.store(true, std::memory_order_release);
-    island_reason_.store(Errc::ok, std::memory_order_release);
+  if (state_.is_alone()) return run_former_errands();
+  if (reconnection_.state() == Reconnection::State::connected &&
+      state_.step(SessionState::Step::speak)) {
+    state_.give_reason(Errc::ok);
     tell_state(ConnectionState::connected);
   }
   look_for_bells();

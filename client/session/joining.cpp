@@ -91,7 +91,7 @@ Result<void> Context::connect() {
   if (Result<void> refused = refuse_forked_child(); !refused) return refused;
   if (Result<void> refused = refuse_after_exit(); !refused) return refused;
   const std::lock_guard lock(connecting_);
-  if (is_connected_.load(std::memory_order_relaxed)) return {};
+  if (state_.is_connected()) return {};
   if (Result<void> known = recognise_forked_children(); !known) return known;
   if (Result<void> ends = end_user_code_at_exit(); !ends) return ends;
   LibraryThread::be_started_here();
@@ -101,7 +101,7 @@ Result<void> Context::connect() {
   process_name_ = process_name();
   socket_path_ = from_here(socket_path());
   if (Result<void> known = become_known(); !known) return known;
-  is_connected_.store(true, std::memory_order_release);
+  state_.step(SessionState::Step::connected);
   return {};
 }
 
@@ -220,13 +220,11 @@ Result<void> Context::start_control_thread() {
   }
   connection_->open();
   // A further membership is told of when the endpoints are in it.
-  const ConnectionState before = state_.load(std::memory_order_relaxed);
-  if (former_ == nullptr) state_.store(ConnectionState::connected, std::memory_order_release);
-  if (Result<void> started = start_thread(); !started) {
-    state_.store(before, std::memory_order_release);
-    return started;
-  }
-  return {};
+  if (state_.is_beginning()) return start_thread();
+  const ConnectionState before = state_.set(ConnectionState::connected);
+  Result<void> started = start_thread();
+  if (!started) state_.set(before);
+  return started;
 }
 
 Result<void> Context::watch(int fd) noexcept {
@@ -248,7 +246,7 @@ Result<void> Context::start_thread() {
                                          context);
           self->serve();
         }
-        if (self->is_dropped_.load(std::memory_order_acquire)) delete self;
+        if (self->state_.is_dropped()) delete self;
         return nullptr;
       },
       this);
@@ -267,7 +265,7 @@ void Context::Drop::operator()(Context* context) const noexcept {
     return;
   }
   const auto wake = context->wake_;
-  context->is_dropped_.store(true, std::memory_order_release);  // its thread ends it
+  context->state_.step(SessionState::Step::drop);  // its thread ends it
   (*wake)();
 }
 

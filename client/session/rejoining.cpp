@@ -32,8 +32,7 @@ using wire::Kind;
 using wire::Opcode;
 
 void Context::tell_state(ConnectionState state) noexcept {
-  if (tells_.load(std::memory_order_acquire) &&
-      state_.exchange(state, std::memory_order_acq_rel) != state) {
+  if (state_.tell(state)) {
     const ConnectionInfo info{state, island_reason()};
     const std::lock_guard lock(endpoints_);
     for (const auto& [key, publisher] : publishers_) publisher->events().connection(info);
@@ -61,7 +60,7 @@ void Context::become_island(const Failure& why) noexcept {
   } else {
     reconnection_.refused();
   }
-  island_reason_.store(why.code, std::memory_order_release);
+  state_.give_reason(why.code);
   connection_->refuse(why);
   if (why.code == Errc::revoked) {
     AGNOCAST_CRASH_POINT(C_revoked);
@@ -73,7 +72,7 @@ void Context::become_island(const Failure& why) noexcept {
   }
   tell_state(ConnectionState::island);
   if (why.code != Errc::started_anew) return;
-  is_alone_.store(true, std::memory_order_release);
+  state_.step(SessionState::Step::lose);
   AGNOCAST_CRASH_POINT(C_alone);
   {
     const std::lock_guard lock(endpoints_);
@@ -83,7 +82,7 @@ void Context::become_island(const Failure& why) noexcept {
 }
 
 void Context::tell_reason(Errc reason) noexcept {
-  if (island_reason_.exchange(reason, std::memory_order_acq_rel) == reason) return;
+  if (!state_.give_reason(reason)) return;
   const ConnectionInfo info{ConnectionState::island, reason};
   const std::lock_guard lock(endpoints_);
   for (const auto& [key, publisher] : publishers_) publisher->events().connection(info);
@@ -128,8 +127,7 @@ void Context::on_rejoined(Incoming& packet) {
   AGNOCAST_CRASH_POINT(C_rejoined);
   connection_->open();
   reconnection_.succeeded(Reconnection::Clock::now());
-  if (tells_.load(std::memory_order_acquire))
-    island_reason_.store(Errc::ok, std::memory_order_release);
+  if (state_.speaks()) state_.give_reason(Errc::ok);
   tell_state(ConnectionState::connected);
 }
 

@@ -158,7 +158,7 @@ void Reregistration::run() noexcept {
 }
 
 void Reregistration::run_once() {
-  while (Context::instance().is_alone_.load(std::memory_order_acquire) && !exit_has_begun() &&
+  while (Context::instance().state_.is_alone() && !exit_has_begun() &&
          !LibraryThread::is_over()) {
     Context& former = Context::instance();
     const Result<void> began = begin_next(former);
@@ -196,9 +196,7 @@ Result<void> Reregistration::begin_next(Context& former) {
   next->socket_path_ = former.socket_path_;
   next->process_name_ = former.process_name_;
   next->domain_ = former.domain_;
-  next->state_.store(ConnectionState::island, std::memory_order_relaxed);
-  next->tells_.store(false, std::memory_order_relaxed);
-  next->island_reason_.store(former.island_reason(), std::memory_order_relaxed);
+  next->state_.begin_beside(former.state_);
   next->may_grow_.store(false, std::memory_order_relaxed);
   {
     const std::lock_guard lock(former.connecting_);
@@ -210,12 +208,11 @@ Result<void> Reregistration::begin_next(Context& former) {
   AGNOCAST_CRASH_POINT(C_next);
   if (Result<void> known = next->become_known(); !known) return known;
   if (Result<void> brought = next->bring_windows(); !brought) return brought;
-  next->is_connected_.store(true, std::memory_order_release);
   Context* const begun = next.release();
   AGNOCAST_CRASH_POINT(C_present);
   Context::present_.store(begun, std::memory_order_release);
   AGNOCAST_CRASH_POINT(C_present);
-  begun->was_present_.store(true, std::memory_order_release);
+  begun->state_.step(SessionState::Step::be_present);
   const std::lock_guard lock(mutex_);
   changed_.notify_all();
   return {};
@@ -237,7 +234,7 @@ void Reregistration::move_everything(Context& present) {
   auto look = std::chrono::milliseconds{1};
   auto again = std::chrono::milliseconds{1000};  // after a refusal
   for (bool first = true; !exit_has_begun() && !LibraryThread::is_over(); first = false) {
-    if (present.is_alone_.load(std::memory_order_acquire)) {
+    if (present.state_.is_alone()) {
       abandon_pending([](const Pending&) { return true; });
       return begin();
     }
@@ -246,7 +243,7 @@ void Reregistration::move_everything(Context& present) {
     if (!is_away(made)) keep_first(made, make_subscriptions(present));
     if (!is_away(made)) keep_first(made, make_publishers(present));
     if (first) {
-      present.has_begun_.store(true, std::memory_order_release);
+      present.state_.step(SessionState::Step::arrived);
       present.wake_control();
     }
     for (auto entry = pending_.begin(); entry != pending_.end();)
