@@ -63,7 +63,7 @@ bool Context::has_more_room() noexcept {
   const Heap& heap = *this->heap();
   heap.pause();
   try {
-    all = publishers();
+    all = endpoints_.publishers();
   } catch (const std::bad_alloc&) {
     // The control thread comes to them.
   }
@@ -343,9 +343,7 @@ Result<std::shared_ptr<PublisherEndpoint>> Context::make_publisher(
                                         request.says_lineage_later && continued.events == nullptr,
                                         []() noexcept { return Context::instance().has_more_room(); },
                                         request.signals});
-        const std::lock_guard lock(endpoints_);
-        AGNOCAST_CRASH_POINT(C_registered);
-        publishers_[{made.topic, made.index}] = publisher;
+        endpoints_.add(publisher);
         return {};
       },
       [this](Incoming& packet) { return adopt_late(Kind::publisher, packet); });
@@ -390,9 +388,7 @@ Result<std::shared_ptr<SubscriptionEndpoint>> Context::make_subscription(
                                            this,
                                            lineage_of(continued, made, Kind::subscription)},
             sleeper);
-        const std::lock_guard lock(endpoints_);
-        AGNOCAST_CRASH_POINT(C_registered);
-        subscriptions_[{made.topic, made.index}] = subscription;
+        endpoints_.add(subscription);
         return {};
       },
       [this](Incoming& packet) { return adopt_late(Kind::subscription, packet); });

@@ -20,6 +20,7 @@
 #include <base/doorbell.hpp>
 #include <base/mapping.hpp>
 #include <client/endpoint/departure.hpp>
+#include <client/endpoint/endpoint_table.hpp>
 #include <client/endpoint/peer.hpp>
 #include <client/endpoint/publisher_endpoint.hpp>
 #include <client/endpoint/subscription_endpoint.hpp>
@@ -154,7 +155,7 @@ class Context {
     std::unique_ptr<Peer> peer;
     std::shared_ptr<std::atomic<std::uint64_t>> users;
   };
-  using EndpointKey = std::pair<std::uint32_t, std::uint64_t>;  // topic, index
+  using EndpointKey = EndpointTable::Key;
   // An endpoint of this process that only the daemon knows: nobody waits for its creation any more,
   // or it was over here while the daemon was away.
   struct Stranger {
@@ -259,9 +260,9 @@ class Context {
                      std::shared_ptr<void> keeps);
   void see_strangers_off();
   bool is_freed(const EndpointKey& key, std::uint64_t generation);
-  std::vector<std::shared_ptr<PublisherEndpoint>> publishers() const;
   void run_errands();
   void look_at_readers();
+  void collect_publishers();
   void collect_subscriptions();
   void collect_peers();
   void ask_for_window();
@@ -272,9 +273,6 @@ class Context {
                                 std::span<UniqueFd> fds, std::size_t& used);
   void say_unlinked(abi::wire::Kind kind, std::uint32_t topic, std::uint64_t index,
                     std::uint64_t generation);
-  bool is_here(abi::wire::Kind kind, const EndpointKey& key) const;
-  bool is_linked(std::uint32_t topic, std::uint64_t publisher, std::uint64_t generation) const;
-  bool is_attached(std::uint32_t topic, std::uint64_t subscription, std::uint64_t generation) const;
 
   static std::atomic<Context*> present_;
 
@@ -318,10 +316,8 @@ class Context {
   std::mutex departing_;
   std::condition_variable departed_;
 
-  mutable std::mutex endpoints_;
-  std::map<EndpointKey, std::shared_ptr<PublisherEndpoint>> publishers_;
-  std::map<EndpointKey, std::shared_ptr<SubscriptionEndpoint>> subscriptions_;
-  // Innermost: a place comes back wherever its last user is destroyed, also under `endpoints_`.
+  EndpointTable endpoints_;
+  // Innermost: a place comes back wherever its last user is destroyed, also under the mutex of `endpoints_`.
   std::mutex sleepers_;
   std::mutex places_making_;  // one at a time, so that a sleeper has one place here
   std::uint64_t next_sleeper_ = 0;

@@ -73,7 +73,7 @@ void Context::serve_nobody() noexcept {
 
 // In how many milliseconds somebody must look at the publishers again.
 int Context::passes_due_ms() {
-  const auto all = publishers();
+  const auto all = endpoints_.publishers();
   const bool reclaimable = std::any_of(
       all.begin(), all.end(), [](const auto& publisher) { return publisher->has_reclaimable(); });
   if (!reclaimable) {
@@ -141,8 +141,7 @@ void Context::look_for_descriptors(bool now) noexcept {
   become_island(
       {Errc::os_failure, EBADF, "this process has closed descriptors that agnocast has opened"});
   LibraryThread::end_sleeps();
-  const std::lock_guard lock(endpoints_);
-  for (const auto& [key, subscription] : subscriptions_) subscription->sleeper().wake();
+  endpoints_.wake_sleepers();
 }
 
 void Context::read_connection() {
@@ -180,15 +179,6 @@ void Context::look_for_bells() noexcept {
   if (!MappingShare::instance().has_more() && !has_descriptors) return;
   bells_asked_ = now;
   said_again_ = now;
-}
-
-// Passes destroy messages, and destructors are user code: they run without our locks.
-std::vector<std::shared_ptr<PublisherEndpoint>> Context::publishers() const {
-  const std::lock_guard lock(endpoints_);
-  std::vector<std::shared_ptr<PublisherEndpoint>> all;
-  all.reserve(publishers_.size());
-  for (const auto& [key, publisher] : publishers_) all.push_back(publisher);
-  return all;
 }
 
 void Context::handle(Incoming& packet) {
@@ -290,7 +280,7 @@ std::shared_ptr<Peer> Context::peer_of(const wire::Announcement& announcement,
   if (!own) {
     opened =
         known.peer->open(announcement.extent, bytes, fds.empty() ? UniqueFd() : std::move(fds[0]));
-  } else if (!is_here(announcement.kind, {announcement.topic, announcement.index})) {
+  } else if (!endpoints_.is_here(announcement.kind, {announcement.topic, announcement.index})) {
     // Announced before the answer to its creation, which was asked again.
     opened = region_.open(announcement.extent, bytes);
   }
@@ -319,10 +309,8 @@ Result<void> Context::add_window_of(KnownPeer& known, const PeerHeap::Announced&
   } else {
     added = heap.add_without_file(window);
   }
-  if (heap.window_count() == before) return added;
   // A taker may have found a message there already and left it.
-  const std::lock_guard lock(endpoints_);
-  for (const auto& [key, subscription] : subscriptions_) subscription->sleeper().wake();
+  if (heap.window_count() != before) endpoints_.wake_sleepers();
   return added;
 }
 
@@ -353,14 +341,7 @@ void Context::on_announce(Incoming& packet) {
   const PeerOwner owner = owner_of(announcement);
   bool linked = false;
   if (peer != nullptr && announcement.kind == Kind::publisher) {
-    std::shared_ptr<SubscriptionEndpoint> subscription;
-    {
-      const std::lock_guard lock(endpoints_);
-      if (const auto found = subscriptions_.find(own); found != subscriptions_.end())
-        subscription = found->second;
-    }
-    if (subscription != nullptr &&
-        subscription->identity().generation == announcement.own_generation) {
+    if (const auto subscription = endpoints_.subscription(own, announcement.own_generation)) {
       linked = subscription->add_publisher(
           {announcement.index, announcement.generation, announcement.extent,
            announcement.first_sequence, abi::unpack_qos(announcement.qos),
@@ -368,14 +349,9 @@ void Context::on_announce(Incoming& packet) {
           std::move(peer));
     }
   } else if (announcement.kind == Kind::subscription) {
-    std::shared_ptr<PublisherEndpoint> publisher;
-    {
-      const std::lock_guard lock(endpoints_);
-      if (const auto found = publishers_.find(own); found != publishers_.end())
-        publisher = found->second;
-    }
+    const auto publisher = endpoints_.publisher(own, announcement.own_generation);
     const auto now = ReaderShares::Clock::now();
-    if (publisher == nullptr || publisher->identity().generation != announcement.own_generation) {
+    if (publisher == nullptr) {
       // It is over.
     } else if (peer == nullptr) {
       const bool is_out = unmapped_users_.is_out(owner, now);
@@ -394,34 +370,13 @@ void Context::on_announce(Incoming& packet) {
   // `unlinked` speaks for the whole process: not while another endpoint of ours is linked.
   linked = linked ||
            (announcement.kind == Kind::publisher
-                ? is_linked(announcement.topic, announcement.index, announcement.generation)
-                : is_attached(announcement.topic, announcement.index, announcement.generation));
+                ? endpoints_.is_linked(announcement.topic, announcement.index, announcement.generation)
+                : endpoints_.is_attached(announcement.topic, announcement.index, announcement.generation));
   if (linked || packet.packet.descriptors_lost) return;
   say_unlinked(announcement.kind, announcement.topic, announcement.index, announcement.generation);
   // Never mapped, so nobody will unmap it.
   if (peers_.count({announcement.client, announcement.client_generation}) == 0)
     say_unlinked(Kind::region, 0, announcement.client, announcement.client_generation);
-}
-
-bool Context::is_here(Kind kind, const EndpointKey& key) const {
-  const std::lock_guard lock(endpoints_);
-  return kind == Kind::publisher ? publishers_.count(key) != 0 : subscriptions_.count(key) != 0;
-}
-
-bool Context::is_linked(std::uint32_t topic, std::uint64_t publisher,
-                        std::uint64_t generation) const {
-  const std::lock_guard lock(endpoints_);
-  return std::any_of(subscriptions_.begin(), subscriptions_.end(), [&](const auto& entry) {
-    return entry.first.first == topic && entry.second->is_linked_to(publisher, generation);
-  });
-}
-
-bool Context::is_attached(std::uint32_t topic, std::uint64_t subscription,
-                          std::uint64_t generation) const {
-  const auto all = publishers();
-  return std::any_of(all.begin(), all.end(), [&](const auto& publisher) {
-    return publisher->topic_index() == topic && publisher->is_attached(subscription, generation);
-  });
 }
 
 void Context::on_window(Incoming& packet) {
@@ -439,7 +394,7 @@ void Context::on_window(Incoming& packet) {
 void Context::on_forget(Incoming& packet) {
   wire::Reference over{};
   if (!packet.read(over) || over.kind != Kind::subscription) return;
-  for (const auto& publisher : publishers()) {
+  for (const auto& publisher : endpoints_.publishers()) {
     if (publisher->topic_index() == over.topic) publisher->detach(over.index, over.generation);
   }
   say_unlinked(Kind::subscription, over.topic, over.index, over.generation);
@@ -448,11 +403,10 @@ void Context::on_forget(Incoming& packet) {
 void Context::on_orphaned(Incoming& packet) {
   wire::Orphaned gone{};
   if (!packet.read(gone)) return;
-  const std::lock_guard lock(endpoints_);
-  for (const auto& [key, subscription] : subscriptions_) {
+  endpoints_.for_each_subscription([&](const EndpointKey& key, const auto& subscription) {
     if (key.first == gone.topic)
       subscription->orphan(gone.index, gone.generation, gone.final_head == 0);
-  }
+  });
 }
 
 // Somebody who reads from here has something else where this heap lies: it goes on elsewhere.
@@ -464,7 +418,7 @@ void Context::on_move_heap(Incoming& packet) {
 void Context::on_kick(Incoming& packet) {
   wire::Reference whose{};
   if (!packet.read(whose)) return;
-  for (const auto& publisher : publishers()) {
+  for (const auto& publisher : endpoints_.publishers()) {
     if (publisher->topic_index() == whose.topic && publisher->identity().index == whose.index)
       publisher->run_errands();
   }
@@ -518,15 +472,10 @@ void Context::on_notice(Incoming& packet) {
   wire::Notice notice{};
   if (!packet.read(notice)) return;
   const EndpointKey own{notice.topic, notice.index};
-  const std::lock_guard lock(endpoints_);
   if (notice.kind == Kind::publisher) {
-    const auto found = publishers_.find(own);
-    if (found != publishers_.end() && found->second->identity().generation == notice.generation)
-      tell(found->second->events(), notice);
+    if (const auto here = endpoints_.publisher(own, notice.generation)) tell(here->events(), notice);
   } else if (notice.kind == Kind::subscription) {
-    const auto found = subscriptions_.find(own);
-    if (found != subscriptions_.end() && found->second->identity().generation == notice.generation)
-      tell(found->second->events(), notice);
+    if (const auto here = endpoints_.subscription(own, notice.generation)) tell(here->events(), notice);
   }
 }
 
@@ -552,58 +501,43 @@ void Context::run_errands() {
   look_for_bells();
   say_departures();
   look_at_readers();
-  for (const auto& publisher : publishers()) {
-    publisher->run_errands();
-    if (!publisher->is_over()) continue;
-    AGNOCAST_CRASH_POINT(C_publisher_over);
-    const auto members = publisher->detach_all();
-    const auto& identity = publisher->identity();
-    const std::uint32_t topic = publisher->topic_index();
-    {
-      const std::lock_guard lock(endpoints_);
-      publishers_.erase({topic, identity.index});
-    }
-    AGNOCAST_CRASH_POINT(C_erased);
-    // Another publisher of ours on this topic may be attached to some of them, and not to others.
-    for (const auto& [index, generation] : members) {
-      if (!is_attached(topic, index, generation))
-        say_unlinked(Kind::subscription, topic, index, generation);
-    }
-    connection_->post(Opcode::drained,
-                      reference(Kind::publisher, topic, identity.index, identity.generation));
-  }
+  collect_publishers();
   collect_subscriptions();
   collect_peers();
   see_strangers_off();
   ask_for_window();
 }
 
-void Context::collect_subscriptions() {
-  const std::lock_guard lock(endpoints_);
-  for (auto it = subscriptions_.begin(); it != subscriptions_.end();) {
-    const std::shared_ptr<SubscriptionEndpoint>& subscription = it->second;
-    for (const auto& link : subscription->collect_unlinked()) {
-      // `unlinked` speaks for the whole process: not while another subscription of ours is linked
-      // to the same publisher.
-      const bool still =
-          std::any_of(subscriptions_.begin(), subscriptions_.end(), [&](const auto& other) {
-            return other.first.first == it->first.first &&
-                   other.second->is_linked_to(link->publisher(), link->generation());
-          });
-      if (!still)
-        say_unlinked(Kind::publisher, it->first.first, link->publisher(), link->generation());
+// Passes, and what is over.
+void Context::collect_publishers() {
+  for (const auto& publisher : endpoints_.publishers()) {
+    publisher->run_errands();
+    if (!publisher->is_over()) continue;
+    AGNOCAST_CRASH_POINT(C_publisher_over);
+    const auto members = publisher->detach_all();
+    const auto& identity = publisher->identity();
+    const std::uint32_t topic = publisher->topic_index();
+    endpoints_.erase(*publisher);
+    AGNOCAST_CRASH_POINT(C_erased);
+    // Another publisher of ours on this topic may be attached to some of them, and not to others.
+    for (const auto& [index, generation] : members) {
+      if (!endpoints_.is_attached(topic, index, generation))
+        say_unlinked(Kind::subscription, topic, index, generation);
     }
-    if (subscription->is_empty()) {
-      const wire::Reference self = reference(Kind::subscription, it->first.first, it->first.second,
-                                             subscription->identity().generation);
-      // First its sleeper comes back: whoever sees the place free may count on it.
-      it = subscriptions_.erase(it);
-      AGNOCAST_CRASH_POINT(C_erased);
-      connection_->post(Opcode::drained, self);
-    } else {
-      ++it;
-    }
+    connection_->post(Opcode::drained,
+                      reference(Kind::publisher, topic, identity.index, identity.generation));
   }
+}
+
+void Context::collect_subscriptions() {
+  endpoints_.collect_subscriptions(
+      [this](std::uint32_t topic, const Link& link) {
+        say_unlinked(Kind::publisher, topic, link.publisher(), link.generation());
+      },
+      [this](const EndpointKey& key, std::uint64_t generation) {
+        connection_->post(Opcode::drained,
+                          reference(Kind::subscription, key.first, key.second, generation));
+      });
 }
 
 void Context::collect_peers() {
@@ -622,41 +556,33 @@ void Context::collect_peers() {
 // --- a membership whose daemon will not come back: nobody says who is gone, so this thread looks
 
 void Context::run_former_errands() {
-  for (const auto& publisher : publishers()) publisher->run_errands();
+  for (const auto& publisher : endpoints_.publishers()) publisher->run_errands();
   const auto now = std::chrono::steady_clock::now();
   if (now - former_looked_ < std::chrono::milliseconds{former_look_ms}) return;
   former_looked_ = now;
   if (present_.load(std::memory_order_acquire) == this) Reregistration::instance().go_on();
-  for (const auto& publisher : publishers()) {
+  for (const auto& publisher : endpoints_.publishers()) {
     publisher->bury_dead();
     if (!publisher->is_finished()) continue;
     AGNOCAST_CRASH_POINT(C_finish);
     publisher->finish();
     AGNOCAST_CRASH_POINT(C_finish);
-    const std::lock_guard lock(endpoints_);
-    publishers_.erase({publisher->topic_index(), publisher->identity().index});
+    endpoints_.erase(*publisher);
   }
-  std::vector<std::shared_ptr<SubscriptionEndpoint>> subscriptions;
-  {
-    const std::lock_guard lock(endpoints_);
-    for (const auto& [key, subscription] : subscriptions_) subscriptions.push_back(subscription);
-  }
-  for (const auto& subscription : subscriptions) {
+  for (const auto& subscription : endpoints_.subscriptions()) {
     subscription->collect_alone();
     if (!subscription->is_finished()) continue;
     AGNOCAST_CRASH_POINT(C_finish);
     subscription->finish();
     AGNOCAST_CRASH_POINT(C_finish);
-    const std::lock_guard lock(endpoints_);
-    subscriptions_.erase({subscription->identity().topic_index, subscription->identity().index});
+    endpoints_.erase(*subscription);
   }
   for (auto it = peers_.begin(); it != peers_.end();)
     it = it->second.users->load(std::memory_order_acquire) == 0 ? peers_.erase(it) : std::next(it);
 }
 
 bool Context::is_unused() {
-  const std::lock_guard lock(endpoints_);
-  return publishers_.empty() && subscriptions_.empty() && peers_.empty();
+  return endpoints_.is_empty() && peers_.empty();
 }
 
 // Nobody has anything of it any more but sleepers, and those let go here.

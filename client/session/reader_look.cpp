@@ -83,7 +83,7 @@ void Context::look_at_readers() {
   const auto now = ReaderShares::Clock::now();
   if (now - readers_looked_ < look_pause) return;
   readers_looked_ = now;
-  const auto all = publishers();
+  const auto all = endpoints_.publishers();
   const Kept kept = kept_by_others(all);
   std::vector<ReaderShares::Held> users;
   for (const auto& [uid, parts] : kept.users) {

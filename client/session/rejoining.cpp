@@ -32,12 +32,7 @@ using wire::Kind;
 using wire::Opcode;
 
 void Context::tell_state(ConnectionState state) noexcept {
-  if (state_.tell(state)) {
-    const ConnectionInfo info{state, island_reason()};
-    const std::lock_guard lock(endpoints_);
-    for (const auto& [key, publisher] : publishers_) publisher->events().connection(info);
-    for (const auto& [key, subscription] : subscriptions_) subscription->events().connection(info);
-  }
+  if (state_.tell(state)) endpoints_.tell({state, island_reason()});
   // Whoever waits for a departure does not wait for a daemon that is away.
   const std::lock_guard lock(departing_);
   departed_.notify_all();
@@ -66,27 +61,18 @@ void Context::become_island(const Failure& why) noexcept {
     AGNOCAST_CRASH_POINT(C_revoked);
     end_service();
     AGNOCAST_CRASH_POINT(C_revoked);
-    const std::lock_guard lock(endpoints_);
-    for (const auto& [key, publisher] : publishers_) publisher->revoke();
-    for (const auto& [key, subscription] : subscriptions_) subscription->revoke();
+    endpoints_.revoke();
   }
   tell_state(ConnectionState::island);
   if (why.code != Errc::started_anew) return;
   state_.step(SessionState::Step::lose);
   AGNOCAST_CRASH_POINT(C_alone);
-  {
-    const std::lock_guard lock(endpoints_);
-    for (const auto& [key, subscription] : subscriptions_) subscription->be_alone();
-  }
+  endpoints_.be_alone();
   Reregistration::instance().begin();
 }
 
 void Context::tell_reason(Errc reason) noexcept {
-  if (!state_.give_reason(reason)) return;
-  const ConnectionInfo info{ConnectionState::island, reason};
-  const std::lock_guard lock(endpoints_);
-  for (const auto& [key, publisher] : publishers_) publisher->events().connection(info);
-  for (const auto& [key, subscription] : subscriptions_) subscription->events().connection(info);
+  if (state_.give_reason(reason)) endpoints_.tell({ConnectionState::island, reason});
 }
 
 void Context::stay_island(const Failure& why) noexcept {
@@ -153,18 +139,7 @@ void Context::on_own(Incoming& packet) {
   if (!packet.read(own)) return;
   if (connection_->is_waiting(own.creation)) return;  // its answer will come
   const EndpointKey key{own.topic, own.index};
-  Departure* departure = nullptr;
-  {
-    const std::lock_guard lock(endpoints_);
-    const auto publisher = publishers_.find(key);
-    const auto subscription = subscriptions_.find(key);
-    if (own.kind == Kind::publisher && publisher != publishers_.end() &&
-        publisher->second->identity().generation == own.generation)
-      departure = &publisher->second->departure();  // only this thread erases
-    if (own.kind == Kind::subscription && subscription != subscriptions_.end() &&
-        subscription->second->identity().generation == own.generation)
-      departure = &subscription->second->departure();
-  }
+  Departure* const departure = endpoints_.departure_of(own.kind, key, own.generation);
   if (departure == nullptr) {
     adopt_stranger(own.kind, key, own.generation, own.active == 0);
   } else if (own.active == 0 && departure->is_wanted()) {
@@ -218,20 +193,19 @@ void Context::say_departure(Departure& departure, const wire::Reference& who,
 }
 
 void Context::say_departures() {
-  for (const auto& publisher : publishers()) {
+  for (const auto& publisher : endpoints_.publishers()) {
     const auto& identity = publisher->identity();
     say_departure(
         publisher->departure(),
         reference(Kind::publisher, publisher->topic_index(), identity.index, identity.generation),
         publisher);
   }
-  const std::lock_guard lock(endpoints_);
-  for (const auto& [key, subscription] : subscriptions_) {
+  endpoints_.for_each_subscription([&](const EndpointKey& key, const auto& subscription) {
     say_departure(
         subscription->departure(),
         reference(Kind::subscription, key.first, key.second, subscription->identity().generation),
         subscription);
-  }
+  });
 }
 
 // Nobody else was ever given such an endpoint, so nothing of it is held or published: it is drained
