@@ -184,9 +184,7 @@ bool Context::add_window(Incoming& answer) noexcept {
   if (!answer.read(opened) || answer.packet.descriptor_count != 2) return false;
   if (opened.window != window_count_) return false;
   // The daemon announces it to everybody else. Before it is in use, so that nobody waits for it.
-  if (const auto own = peers_.find({client_, client_generation_}); own != peers_.end())
-    (void)add_window_of(own->second, {opened.window, opened.base, opened.bytes, opened.first},
-                        UniqueFd());
+  peers_.add_own_window({opened.window, opened.base, opened.bytes, opened.first});
   const auto fds = answer.packet.fds();
   return heap_
       ->add_window(region_.base(), opened.window, opened.base, opened.bytes, std::move(fds[0]),

@@ -21,16 +21,16 @@
 #include <base/mapping.hpp>
 #include <client/endpoint/departure.hpp>
 #include <client/endpoint/endpoint_table.hpp>
-#include <client/endpoint/peer.hpp>
+#include <client/endpoint/peer_table.hpp>
 #include <client/endpoint/publisher_endpoint.hpp>
 #include <client/endpoint/subscription_endpoint.hpp>
 #include <client/heap/arena.hpp>
 #include <client/heap/heap.hpp>
 #include <client/heap/sparse_region.hpp>
+#include <client/process/control_wake.hpp>
 #include <client/process/library_thread.hpp>
 #include <client/process/sleeper.hpp>
 #include <client/session/connection.hpp>
-#include <client/session/control_wake.hpp>
 #include <client/session/reconnection.hpp>
 #include <client/session/session_state.hpp>
 #include <client/shares/reader_shares.hpp>
@@ -151,10 +151,6 @@ class Context {
   friend class Reregistration;
   friend class HeapReturn;  // has a thread
 
-  struct KnownPeer {
-    std::unique_ptr<Peer> peer;
-    std::shared_ptr<std::atomic<std::uint64_t>> users;
-  };
   using EndpointKey = EndpointTable::Key;
   // An endpoint of this process that only the daemon knows: nobody waits for its creation any more,
   // or it was over here while the daemon was away.
@@ -226,10 +222,6 @@ class Context {
   void on_notice(Incoming& packet);
   void on_move_heap(Incoming& packet);
   void on_bells_renewed(Incoming& packet);
-  bool is_self(std::uint64_t client, std::uint64_t generation) const noexcept {
-    return client == client_ && generation == client_generation_;
-  }
-  Result<void> add_window_of(KnownPeer& known, const PeerHeap::Announced& window, UniqueFd fd);
 
   // control thread: coming back
   void reconnect();
@@ -267,10 +259,6 @@ class Context {
   void collect_peers();
   void ask_for_window();
   bool add_window(Incoming& answer) noexcept;
-  std::shared_ptr<Peer> use(KnownPeer& known);
-  PeerOwner owner_of(const abi::wire::Announcement& announcement) const noexcept;
-  std::shared_ptr<Peer> peer_of(const abi::wire::Announcement& announcement,
-                                std::span<UniqueFd> fds, std::size_t& used);
   void say_unlinked(abi::wire::Kind kind, std::uint32_t topic, std::uint64_t index,
                     std::uint64_t generation);
 
@@ -317,6 +305,7 @@ class Context {
   std::condition_variable departed_;
 
   EndpointTable endpoints_;
+  PeerTable peers_{endpoints_};
   // Innermost: a place comes back wherever its last user is destroyed, also under the mutex of `endpoints_`.
   std::mutex sleepers_;
   std::mutex places_making_;  // one at a time, so that a sleeper has one place here
@@ -324,9 +313,6 @@ class Context {
   std::uint64_t lent_places_ = 0;
   std::vector<std::unique_ptr<Sleeper::Place>> unused_places_;
   std::vector<std::uint64_t> failed_sleepers_;  // numbers whose bells never came
-
-  std::map<std::pair<std::uint64_t, std::uint64_t>, KnownPeer>
-      peers_;  // by client and generation; control thread only
 };
 
 }  // namespace agnocast

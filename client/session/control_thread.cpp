@@ -228,92 +228,6 @@ void Context::handle(Incoming& packet) {
   }
 }
 
-std::shared_ptr<Peer> Context::use(KnownPeer& known) {
-  known.users->fetch_add(1, std::memory_order_relaxed);
-  // The peer itself stays in the table; only the number of its users is shared.
-  return {known.peer.get(), [users = known.users, wake = wake_](Peer*) {
-            if (users->fetch_sub(1, std::memory_order_acq_rel) == 1) (*wake)();
-          }};
-}
-
-PeerOwner Context::owner_of(const wire::Announcement& announcement) const noexcept {
-  return {announcement.uid, announcement.same_user != 0 ||
-                                is_self(announcement.client, announcement.client_generation)};
-}
-
-std::shared_ptr<Peer> Context::peer_of(const wire::Announcement& announcement,
-                                       std::span<UniqueFd> fds, std::size_t& used) {
-  used = 1 + announcement.window_count;
-  if (announcement.window_count > abi::window_count_max) return nullptr;
-  const std::pair key{announcement.client, announcement.client_generation};
-  auto found = peers_.find(key);
-  const bool is_known = found != peers_.end() && found->second.peer->has_file();
-  if (fds.size() < used && !(is_known && announcement.window_count == 0)) return nullptr;
-  if (found == peers_.end()) {
-    KnownPeer known;
-    known.users = std::make_shared<std::atomic<std::uint64_t>>(0);
-    if (is_self(announcement.client, announcement.client_generation)) {
-      known.peer = std::make_unique<Peer>(client_, client_generation_, region_.base());
-    } else {
-      AGNOCAST_CRASH_POINT(C_peer_map);
-      Result<SparseRegion> region =
-          SparseRegion::make(UniqueFd(), std::uint64_t{1} << 30, Mapping::Access::read);
-      if (!region || !region->open(0, abi::page_bytes, fds[0].get())) return nullptr;
-      known.peer = std::make_unique<Peer>(announcement.client, announcement.client_generation,
-                                          owner_of(announcement), std::move(*region));
-      // Its first page, at offset 0.
-      if (!known.peer->count_mappings(0)) return nullptr;
-    }
-    found = peers_.emplace(key, std::move(known)).first;
-  }
-  KnownPeer& known = found->second;
-  for (std::uint32_t i = 0; i < announcement.window_count; ++i) {
-    const auto& window = announcement.window[i];
-    if (!add_window_of(known, {i, window.base, window.bytes, window.first}, std::move(fds[1 + i])))
-      return nullptr;
-  }
-  const std::uint64_t bytes = announcement.kind == Kind::publisher ? abi::publisher_extent_bytes
-                                                                   : abi::subscription_extent_bytes;
-  AGNOCAST_CRASH_POINT(C_peer_extent);
-  const bool own = is_self(announcement.client, announcement.client_generation);
-  Result<void> opened;
-  if (!own) {
-    opened =
-        known.peer->open(announcement.extent, bytes, fds.empty() ? UniqueFd() : std::move(fds[0]));
-  } else if (!endpoints_.is_here(announcement.kind, {announcement.topic, announcement.index})) {
-    // Announced before the answer to its creation, which was asked again.
-    opened = region_.open(announcement.extent, bytes);
-  }
-  if (!opened) return nullptr;
-  return use(known);
-}
-
-Result<void> Context::add_window_of(KnownPeer& known, const PeerHeap::Announced& window,
-                                    UniqueFd fd) {
-  PeerHeap& heap = known.peer->heap();
-  if (!arena_->contains(window.base, window.length))
-    return fail(Errc::protocol_violation, "a window outside the arena");
-  AGNOCAST_CRASH_POINT(C_peer_window);
-  if (heap.has(window.number)) return {};
-  const std::uint64_t before = heap.window_count();
-  const bool own = is_self(known.peer->client(), known.peer->generation());
-  Result<void> added;
-  if (own) {
-    added = heap.add_own(window);
-  } else if (!arena_->has(window.base, window.length)) {
-    added = heap.add_blocked(window);
-  } else if (!known.peer->count_mappings(Peer::part_of_window(window.number))) {
-    added = heap.add_without_file(window);
-  } else if (auto counted = DescriptorShare::instance().take(known.peer->owner(), 1)) {
-    added = heap.add(window, std::move(fd), std::move(counted));
-  } else {
-    added = heap.add_without_file(window);
-  }
-  // A taker may have found a message there already and left it.
-  if (heap.window_count() != before) endpoints_.wake_sleepers();
-  return added;
-}
-
 namespace {
 
 /// Mute if there is none: nobody has its receiver any more, the daemon or this process had no descriptor for it, or the
@@ -336,9 +250,9 @@ void Context::on_announce(Incoming& packet) {
   if (!packet.read(announcement)) return;
   std::size_t used = 0;
   const auto fds = packet.packet.fds();
-  std::shared_ptr<Peer> peer = peer_of(announcement, fds, used);
+  std::shared_ptr<Peer> peer = peers_.use(announcement, fds, used);
   const EndpointKey own{announcement.topic, announcement.own_index};
-  const PeerOwner owner = owner_of(announcement);
+  const PeerOwner owner = peers_.owner_of(announcement);
   bool linked = false;
   if (peer != nullptr && announcement.kind == Kind::publisher) {
     if (const auto subscription = endpoints_.subscription(own, announcement.own_generation)) {
@@ -375,20 +289,18 @@ void Context::on_announce(Incoming& packet) {
   if (linked || packet.packet.descriptors_lost) return;
   say_unlinked(announcement.kind, announcement.topic, announcement.index, announcement.generation);
   // Never mapped, so nobody will unmap it.
-  if (peers_.count({announcement.client, announcement.client_generation}) == 0)
+  if (!peers_.has({announcement.client, announcement.client_generation}))
     say_unlinked(Kind::region, 0, announcement.client, announcement.client_generation);
 }
 
 void Context::on_window(Incoming& packet) {
   wire::WindowAnnounced announced{};
   if (!packet.read(announced) || packet.packet.descriptor_count != 1) return;
-  const auto found = peers_.find({announced.client, announced.client_generation});
+  const PeerTable::Key process{announced.client, announced.client_generation};
   // Unmapped meanwhile: what was said of that is void, because this came after it.
-  if (found == peers_.end())
-    return say_unlinked(Kind::region, 0, announced.client, announced.client_generation);
-  (void)add_window_of(found->second,
-                      {announced.window, announced.base, announced.bytes, announced.first},
-                      std::move(packet.packet.fds()[0]));
+  if (!peers_.has(process)) return say_unlinked(Kind::region, 0, process.first, process.second);
+  peers_.add_window(process, {announced.window, announced.base, announced.bytes, announced.first},
+                    std::move(packet.packet.fds()[0]));
 }
 
 void Context::on_forget(Incoming& packet) {
@@ -541,16 +453,9 @@ void Context::collect_subscriptions() {
 }
 
 void Context::collect_peers() {
-  for (auto it = peers_.begin(); it != peers_.end();) {
-    if (it->second.users->load(std::memory_order_acquire) != 0) {
-      ++it;
-      continue;
-    }
-    const auto [client, generation] = it->first;
-    AGNOCAST_CRASH_POINT(C_peer_unmap);
-    it = peers_.erase(it);  // unmapped here, said after
-    if (!is_self(client, generation)) say_unlinked(Kind::region, 0, client, generation);
-  }
+  peers_.collect([this](const PeerTable::Key& process) {
+    say_unlinked(Kind::region, 0, process.first, process.second);
+  });
 }
 
 // --- a membership whose daemon will not come back: nobody says who is gone, so this thread looks
@@ -577,12 +482,11 @@ void Context::run_former_errands() {
     AGNOCAST_CRASH_POINT(C_finish);
     endpoints_.erase(*subscription);
   }
-  for (auto it = peers_.begin(); it != peers_.end();)
-    it = it->second.users->load(std::memory_order_acquire) == 0 ? peers_.erase(it) : std::next(it);
+  peers_.collect_alone();
 }
 
 bool Context::is_unused() {
-  return endpoints_.is_empty() && peers_.empty();
+  return endpoints_.is_empty() && peers_.is_empty();
 }
 
 // Nobody has anything of it any more but sleepers, and those let go here.

@@ -171,6 +171,7 @@ Result<void> Context::say_hello(Reconnection::Clock::time_point deadline) {
   client_ = welcome.client;
   client_generation_ = welcome.client_generation;
   if (Result<void> mapped = map_regions(welcome, packet.packet.fds()); !mapped) return mapped;
+  peers_.begin({{client_, client_generation_}, &region_, arena_.get(), wake_});
   // A connection that ends keeps the place of those who map their region. If it has ended before
   // now, the daemon may have looked before; if not, it will find the region mapped.
   return connection_->check_alive();

@@ -152,7 +152,7 @@ void Context::on_own(Incoming& packet) {
 void Context::on_region(Incoming& packet) {
   wire::Reference region{};
   if (said_again_) return;  // it may be one whose descriptors were lost
-  if (packet.read(region) && peers_.count({region.index, region.generation}) == 0)
+  if (packet.read(region) && !peers_.has({region.index, region.generation}))
     say_unlinked(Kind::region, 0, region.index, region.generation);
 }
 
