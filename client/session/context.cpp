@@ -468,9 +468,7 @@ Result<void> Context::make_place(Sleeper& sleeper) {
 // The control thread says it, now or when it is connected again.
 void Context::wait_for(const Departure& departure, Reconnection::Clock::time_point end) noexcept {
   wake_control();
-  std::unique_lock lock(departing_);
-  departed_.wait_until(lock, std::min(end, Reconnection::Clock::now() + Connection::answer_timeout),
-                       [&] { return departure.is_known() || !connection_->is_open(); });
+  departures_.wait_for(departure, *connection_, end);
 }
 
 void Context::let_leave(PublisherEndpoint& publisher,

@@ -19,7 +19,6 @@
 #include <agnocast/result.hpp>
 #include <base/doorbell.hpp>
 #include <base/mapping.hpp>
-#include <client/endpoint/departure.hpp>
 #include <client/endpoint/endpoint_table.hpp>
 #include <client/endpoint/peer_table.hpp>
 #include <client/endpoint/publisher_endpoint.hpp>
@@ -31,6 +30,7 @@
 #include <client/process/library_thread.hpp>
 #include <client/process/sleeper.hpp>
 #include <client/session/connection.hpp>
+#include <client/session/departures.hpp>
 #include <client/session/reconnection.hpp>
 #include <client/session/session_state.hpp>
 #include <client/shares/reader_shares.hpp>
@@ -38,10 +38,8 @@
 
 #include <atomic>
 #include <chrono>
-#include <condition_variable>
 #include <cstdint>
 #include <functional>
-#include <map>
 #include <memory>
 #include <mutex>
 #include <optional>
@@ -152,14 +150,6 @@ class Context {
   friend class HeapReturn;  // has a thread
 
   using EndpointKey = EndpointTable::Key;
-  // An endpoint of this process that only the daemon knows: nobody waits for its creation any more,
-  // or it was over here while the daemon was away.
-  struct Stranger {
-    explicit Stranger(std::uint64_t known_generation) noexcept : generation(known_generation) {}
-    std::uint64_t generation;
-    Departure departure;
-  };
-  using StrangerKey = std::pair<abi::wire::Kind, EndpointKey>;
 
   /// Ends a membership that has not become the present one.
   struct Drop {
@@ -244,14 +234,7 @@ class Context {
   void on_refused(Incoming& packet);
   void on_own(Incoming& packet);
   void on_region(Incoming& packet);
-  void adopt_stranger(abi::wire::Kind kind, const EndpointKey& key, std::uint64_t generation,
-                      bool has_left);
   Result<void> adopt_late(abi::wire::Kind kind, Incoming& packet);
-  void say_departures();
-  void say_departure(Departure& departure, const abi::wire::Reference& who,
-                     std::shared_ptr<void> keeps);
-  void see_strangers_off();
-  bool is_freed(const EndpointKey& key, std::uint64_t generation);
   void run_errands();
   void look_at_readers();
   void collect_publishers();
@@ -289,23 +272,21 @@ class Context {
 
   UniqueFd epoll_;
   std::shared_ptr<const ControlWake> wake_;
-  Reconnection reconnection_;  // control thread only, as the next four
+  Reconnection reconnection_;  // control thread only, as the next three
   // When to begin a new connection because descriptors that came on this one were lost.
   std::optional<Reconnection::Clock::time_point> said_again_;
   Reconnection::Clock::time_point again_at_{}, bells_looked_{}, bells_asked_{};
   std::chrono::seconds again_pause_{};
-  std::map<StrangerKey, std::shared_ptr<Stranger>> strangers_;
   int passes_pause_ = 0, link_look_ = 0;
   bool was_reclaimable_ = false, is_output_blocked_ = false;
   std::chrono::steady_clock::time_point former_looked_{}, descriptors_looked_{}, readers_looked_{};
   ReaderShares shares_;
   UnmappedUsers unmapped_users_;
   bool descriptors_lost_ = false;
-  std::mutex departing_;
-  std::condition_variable departed_;
 
   EndpointTable endpoints_;
   PeerTable peers_{endpoints_};
+  Departures departures_{endpoints_};
   // Innermost: a place comes back wherever its last user is destroyed, also under the mutex of `endpoints_`.
   std::mutex sleepers_;
   std::mutex places_making_;  // one at a time, so that a sleeper has one place here

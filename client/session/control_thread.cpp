@@ -411,12 +411,12 @@ void Context::run_errands() {
     tell_state(ConnectionState::connected);
   }
   look_for_bells();
-  say_departures();
+  departures_.say(*connection_, wake_);
   look_at_readers();
   collect_publishers();
   collect_subscriptions();
   collect_peers();
-  see_strangers_off();
+  departures_.see_strangers_off(*connection_, wake_, board_);
   ask_for_window();
 }
 
@@ -500,7 +500,7 @@ bool Context::let_go_of_everything() {
   AGNOCAST_CRASH_POINT(C_former_end);
   Heap::leave_region(region_.base());
   AGNOCAST_CRASH_POINT(C_former_end);
-  strangers_.clear();
+  departures_.forget_strangers();
   region_ = {};
   board_ = {};
   arena_.reset();

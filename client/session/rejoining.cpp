@@ -33,9 +33,7 @@ using wire::Opcode;
 
 void Context::tell_state(ConnectionState state) noexcept {
   if (state_.tell(state)) endpoints_.tell({state, island_reason()});
-  // Whoever waits for a departure does not wait for a daemon that is away.
-  const std::lock_guard lock(departing_);
-  departed_.notify_all();
+  departures_.notify();  // nobody waits for a daemon that is away
 }
 
 void Context::lose_connection() noexcept {
@@ -141,7 +139,7 @@ void Context::on_own(Incoming& packet) {
   const EndpointKey key{own.topic, own.index};
   Departure* const departure = endpoints_.departure_of(own.kind, key, own.generation);
   if (departure == nullptr) {
-    adopt_stranger(own.kind, key, own.generation, own.active == 0);
+    departures_.adopt_stranger(own.kind, key, own.generation, own.active == 0);
   } else if (own.active == 0 && departure->is_wanted()) {
     departure->known();
   } else if (own.active != 0 && departure->is_known()) {
@@ -159,83 +157,9 @@ void Context::on_region(Incoming& packet) {
 // The answer to a creation that nobody waits for any more.
 Result<void> Context::adopt_late(Kind kind, Incoming& packet) {
   wire::EndpointCreated made{};
-  if (packet.read(made)) adopt_stranger(kind, {made.topic, made.index}, made.generation, false);
+  if (packet.read(made))
+    departures_.adopt_stranger(kind, {made.topic, made.index}, made.generation, false);
   return {};
-}
-
-void Context::adopt_stranger(Kind kind, const EndpointKey& key, std::uint64_t generation,
-                             bool has_left) {
-  const auto found = strangers_.find({kind, key});
-  std::shared_ptr<Stranger> stranger = found != strangers_.end() ? found->second : nullptr;
-  if (stranger == nullptr || stranger->generation != generation) {
-    stranger = std::make_shared<Stranger>(generation);
-    strangers_.insert_or_assign({kind, key}, stranger);
-  }
-  stranger->departure.want();
-  if (has_left) stranger->departure.known();
-}
-
-// --- departures
-
-void Context::say_departure(Departure& departure, const wire::Reference& who,
-                            std::shared_ptr<void> keeps) {
-  if (!departure.is_due()) return;
-  // A refusal means as well that there is nothing to leave.
-  const auto on_answer = [this, &departure, keeps = std::move(keeps)](const Result<Incoming*>&) {
-    AGNOCAST_CRASH_POINT(C_left);
-    departure.known();
-    wake_control();
-    const std::lock_guard lock(departing_);
-    departed_.notify_all();
-  };
-  connection_->request_later(Opcode::leave, who, on_answer);
-  departure.said();  // not before: there may be no memory for it
-}
-
-void Context::say_departures() {
-  for (const auto& publisher : endpoints_.publishers()) {
-    const auto& identity = publisher->identity();
-    say_departure(
-        publisher->departure(),
-        reference(Kind::publisher, publisher->topic_index(), identity.index, identity.generation),
-        publisher);
-  }
-  endpoints_.for_each_subscription([&](const EndpointKey& key, const auto& subscription) {
-    say_departure(
-        subscription->departure(),
-        reference(Kind::subscription, key.first, key.second, subscription->identity().generation),
-        subscription);
-  });
-}
-
-// Nobody else was ever given such an endpoint, so nothing of it is held or published: it is drained
-// as soon as the daemon has let it leave.
-void Context::see_strangers_off() {
-  if (!connection_->is_open()) return;
-  for (auto at = strangers_.begin(); at != strangers_.end();) {
-    const auto& [kind, key] = at->first;
-    const std::shared_ptr<Stranger>& stranger = at->second;
-    const wire::Reference who = reference(kind, key.first, key.second, stranger->generation);
-    say_departure(stranger->departure, who, stranger);
-    if (!stranger->departure.is_known() ||
-        (kind == Kind::publisher && !is_freed(key, stranger->generation))) {
-      ++at;
-      continue;
-    }
-    connection_->post(Opcode::drained, who, true);
-    at = strangers_.erase(at);
-  }
-}
-
-/// Everybody else has let go of this publisher: the board says so.
-bool Context::is_freed(const EndpointKey& key, std::uint64_t generation) {
-  if (key.first >= abi::topic_count_max || key.second >= abi::publisher_count_max) return false;
-  const std::uint64_t topic = abi::topic_offset(key.first);
-  if (!board_.open(topic, abi::topic_bytes)) return false;
-  const std::uint64_t word = region::TopicWords<SharedMemory>{board_.base(), topic}
-                                 .publisher(key.second, offsetof(abi::PublisherEntry, word))
-                                 .load(std::memory_order_acquire);
-  return abi::generation_of(word) != generation || abi::state_of(word) == abi::MemberState::free;
 }
 
 }  // namespace agnocast
