@@ -394,49 +394,21 @@ Result<std::shared_ptr<SubscriptionEndpoint>> Context::make_subscription(
   return subscription;
 }
 
-// A place goes back to the context, not away: it stays the process's, with its bells, and its sleep
-// word goes on counting.
-std::shared_ptr<Sleeper::Place> Context::lend(std::unique_ptr<Sleeper::Place> place) {
-  return {place.release(), [this](Sleeper::Place* returned) noexcept {
-            if (is_forked_child()) return;
-            const std::lock_guard lock(sleepers_);
-            unused_places_.emplace_back(returned);  // within its capacity
-            --lent_places_;
-          }};
-}
-
 Result<void> Context::make_place(Sleeper& sleeper) {
   if (Result<void> connected = connect(); !connected) return connected;
-  const std::lock_guard making(places_making_);
-  if (sleeper.index_in(this)) return {};
-  if (state_.is_alone())
-    return fail(Errc::started_anew, "agnocastd has lost what it knew");
+  return places_.give(
+      sleeper, this,
+      [this]() -> Result<void> {
+        if (!state_.is_alone()) return {};
+        return fail(Errc::started_anew, "agnocastd has lost what it knew");
+      },
+      [this](std::uint64_t executor, bool again) { return open_executor(executor, again); });
+}
+
+Result<std::unique_ptr<Sleeper::Place>> Context::open_executor(std::uint64_t executor, bool again) {
   wire::ExecutorRequest request{};
-  bool again = false;
+  request.executor = executor;
   std::unique_ptr<Sleeper::Place> place;
-  {
-    const std::lock_guard lock(sleepers_);
-    unused_places_.reserve(abi::executor_count_max);
-    failed_sleepers_.reserve(abi::executor_count_max);
-    if (!unused_places_.empty()) {
-      place = std::move(unused_places_.back());
-      unused_places_.pop_back();
-      ++lent_places_;
-    } else if (!failed_sleepers_.empty()) {
-      request.executor = failed_sleepers_.back();
-      failed_sleepers_.pop_back();
-      again = true;
-    } else if (next_sleeper_ == abi::executor_count_max) {
-      static_assert(abi::executor_count_max == 56);
-      return fail(
-          Errc::limit_reached,
-          "more than 56 nodes with callbacks in one process (polling subscriptions together "
-          "count as one)");
-    } else {
-      request.executor = next_sleeper_++;
-    }
-  }
-  if (place != nullptr) return sleeper.add(this, lend(std::move(place)));
   Result<void> opened = connection_->request(
       Opcode::open_executor, request,
       [&](Incoming& packet) -> Result<void> {
@@ -448,21 +420,12 @@ Result<void> Context::make_place(Sleeper& sleeper) {
         const auto fds = packet.packet.fds();
         AGNOCAST_CRASH_POINT(C_sleeper);
         place = std::make_unique<Sleeper::Place>(
-            region_.base(), request.executor,
-            DoorbellReceiver(std::move(fds[0]), std::move(fds[1])));
+            region_.base(), executor, DoorbellReceiver(std::move(fds[0]), std::move(fds[1])));
         return {};
       },
       nullptr, again);
-  {
-    const std::lock_guard lock(sleepers_);
-    if (opened) {
-      ++lent_places_;
-    } else {
-      // Should the bells come late, nobody wants them; who gets the number next asks for new ones.
-      failed_sleepers_.push_back(request.executor);  // within its capacity
-    }
-  }
-  return opened ? sleeper.add(this, lend(std::move(place))) : opened;
+  if (!opened) return tl::unexpected<Failure>(opened.error());
+  return place;
 }
 
 // The control thread says it, now or when it is connected again.

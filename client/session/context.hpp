@@ -31,6 +31,7 @@
 #include <client/process/sleeper.hpp>
 #include <client/session/connection.hpp>
 #include <client/session/departures.hpp>
+#include <client/session/executor_places.hpp>
 #include <client/session/reconnection.hpp>
 #include <client/session/session_state.hpp>
 #include <client/shares/reader_shares.hpp>
@@ -191,7 +192,7 @@ class Context {
   void say_blocked();
   Result<void> open_heap();
   Result<void> open_extents(const abi::wire::EndpointCreated& made, std::uint64_t bytes);
-  std::shared_ptr<Sleeper::Place> lend(std::unique_ptr<Sleeper::Place> place);
+  Result<std::unique_ptr<Sleeper::Place>> open_executor(std::uint64_t executor, bool again);
   void wait_for(const Departure& departure, Reconnection::Clock::time_point end) noexcept;
 
   // control thread
@@ -287,13 +288,7 @@ class Context {
   EndpointTable endpoints_;
   PeerTable peers_{endpoints_};
   Departures departures_{endpoints_};
-  // Innermost: a place comes back wherever its last user is destroyed, also under the mutex of `endpoints_`.
-  std::mutex sleepers_;
-  std::mutex places_making_;  // one at a time, so that a sleeper has one place here
-  std::uint64_t next_sleeper_ = 0;
-  std::uint64_t lent_places_ = 0;
-  std::vector<std::unique_ptr<Sleeper::Place>> unused_places_;
-  std::vector<std::uint64_t> failed_sleepers_;  // numbers whose bells never came
+  ExecutorPlaces places_;
 };
 
 }  // namespace agnocast

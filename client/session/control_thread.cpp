@@ -347,10 +347,7 @@ void Context::on_bells_renewed(Incoming& packet) {
     sleeper->renew(this, bells);
     return;
   }
-  const std::lock_guard lock(sleepers_);
-  for (const auto& place : unused_places_) {
-    if (place->index == renewed.executor) return std::swap(place->bells, bells);
-  }
+  places_.renew(renewed.executor, bells);
 }
 
 namespace {
@@ -492,11 +489,7 @@ bool Context::is_unused() {
 // Nobody has anything of it any more but sleepers, and those let go here.
 bool Context::let_go_of_everything() {
   Reregistration::instance().release_places(*this);
-  {
-    const std::lock_guard lock(sleepers_);
-    if (lent_places_ != 0) return false;  // in a moment
-    unused_places_.clear();
-  }
+  if (!places_.end()) return false;  // in a moment
   AGNOCAST_CRASH_POINT(C_former_end);
   Heap::leave_region(region_.base());
   AGNOCAST_CRASH_POINT(C_former_end);
