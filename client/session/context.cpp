@@ -23,23 +23,6 @@ namespace wire = abi::wire;
 using wire::Kind;
 using wire::Opcode;
 
-namespace {
-
-/// The environment may come from whoever starts a setuid program; such a program does not listen.
-Result<HeapScope> scope_from_environment(HeapScope otherwise) {
-  const char* const text = ::secure_getenv("AGNOCAST_SCOPE");
-  if (text == nullptr || *text == '\0') return otherwise;
-  const std::string_view word = text;
-  if (word == "loan") return HeapScope::loan;
-  if (word == "all") return HeapScope::all;
-  return fail_with(Errc::invalid_argument,
-                   "AGNOCAST_SCOPE is " + in_quotes(text) + ", which is neither loan nor all");
-}
-
-constexpr std::chrono::seconds window_pause_last{60};
-
-}  // namespace
-
 Result<bool> is_switched_off() noexcept {
   const char* const text = ::secure_getenv("AGNOCAST");
   const std::string_view word = text != nullptr ? text : "";
@@ -86,110 +69,7 @@ Errc island_reason() noexcept { return Context::instance().island_reason(); }
 
 Result<void> Context::set_heap_scope(HeapScope scope) noexcept {
   if (Result<void> refused = refuse_forked_child(); !refused) return refused;
-  const std::lock_guard lock(connecting_);
-  if (heap_is_open_.load(std::memory_order_relaxed) && scope != scope_)
-    return fail(Errc::invalid_argument, "the scope of a heap that is open stays as it is");
-  scope_ = scope;
-  return {};
-}
-
-Result<void> Context::open_heap() {
-  const std::lock_guard lock(connecting_);
-  if (heap_is_open_.load(std::memory_order_relaxed)) return {};
-  Result<Heap> found = Heap::find();
-  if (!found) return tl::unexpected<Failure>(found.error());
-  const Result<HeapScope> scope = scope_from_environment(scope_);
-  if (!scope) return tl::unexpected<Failure>(scope.error());
-  const auto idle_time = HeapReturn::idle_time();
-  if (!idle_time) return tl::unexpected<Failure>(idle_time.error());
-  wire::WindowRequest request{};
-  request.window = 0;
-  Result<void> opened =
-      connection_->request(Opcode::open_window, request, [&](Incoming& packet) -> Result<void> {
-        wire::WindowOpened window{};
-        if (Result<void> read =
-                packet.read_as(Opcode::window_opened, window, 2, "the answer with a heap window");
-            !read)
-          return read;
-        const auto fds = packet.packet.fds();
-        return found->attach(region_.base(), window.base, window.bytes, std::move(fds[0]),
-                             fds[1].get(), *scope,
-                             []() noexcept { Context::instance().wake_control(); });
-      });
-  if (!opened) return opened;
-  heap_ = *found;
-  scope_ = *scope;
-  heap_is_open_.store(true, std::memory_order_release);
-  if (*idle_time) HeapReturn::instance().begin(heap_->hook(), **idle_time);
-  return {};
-}
-
-// What lies in the windows stays where it is, and so do they: the new daemon is told of them.
-Result<void> Context::bring_windows() {
-  if (!heap_is_open_.load(std::memory_order_acquire)) return {};
-  if (!Heap::follow(region_.base()))
-    return fail(Errc::limit_reached, "too many former memberships are still in use");
-  for (std::uint64_t i = 0; i < Heap::window_count(); ++i) {
-    const Heap::Window window = Heap::window(i);
-    wire::BringWindow body{};
-    body.window = i;
-    body.base = window.base;
-    body.bytes = window.length;
-    body.first = window.first;
-    AGNOCAST_CRASH_POINT(C_bring);
-    Result<void> brought = connection_->request(
-        Opcode::bring_window, body, [](Incoming&) { return Result<void>(); }, nullptr, false,
-        window.write_fd);
-    AGNOCAST_CRASH_POINT(C_brought);
-    if (!brought) return brought;
-  }
-  window_count_ = Heap::window_count();
-  return {};
-}
-
-// Ahead of need: malloc never waits for the daemon. While the answer is on its way, or when it is a
-// refusal, the heap does with what it has.
-void Context::ask_for_window() {
-  if (!heap_is_open_.load(std::memory_order_acquire) || window_asked_ || !may_grow_.load()) return;
-  if (move_to_ != window_count_ && !heap_->wants_window()) return;
-  if (std::chrono::steady_clock::now() < window_again_) return;
-  wire::WindowRequest request{};
-  request.window = window_count_;
-  const auto on_answer = [this](Result<Incoming*> answer) {
-    // All windows that this process may have: no other answer will come.
-    if (!answer && answer.error().code == Errc::window_exhausted) return heap_->no_more_windows();
-    window_asked_ = false;
-    window_refused_ = !answer || !add_window(**answer);
-    if (!window_refused_) {
-      window_pause_ = window_pause_first;
-      if (++window_count_ == abi::window_count_max) heap_->no_more_windows();
-      return;
-    }
-    // What is missing (quota, arena, memory) may come back: asked again ever more rarely, because a
-    // full heap would ask at every errand.
-    window_again_ = std::chrono::steady_clock::now() + window_pause_;
-    window_pause_ = std::min(window_pause_ * 2, window_pause_last);
-  };
-  window_asked_ = true;
-  try {
-    connection_->request_later(Opcode::open_window, request, on_answer);
-  } catch (const std::bad_alloc&) {
-    window_asked_ = false;
-    throw;
-  }
-}
-
-bool Context::add_window(Incoming& answer) noexcept {
-  wire::WindowOpened opened{};
-  if (!answer.read(opened) || answer.packet.descriptor_count != 2) return false;
-  if (opened.window != window_count_) return false;
-  // The daemon announces it to everybody else. Before it is in use, so that nobody waits for it.
-  peers_.add_own_window({opened.window, opened.base, opened.bytes, opened.first});
-  const auto fds = answer.packet.fds();
-  return heap_
-      ->add_window(region_.base(), opened.window, opened.base, opened.bytes, std::move(fds[0]),
-                   fds[1].get(), opened.first == opened.window)
-      .has_value();
+  return heap_.set_scope(scope);
 }
 
 namespace {
@@ -302,8 +182,10 @@ std::uint64_t Context::lineage_of(const Continued& continued, const wire::Endpoi
 
 Result<void> Context::open_heap_for(bool uses_shared_allocator) {
   if (Result<void> connected = connect(); !connected) return connected;
-  if (Result<void> heap = open_heap(); !heap || uses_shared_allocator) return heap;
-  return heap_->check_interposition();
+  Result<void> opened = heap_.open(*connection_, region_.base(),
+                                   []() noexcept { Context::instance().wake_control(); });
+  if (!opened || uses_shared_allocator) return opened;
+  return heap_.opened().check_interposition();
 }
 
 Result<void> Context::prepare_to_publish(bool uses_shared_allocator) {

@@ -32,6 +32,7 @@
 #include <client/session/connection.hpp>
 #include <client/session/departures.hpp>
 #include <client/session/executor_places.hpp>
+#include <client/session/own_heap.hpp>
 #include <client/session/reconnection.hpp>
 #include <client/session/session_state.hpp>
 #include <client/shares/reader_shares.hpp>
@@ -127,17 +128,15 @@ class Context {
   /// Before the heap is open. Errors: invalid_argument.
   [[nodiscard]] Result<void> set_heap_scope(HeapScope scope) noexcept;
   /// Null until the first publisher; then stays.
-  const Heap* heap() const noexcept {
-    return heap_is_open_.load(std::memory_order_acquire) ? &*heap_ : nullptr;
-  }
+  const Heap* heap() const noexcept { return heap_.get(); }
   /// How publish adopts foreign memory. Only after a publisher was created.
-  SharedHeap shared_heap() const noexcept { return heap_->shared_heap(); }
+  SharedHeap shared_heap() const noexcept { return heap_.opened().shared_heap(); }
   /// The heap is full: every message that nobody needs any more is destroyed, of every publisher. False:
   /// there was none. User threads, without locks of theirs that a destructor wants.
   bool has_more_room() noexcept;
   /// Of a former membership: how many of the heap's windows its daemon has told others of. Readers in
   /// it have these and no more.
-  std::uint64_t announced_windows() const noexcept { return window_count_; }
+  std::uint64_t announced_windows() const noexcept { return heap_.growth().window_count(); }
   /// False in a forked child, and before the first endpoint.
   bool is_connected() const noexcept;
   ConnectionState state() const noexcept;
@@ -186,11 +185,9 @@ class Context {
   Result<void> say_hello(Reconnection::Clock::time_point deadline);
   Result<void> map_regions(const abi::wire::Welcome& welcome, std::span<UniqueFd> fds);
   Result<void> reserve_arena(std::uint64_t base, std::uint64_t bytes);
-  Result<void> bring_windows();
   Result<void> start_control_thread();
   Result<void> start_thread();
   void say_blocked();
-  Result<void> open_heap();
   Result<void> open_extents(const abi::wire::EndpointCreated& made, std::uint64_t bytes);
   Result<std::unique_ptr<Sleeper::Place>> open_executor(std::uint64_t executor, bool again);
   void wait_for(const Departure& departure, Reconnection::Clock::time_point end) noexcept;
@@ -241,16 +238,13 @@ class Context {
   void collect_publishers();
   void collect_subscriptions();
   void collect_peers();
-  void ask_for_window();
-  bool add_window(Incoming& answer) noexcept;
   void say_unlinked(abi::wire::Kind kind, std::uint32_t topic, std::uint64_t index,
                     std::uint64_t generation);
 
   static std::atomic<Context*> present_;
 
   SessionState state_;  // a forked child inherits it
-  const Context* former_ = nullptr;   // while this membership begins
-  std::atomic<bool> may_grow_{true};  // its heap: not before all publishers have moved here
+  const Context* former_ = nullptr;  // while this membership begins
   bool has_thread_ = false;
   mutable std::mutex connecting_;
   // As found by the first membership.
@@ -260,16 +254,6 @@ class Context {
   std::shared_ptr<const Arena> arena_;  // several memberships may have the same
   SparseRegion board_, region_;
   std::uint64_t incarnation_ = 0, client_ = 0, client_generation_ = 0;
-  HeapScope scope_ = HeapScope::loan;
-  std::optional<Heap> heap_;
-  std::atomic<bool> heap_is_open_{false};
-  std::uint64_t window_count_ = 1;  // control thread only, as the next
-  bool window_asked_ = false;
-  bool window_refused_ = false;  // the last one asked for
-  std::uint64_t move_to_ = 0;  // window that the daemon asks for, 0: none
-  static constexpr std::chrono::seconds window_pause_first{1};
-  std::chrono::seconds window_pause_ = window_pause_first;  // after the next refusal
-  std::chrono::steady_clock::time_point window_again_{};    // not before
 
   UniqueFd epoll_;
   std::shared_ptr<const ControlWake> wake_;
@@ -287,6 +271,7 @@ class Context {
 
   EndpointTable endpoints_;
   PeerTable peers_{endpoints_};
+  OwnHeap heap_{peers_};
   Departures departures_{endpoints_};
   ExecutorPlaces places_;
 };

@@ -324,7 +324,7 @@ void Context::on_orphaned(Incoming& packet) {
 // Somebody who reads from here has something else where this heap lies: it goes on elsewhere.
 void Context::on_move_heap(Incoming& packet) {
   wire::MoveHeap move{};
-  if (packet.read(move)) move_to_ = move.window;
+  if (packet.read(move)) heap_.growth().move_to(move.window);
 }
 
 void Context::on_kick(Incoming& packet) {
@@ -414,7 +414,7 @@ void Context::run_errands() {
   collect_subscriptions();
   collect_peers();
   departures_.see_strangers_off(*connection_, wake_, board_);
-  ask_for_window();
+  heap_.ask_for_window(*connection_, region_.base());
 }
 
 // Passes, and what is over.

@@ -204,7 +204,7 @@ Result<void> Context::reserve_arena(std::uint64_t base, std::uint64_t bytes) {
   }
   // What this process has published lies in the former one, and its readers find it nowhere else.
   if (before != nullptr &&
-      (heap_is_open_.load(std::memory_order_relaxed) ||
+      (heap_.is_open() ||
        (base < before->base() + before->bytes() && before->base() < base + bytes)))
     return fail(Errc::arena_occupied, "agnocastd has another arena than the one before");
   Result<Arena> arena = Arena::reserve(base, bytes);

@@ -94,8 +94,8 @@ void Context::look_at_readers() {
     shares_.nobody_reads(now);
   } else {
     static const std::uint64_t most = machine_memory_bytes() / memory_divisor;
-    const Heap::Room room = heap_->room();
-    const bool may_grow = !window_refused_ && !heap_->has_last_window();
+    const Heap::Room room = heap_.opened().room();
+    const bool may_grow = !heap_.growth().is_refused() && !heap_.opened().has_last_window();
     const ReaderShares::Room bounded{room.refused, may_grow, room.bytes,
                                      std::min(room.bytes_max, most)};
     for (const auto& above : shares_.look(now, bounded, kept.together, users))

@@ -197,17 +197,14 @@ Result<void> Reregistration::begin_next(Context& former) {
   next->process_name_ = former.process_name_;
   next->domain_ = former.domain_;
   next->state_.begin_beside(former.state_);
-  next->may_grow_.store(false, std::memory_order_relaxed);
   {
     const std::lock_guard lock(former.connecting_);
-    next->scope_ = former.scope_;
-    next->heap_ = former.heap_;
-    next->heap_is_open_.store(former.heap_is_open_.load(std::memory_order_acquire),
-                              std::memory_order_release);
+    next->heap_.continue_from(former.heap_);
   }
   AGNOCAST_CRASH_POINT(C_next);
   if (Result<void> known = next->become_known(); !known) return known;
-  if (Result<void> brought = next->bring_windows(); !brought) return brought;
+  if (Result<void> brought = next->heap_.bring(*next->connection_, next->region_.base()); !brought)
+    return brought;
   Context* const begun = next.release();
   AGNOCAST_CRASH_POINT(C_present);
   Context::present_.store(begun, std::memory_order_release);
@@ -250,7 +247,7 @@ void Reregistration::move_everything(Context& present) {
       entry = try_to_move(present, *entry) ? pending_.erase(entry) : entry + 1;
     if (pending_.empty()) {
       // What was refused goes on publishing where it was; the heap does not wait for it.
-      if (!is_away(made) && !present.may_grow_.exchange(true, std::memory_order_acq_rel))
+      if (!is_away(made) && present.heap_.growth().permit())
         present.wake_control();
       if (made) return;
     }
