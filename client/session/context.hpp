@@ -29,14 +29,17 @@
 #include <client/process/control_wake.hpp>
 #include <client/process/library_thread.hpp>
 #include <client/process/sleeper.hpp>
+#include <client/session/announcements.hpp>
+#include <client/session/collector.hpp>
 #include <client/session/connection.hpp>
 #include <client/session/departures.hpp>
 #include <client/session/executor_places.hpp>
 #include <client/session/own_heap.hpp>
+#include <client/session/pass_timer.hpp>
+#include <client/session/reader_look.hpp>
+#include <client/session/reannouncement.hpp>
 #include <client/session/reconnection.hpp>
 #include <client/session/session_state.hpp>
-#include <client/shares/reader_shares.hpp>
-#include <client/shares/unmapped_users.hpp>
 
 #include <atomic>
 #include <chrono>
@@ -199,16 +202,9 @@ class Context {
   void look_for_descriptors(bool now) noexcept;
   int passes_due_ms();
   void read_connection();
-  void ask_again_later() noexcept;
   void look_for_bells() noexcept;
+  struct Handler;
   void handle(Incoming& packet);
-  void on_announce(Incoming& packet);
-  void on_window(Incoming& packet);
-  void on_forget(Incoming& packet);
-  void on_orphaned(Incoming& packet);
-  void on_kick(Incoming& packet);
-  void on_notice(Incoming& packet);
-  void on_move_heap(Incoming& packet);
   void on_bells_renewed(Incoming& packet);
 
   // control thread: coming back
@@ -221,7 +217,6 @@ class Context {
     return state_.may_end_by_itself() && present_.load() != this;
   }
   void run_former_errands();
-  bool is_unused();
   bool let_go_of_everything();
 
   void tell_state(ConnectionState state) noexcept;
@@ -230,16 +225,11 @@ class Context {
   Result<void> watch(int fd) noexcept;
   void on_rejoined(Incoming& packet);
   void on_refused(Incoming& packet);
+  void on_revoked(Incoming& packet);
   void on_own(Incoming& packet);
   void on_region(Incoming& packet);
   Result<void> adopt_late(abi::wire::Kind kind, Incoming& packet);
   void run_errands();
-  void look_at_readers();
-  void collect_publishers();
-  void collect_subscriptions();
-  void collect_peers();
-  void say_unlinked(abi::wire::Kind kind, std::uint32_t topic, std::uint64_t index,
-                    std::uint64_t generation);
 
   static std::atomic<Context*> present_;
 
@@ -257,23 +247,21 @@ class Context {
 
   UniqueFd epoll_;
   std::shared_ptr<const ControlWake> wake_;
-  Reconnection reconnection_;  // control thread only, as the next three
-  // When to begin a new connection because descriptors that came on this one were lost.
-  std::optional<Reconnection::Clock::time_point> said_again_;
-  Reconnection::Clock::time_point again_at_{}, bells_looked_{}, bells_asked_{};
-  std::chrono::seconds again_pause_{};
-  int passes_pause_ = 0, link_look_ = 0;
-  bool was_reclaimable_ = false, is_output_blocked_ = false;
-  std::chrono::steady_clock::time_point former_looked_{}, descriptors_looked_{}, readers_looked_{};
-  ReaderShares shares_;
-  UnmappedUsers unmapped_users_;
-  bool descriptors_lost_ = false;
+  // Control thread only.
+  Reconnection reconnection_;
+  Reannouncement reannouncement_;
+  PassTimer pass_timer_;
+  bool is_output_blocked_ = false, descriptors_lost_ = false;
+  std::chrono::steady_clock::time_point former_looked_{}, descriptors_looked_{};
 
   EndpointTable endpoints_;
   PeerTable peers_{endpoints_};
   OwnHeap heap_{peers_};
   Departures departures_{endpoints_};
   ExecutorPlaces places_;
+  ReaderLook readers_;
+  Announcements announcements_{endpoints_, peers_, readers_, heap_.growth()};
+  Collector collector_{endpoints_, peers_};
 };
 
 }  // namespace agnocast

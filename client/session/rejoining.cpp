@@ -130,6 +130,10 @@ void Context::on_refused(Incoming& packet) {
   }
 }
 
+void Context::on_revoked(Incoming& packet) {
+  become_island(failure_with(Errc::revoked, detail_of(refusal_of(packet))));
+}
+
 // --- what the daemon knows of this process
 
 void Context::on_own(Incoming& packet) {
@@ -149,9 +153,9 @@ void Context::on_own(Incoming& packet) {
 
 void Context::on_region(Incoming& packet) {
   wire::Reference region{};
-  if (said_again_) return;  // it may be one whose descriptors were lost
+  if (reannouncement_.is_awaited()) return;  // it may be one whose descriptors were lost
   if (packet.read(region) && !peers_.has({region.index, region.generation}))
-    say_unlinked(Kind::region, 0, region.index, region.generation);
+    say_unlinked(*connection_, Kind::region, 0, region.index, region.generation);
 }
 
 // The answer to a creation that nobody waits for any more.
