@@ -351,11 +351,4 @@ void Context::destroy(const std::shared_ptr<SubscriptionEndpoint>& subscription,
   subscription->context()->let_leave(*subscription, end);
 }
 
-void Context::release(const Received& received) noexcept {
-  if (is_forked_child()) return;  // the hold is the parent's
-  if (!received.link->release(received.taken.slot)) return;
-  AGNOCAST_CRASH_POINT(C_release_last);
-  received.link->wake_control();
-}
-
 }  // namespace agnocast

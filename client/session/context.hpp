@@ -124,9 +124,6 @@ class Context {
   /// The subscription takes no more; messages held stay valid. Returns as above.
   void destroy(const std::shared_ptr<SubscriptionEndpoint>& subscription,
                Reconnection::Clock::time_point end = for_ever) noexcept;
-  /// The last copy of a received message is gone. No system call unless a closing link ends with
-  /// it. Any thread.
-  void release(const Received& received) noexcept;
 
   /// Before the heap is open. Errors: invalid_argument.
   [[nodiscard]] Result<void> set_heap_scope(HeapScope scope) noexcept;
@@ -254,11 +251,11 @@ class Context {
   bool is_output_blocked_ = false, descriptors_lost_ = false;
   std::chrono::steady_clock::time_point former_looked_{}, descriptors_looked_{};
 
+  ExecutorPlaces places_;  // ahead of the endpoints, whose sleepers give them back
   EndpointTable endpoints_;
   PeerTable peers_{endpoints_};
   OwnHeap heap_{peers_};
   Departures departures_{endpoints_};
-  ExecutorPlaces places_;
   ReaderLook readers_;
   Announcements announcements_{endpoints_, peers_, readers_, heap_.growth()};
   Collector collector_{endpoints_, peers_};
