@@ -92,13 +92,6 @@ Result<wire::CreateEndpoint> describe(const EndpointRequest& request,
 
 }  // namespace
 
-// The topic's entry on the board, and the endpoint's own words.
-Result<void> Context::open_extents(const wire::EndpointCreated& made, std::uint64_t bytes) {
-  AGNOCAST_CRASH_POINT(C_extent_open);
-  Result<void> opened = board_.open(abi::topic_offset(made.topic), abi::topic_bytes);
-  return opened ? region_.open(made.extent, bytes) : opened;
-}
-
 template <class Work>
 auto Context::in_present(Work work) -> decltype(work(instance())) {
   const auto deadline = Reconnection::Clock::now() + Connection::answer_timeout;
@@ -171,7 +164,7 @@ std::uint64_t Context::lineage_of(const Continued& continued, const wire::Endpoi
                                   Kind kind) const noexcept {
   std::uint64_t sum = continued.lineage;
   if (sum == 0) {
-    for (const std::uint64_t part : {incarnation_, client_, std::uint64_t{made.topic}, made.index,
+    for (const std::uint64_t part : {registration_.incarnation(), registration_.client().first, std::uint64_t{made.topic}, made.index,
                                      made.generation, static_cast<std::uint64_t>(kind)}) {
       sum = (sum ^ part) * 0x9e3779b97f4a7c15;
       sum ^= sum >> 29;
@@ -182,7 +175,7 @@ std::uint64_t Context::lineage_of(const Continued& continued, const wire::Endpoi
 
 Result<void> Context::open_heap_for(bool uses_shared_allocator) {
   if (Result<void> connected = connect(); !connected) return connected;
-  Result<void> opened = heap_.open(*connection_, region_.base(),
+  Result<void> opened = heap_.open(registration_.connection(), registration_.region_base(),
                                    []() noexcept { Context::instance().wake_control(); });
   if (!opened || uses_shared_allocator) return opened;
   return heap_.opened().check_interposition();
@@ -199,7 +192,7 @@ Result<std::shared_ptr<PublisherEndpoint>> Context::make_publisher(
   const Result<wire::CreateEndpoint> body = describe(request, 0);
   if (!body) return tl::unexpected<Failure>(body.error());
   std::shared_ptr<PublisherEndpoint> publisher;
-  Result<void> created = connection_->request(
+  Result<void> created = registration_.connection().request(
       Opcode::create_publisher, *body,
       [&](Incoming& packet) -> Result<void> {
         wire::EndpointCreated made{};
@@ -207,10 +200,10 @@ Result<std::shared_ptr<PublisherEndpoint>> Context::make_publisher(
             made.index >= abi::publisher_count_max) {
           return fail(Errc::protocol_violation, "a new publisher");
         }
-        if (Result<void> opened = open_extents(made, abi::publisher_extent_bytes); !opened)
+        if (Result<void> opened = registration_.open_extents(made, abi::publisher_extent_bytes); !opened)
           return opened;
-        const PublisherEndpoint::Core::Identity core{{board_.base(), abi::topic_offset(made.topic)},
-                                                     {region_.base(), made.extent},
+        const PublisherEndpoint::Core::Identity core{{registration_.board().base(), abi::topic_offset(made.topic)},
+                                                     {registration_.region_base(), made.extent},
                                                      made.index,
                                                      made.generation,
                                                      made.first_sequence,
@@ -218,7 +211,7 @@ Result<std::shared_ptr<PublisherEndpoint>> Context::make_publisher(
                                                      made.slot_count,
                                                      PublisherEndpoint::lazy_limit};
         publisher = std::make_shared<PublisherEndpoint>(
-            PublisherEndpoint::Identity{core, made.topic, end_message, waker(), continued.events,
+            PublisherEndpoint::Identity{core, made.topic, end_message, registration_.waker(), continued.events,
                                         this, lineage_of(continued, made, Kind::publisher),
                                         request.says_lineage_later && continued.events == nullptr,
                                         []() noexcept { return Context::instance().has_more_room(); },
@@ -241,7 +234,7 @@ Result<std::shared_ptr<SubscriptionEndpoint>> Context::make_subscription(
   const Result<wire::CreateEndpoint> body = describe(request, *sleeper->index_in(this));
   if (!body) return tl::unexpected<Failure>(body.error());
   std::shared_ptr<SubscriptionEndpoint> subscription;
-  Result<void> created = connection_->request(
+  Result<void> created = registration_.connection().request(
       Opcode::create_subscription, *body,
       [&](Incoming& packet) -> Result<void> {
         wire::EndpointCreated made{};
@@ -249,21 +242,21 @@ Result<std::shared_ptr<SubscriptionEndpoint>> Context::make_subscription(
             made.index >= abi::subscription_count_max) {
           return fail(Errc::protocol_violation, "a new subscription");
         }
-        if (Result<void> opened = open_extents(made, abi::subscription_extent_bytes); !opened)
+        if (Result<void> opened = registration_.open_extents(made, abi::subscription_extent_bytes); !opened)
           return opened;
         subscription = std::make_shared<SubscriptionEndpoint>(
-            SubscriptionEndpoint::Identity{{board_.base(), abi::topic_offset(made.topic)},
+            SubscriptionEndpoint::Identity{{registration_.board().base(), abi::topic_offset(made.topic)},
                                            made.topic,
                                            made.index,
                                            made.generation,
-                                           region_.base(),
+                                           registration_.region_base(),
                                            made.extent,
                                            request.qos,
                                            request.quota,
                                            request.depth_per_publisher,
                                            request.message_bytes,
                                            request.message_alignment,
-                                           waker(),
+                                           registration_.waker(),
                                            continued.events,
                                            this,
                                            lineage_of(continued, made, Kind::subscription)},
@@ -291,7 +284,7 @@ Result<std::unique_ptr<Sleeper::Place>> Context::open_executor(std::uint64_t exe
   wire::ExecutorRequest request{};
   request.executor = executor;
   std::unique_ptr<Sleeper::Place> place;
-  Result<void> opened = connection_->request(
+  Result<void> opened = registration_.connection().request(
       Opcode::open_executor, request,
       [&](Incoming& packet) -> Result<void> {
         wire::Done answer{};
@@ -302,7 +295,7 @@ Result<std::unique_ptr<Sleeper::Place>> Context::open_executor(std::uint64_t exe
         const auto fds = packet.packet.fds();
         AGNOCAST_CRASH_POINT(C_sleeper);
         place = std::make_unique<Sleeper::Place>(
-            region_.base(), executor, DoorbellReceiver(std::move(fds[0]), std::move(fds[1])));
+            registration_.region_base(), executor, DoorbellReceiver(std::move(fds[0]), std::move(fds[1])));
         return {};
       },
       nullptr, again);
@@ -313,7 +306,7 @@ Result<std::unique_ptr<Sleeper::Place>> Context::open_executor(std::uint64_t exe
 // The control thread says it, now or when it is connected again.
 void Context::wait_for(const Departure& departure, Reconnection::Clock::time_point end) noexcept {
   wake_control();
-  departures_.wait_for(departure, *connection_, end);
+  departures_.wait_for(departure, registration_.connection(), end);
 }
 
 void Context::let_leave(PublisherEndpoint& publisher,

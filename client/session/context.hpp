@@ -39,6 +39,7 @@
 #include <client/session/reader_look.hpp>
 #include <client/session/reannouncement.hpp>
 #include <client/session/reconnection.hpp>
+#include <client/session/registration.hpp>
 #include <client/session/session_state.hpp>
 
 #include <atomic>
@@ -142,7 +143,7 @@ class Context {
   ConnectionState state() const noexcept;
   Errc island_reason() const noexcept { return state_.reason(); }
   void wake_control() noexcept {
-    if (wake_ != nullptr) (*wake_)();
+    if (registration_.wake() != nullptr) (*registration_.wake())();
   }
 
  private:
@@ -176,19 +177,11 @@ class Context {
                  Reconnection::Clock::time_point end = for_ever) noexcept;
   void let_leave(SubscriptionEndpoint& subscription,
                  Reconnection::Clock::time_point end = for_ever) noexcept;
-  std::function<void()> waker() const {
-    return [wake = wake_] { (*wake)(); };
-  }
 
   Result<void> connect();
   Result<void> become_known();
-  Result<void> say_hello(Reconnection::Clock::time_point deadline);
-  Result<void> map_regions(const abi::wire::Welcome& welcome, std::span<UniqueFd> fds);
-  Result<void> reserve_arena(std::uint64_t base, std::uint64_t bytes);
   Result<void> start_control_thread();
   Result<void> start_thread();
-  void say_blocked();
-  Result<void> open_extents(const abi::wire::EndpointCreated& made, std::uint64_t bytes);
   Result<std::unique_ptr<Sleeper::Place>> open_executor(std::uint64_t executor, bool again);
   void wait_for(const Departure& departure, Reconnection::Clock::time_point end) noexcept;
 
@@ -231,19 +224,10 @@ class Context {
   static std::atomic<Context*> present_;
 
   SessionState state_;  // a forked child inherits it
-  const Context* former_ = nullptr;  // while this membership begins
   bool has_thread_ = false;
   mutable std::mutex connecting_;
-  // As found by the first membership.
-  std::string socket_path_, process_name_;
-  std::uint64_t domain_ = 0;
-  std::unique_ptr<Connection> connection_;
-  std::shared_ptr<const Arena> arena_;  // several memberships may have the same
-  SparseRegion board_, region_;
-  std::uint64_t incarnation_ = 0, client_ = 0, client_generation_ = 0;
-
+  Registration registration_;
   UniqueFd epoll_;
-  std::shared_ptr<const ControlWake> wake_;
   // Control thread only.
   Reconnection reconnection_;
   Reannouncement reannouncement_;

@@ -58,7 +58,7 @@ void Context::serve() noexcept {
 
 // The process is about to end. What its exit handlers still want of the daemon they do not wait for.
 void Context::serve_nobody() noexcept {
-  connection_->refuse({Errc::shut_down, 0, "the last thread of this process has ended"});
+  registration_.connection().refuse({Errc::shut_down, 0, "the last thread of this process has ended"});
   tell_state(ConnectionState::island);
 }
 
@@ -89,9 +89,9 @@ void Context::serve_once(int timeout_ms) {
   }
   look_for_descriptors(count < 0 && errno != EINTR);
   for (int i = 0; i < count; ++i) {
-    if (events[i].data.fd == wake_->fd()) {
+    if (events[i].data.fd == registration_.wake()->fd()) {
       std::uint64_t ignored = 0;
-      [[maybe_unused]] const ssize_t got = ::read(wake_->fd(), &ignored, sizeof ignored);
+      [[maybe_unused]] const ssize_t got = ::read(registration_.wake()->fd(), &ignored, sizeof ignored);
     } else {
       read_connection();
     }
@@ -106,7 +106,7 @@ void Context::serve_once(int timeout_ms) {
   }
   if (reconnection_.is_due(Reconnection::Clock::now())) reconnect();
   run_errands();
-  is_output_blocked_ = connection_->flush();
+  is_output_blocked_ = registration_.connection().flush();
 }
 
 /// At each tick, or `now`. Somebody may have closed descriptors of ours; their numbers may be others' by now.
@@ -123,10 +123,10 @@ void Context::look_for_descriptors(bool now) noexcept {
 }
 
 void Context::read_connection() {
-  while (connection_->fd() >= 0) {
+  while (registration_.connection().fd() >= 0) {
     Incoming packet;
     bool unasked = false;
-    const Result<bool> alive = connection_->receive(packet, unasked);
+    const Result<bool> alive = registration_.connection().receive(packet, unasked);
     if (!alive || !*alive) return lose_connection();
     if (!unasked) return;
     if (packet.packet.descriptors_lost) {
@@ -161,7 +161,7 @@ void Context::handle(Incoming& packet) {
       {Opcode::region, &Context::on_region},     {Opcode::bells_renewed, &Context::on_bells_renewed},
   };
   AGNOCAST_CRASH_POINT(C_packet);
-  if (announcements_.handle(*connection_, packet)) return;
+  if (announcements_.handle(registration_.connection(), packet)) return;
   const Opcode opcode = packet.header().opcode;
   for (const Handler& handler : handlers) {
     if (handler.opcode == opcode) return (this->*handler.handle)(packet);
@@ -192,11 +192,11 @@ void Context::run_errands() {
     tell_state(ConnectionState::connected);
   }
   look_for_bells();
-  departures_.say(*connection_, wake_);
-  readers_.look(endpoints_, heap_, *connection_);
-  collector_.collect(*connection_);
-  departures_.see_strangers_off(*connection_, wake_, board_);
-  heap_.ask_for_window(*connection_, region_.base());
+  departures_.say(registration_.connection(), registration_.wake());
+  readers_.look(endpoints_, heap_, registration_.connection());
+  collector_.collect(registration_.connection());
+  departures_.see_strangers_off(registration_.connection(), registration_.wake(), registration_.board());
+  heap_.ask_for_window(registration_.connection(), registration_.region_base());
 }
 
 // --- a membership whose daemon will not come back: nobody says who is gone, so this thread looks
@@ -215,15 +215,13 @@ bool Context::let_go_of_everything() {
   Reregistration::instance().release_places(*this);
   if (!places_.end()) return false;  // in a moment
   AGNOCAST_CRASH_POINT(C_former_end);
-  Heap::leave_region(region_.base());
+  Heap::leave_region(registration_.region_base());
   AGNOCAST_CRASH_POINT(C_former_end);
   departures_.forget_strangers();
-  region_ = {};
-  board_ = {};
-  arena_.reset();
+  registration_.let_go();
   AGNOCAST_CRASH_POINT(C_former_end);
   epoll_.reset();
-  ControlWake::give_back(wake_);
+  ControlWake::give_back(registration_.wake());
   return true;
 }
 

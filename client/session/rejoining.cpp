@@ -16,8 +16,6 @@
 #include <client/session/context.hpp>
 #include <client/session/reregistration.hpp>
 
-#include <agnocast/abi/fingerprint.hpp>
-#include <base/daemon_socket.hpp>
 #include <base/kept_fd.hpp>
 #include <client/process/steps.hpp>
 
@@ -38,9 +36,9 @@ void Context::tell_state(ConnectionState state) noexcept {
 
 void Context::lose_connection() noexcept {
   if (reconnection_.state() == Reconnection::State::island) return;
-  if (connection_->fd() >= 0 && !has_lost_kept())
-    ::epoll_ctl(epoll_.get(), EPOLL_CTL_DEL, connection_->fd(), nullptr);
-  connection_->end();
+  if (registration_.connection().fd() >= 0 && !has_lost_kept())
+    ::epoll_ctl(epoll_.get(), EPOLL_CTL_DEL, registration_.connection().fd(), nullptr);
+  registration_.connection().end();
   reconnection_.ended(Reconnection::Clock::now());
   tell_state(reconnection_.is_refused() ? ConnectionState::island : ConnectionState::reconnecting);
 }
@@ -54,7 +52,7 @@ void Context::become_island(const Failure& why) noexcept {
     reconnection_.refused();
   }
   state_.give_reason(why.code);
-  connection_->refuse(why);
+  registration_.connection().refuse(why);
   if (why.code == Errc::revoked) {
     AGNOCAST_CRASH_POINT(C_revoked);
     end_service();
@@ -74,7 +72,7 @@ void Context::tell_reason(Errc reason) noexcept {
 }
 
 void Context::stay_island(const Failure& why) noexcept {
-  connection_->refuse(why);
+  registration_.connection().refuse(why);
   tell_reason(why.code);
 }
 
@@ -86,30 +84,20 @@ void Context::reconnect() {
 }
 
 Result<void> Context::introduce_again() {
-  // A queue that is full now may have room at the next try.
-  Result<PacketSocket> socket = connect_to_daemon(socket_path_, std::chrono::milliseconds{0});
-  if (!socket) return tl::unexpected<Failure>(socket.error());
-  AGNOCAST_CRASH_POINT(C_reconnect);
-  connection_->begin(std::move(*socket));
+  if (Result<void> connected = registration_.connect_again(); !connected) return connected;
   reconnection_.asked();
-  if (Result<void> watched = watch(connection_->fd()); !watched) return watched;
-  wire::Rejoin rejoin{};
-  rejoin.fingerprint = abi::fingerprint();
-  rejoin.incarnation = incarnation_;
-  rejoin.client = client_;
-  rejoin.client_generation = client_generation_;
-  AGNOCAST_CRASH_POINT(C_rejoin);
-  return connection_->introduce(Opcode::rejoin, rejoin);
+  if (Result<void> watched = watch(registration_.connection().fd()); !watched) return watched;
+  return registration_.say_rejoin();
 }
 
 void Context::on_rejoined(Incoming& packet) {
   wire::Rejoined body{};
   if (reconnection_.state() != Reconnection::State::rejoining || !packet.read(body) ||
-      body.incarnation != incarnation_)
+      body.incarnation != registration_.incarnation())
     return lose_connection();
-  say_blocked();  // the daemon may not be the one that knew
+  registration_.say_blocked();  // the daemon may not be the one that knew
   AGNOCAST_CRASH_POINT(C_rejoined);
-  connection_->open();
+  registration_.connection().open();
   reconnection_.succeeded(Reconnection::Clock::now());
   if (state_.speaks()) state_.give_reason(Errc::ok);
   tell_state(ConnectionState::connected);
@@ -139,7 +127,7 @@ void Context::on_revoked(Incoming& packet) {
 void Context::on_own(Incoming& packet) {
   wire::Own own{};
   if (!packet.read(own)) return;
-  if (connection_->is_waiting(own.creation)) return;  // its answer will come
+  if (registration_.connection().is_waiting(own.creation)) return;  // its answer will come
   const EndpointKey key{own.topic, own.index};
   Departure* const departure = endpoints_.departure_of(own.kind, key, own.generation);
   if (departure == nullptr) {
@@ -155,7 +143,7 @@ void Context::on_region(Incoming& packet) {
   wire::Reference region{};
   if (reannouncement_.is_awaited()) return;  // it may be one whose descriptors were lost
   if (packet.read(region) && !peers_.has({region.index, region.generation}))
-    say_unlinked(*connection_, Kind::region, 0, region.index, region.generation);
+    say_unlinked(registration_.connection(), Kind::region, 0, region.index, region.generation);
 }
 
 // The answer to a creation that nobody waits for any more.

@@ -192,10 +192,7 @@ void Reregistration::run_once() {
 
 Result<void> Reregistration::begin_next(Context& former) {
   std::unique_ptr<Context, Context::Drop> next(new Context);
-  next->former_ = &former;
-  next->socket_path_ = former.socket_path_;
-  next->process_name_ = former.process_name_;
-  next->domain_ = former.domain_;
+  next->registration_.continue_from(former.registration_);
   next->state_.begin_beside(former.state_);
   {
     const std::lock_guard lock(former.connecting_);
@@ -203,7 +200,8 @@ Result<void> Reregistration::begin_next(Context& former) {
   }
   AGNOCAST_CRASH_POINT(C_next);
   if (Result<void> known = next->become_known(); !known) return known;
-  if (Result<void> brought = next->heap_.bring(*next->connection_, next->region_.base()); !brought)
+  if (Result<void> brought = next->heap_.bring(next->registration_.connection(),
+                                                 next->registration_.region_base()); !brought)
     return brought;
   Context* const begun = next.release();
   AGNOCAST_CRASH_POINT(C_present);
