@@ -5,23 +5,19 @@
 
 #include <client/session/context.hpp>
 
-#include <base/text.hpp>
-#include <client/heap/heap_return.hpp>
 #include <client/process/forked_child.hpp>
 #include <client/process/steps.hpp>
 #include <client/session/reregistration.hpp>
 
-#include <algorithm>
 #include <chrono>
 #include <cstdlib>
-#include <cstring>
+#include <mutex>
+#include <new>
+#include <string_view>
 #include <utility>
+#include <vector>
 
 namespace agnocast {
-
-namespace wire = abi::wire;
-using wire::Kind;
-using wire::Opcode;
 
 Result<bool> is_switched_off() noexcept {
   const char* const text = ::secure_getenv("AGNOCAST");
@@ -56,9 +52,7 @@ bool Context::has_more_room() noexcept {
   return some;
 }
 
-bool Context::is_connected() const noexcept {
-  return !is_forked_child() && state_.is_connected();
-}
+bool Context::is_connected() const noexcept { return !is_forked_child() && state_.is_connected(); }
 
 ConnectionState Context::state() const noexcept {
   return is_forked_child() ? ConnectionState::unconnected : state_.connection();
@@ -71,26 +65,6 @@ Result<void> Context::set_heap_scope(HeapScope scope) noexcept {
   if (Result<void> refused = refuse_forked_child(); !refused) return refused;
   return heap_.set_scope(scope);
 }
-
-namespace {
-
-Result<wire::CreateEndpoint> describe(const EndpointRequest& request,
-                                      std::uint64_t executor) noexcept {
-  wire::CreateEndpoint body{};
-  body.qos = abi::pack_qos(request.qos);
-  body.layout_hash = request.layout_hash;
-  body.executor = executor;
-  body.quota = request.quota | (request.quota_or_less ? wire::quota_or_less : 0);
-  if (!write_name(body.topic, request.topic))
-    return fail(Errc::invalid_name, "a topic name of more than 255 characters");
-  if (!write_name(body.type, request.type))
-    return fail(Errc::invalid_name, "a type name of more than 255 characters");
-  if (!write_name(body.node, request.node))
-    return fail(Errc::invalid_name, "a node name of more than 255 characters");
-  return body;
-}
-
-}  // namespace
 
 template <class Work>
 auto Context::in_present(Work work) -> decltype(work(instance())) {
@@ -159,20 +133,6 @@ Result<std::shared_ptr<Sleeper>> Context::idle_sleeper() {
   return idle->sleeper;
 }
 
-/// Of one that continues none: nobody else has the same, in whatever membership.
-std::uint64_t Context::lineage_of(const Continued& continued, const wire::EndpointCreated& made,
-                                  Kind kind) const noexcept {
-  std::uint64_t sum = continued.lineage;
-  if (sum == 0) {
-    for (const std::uint64_t part : {registration_.incarnation(), registration_.client().first, std::uint64_t{made.topic}, made.index,
-                                     made.generation, static_cast<std::uint64_t>(kind)}) {
-      sum = (sum ^ part) * 0x9e3779b97f4a7c15;
-      sum ^= sum >> 29;
-    }
-  }
-  return sum != 0 ? sum : 1;
-}
-
 Result<void> Context::open_heap_for(bool uses_shared_allocator) {
   if (Result<void> connected = connect(); !connected) return connected;
   Result<void> opened = heap_.open(registration_.connection(), registration_.region_base(),
@@ -186,87 +146,23 @@ Result<void> Context::prepare_to_publish(bool uses_shared_allocator) {
 }
 
 Result<std::shared_ptr<PublisherEndpoint>> Context::make_publisher(
-    const EndpointRequest& request, const detail::MessageEnd& end_message, Continued continued) {
+    const EndpointRequest& request, const detail::MessageEnd& end_message,
+    const Continued& continued) {
   if (Result<void> heap = open_heap_for(request.uses_shared_allocator); !heap)
     return tl::unexpected<Failure>(heap.error());
-  const Result<wire::CreateEndpoint> body = describe(request, 0);
-  if (!body) return tl::unexpected<Failure>(body.error());
-  std::shared_ptr<PublisherEndpoint> publisher;
-  Result<void> created = registration_.connection().request(
-      Opcode::create_publisher, *body,
-      [&](Incoming& packet) -> Result<void> {
-        wire::EndpointCreated made{};
-        if (!packet.read(made) || made.topic >= abi::topic_count_max ||
-            made.index >= abi::publisher_count_max) {
-          return fail(Errc::protocol_violation, "a new publisher");
-        }
-        if (Result<void> opened = registration_.open_extents(made, abi::publisher_extent_bytes); !opened)
-          return opened;
-        const PublisherEndpoint::Core::Identity core{{registration_.board().base(), abi::topic_offset(made.topic)},
-                                                     {registration_.region_base(), made.extent},
-                                                     made.index,
-                                                     made.generation,
-                                                     made.first_sequence,
-                                                     request.qos,
-                                                     made.slot_count,
-                                                     PublisherEndpoint::lazy_limit};
-        publisher = std::make_shared<PublisherEndpoint>(
-            PublisherEndpoint::Identity{core, made.topic, end_message, registration_.waker(), continued.events,
-                                        this, lineage_of(continued, made, Kind::publisher),
-                                        request.says_lineage_later && continued.events == nullptr,
-                                        []() noexcept { return Context::instance().has_more_room(); },
-                                        request.signals});
-        endpoints_.add(publisher);
-        return {};
-      },
-      [this](Incoming& packet) { return adopt_late(Kind::publisher, packet); });
-  if (!created) return tl::unexpected<Failure>(created.error());
-  return publisher;
+  return creations_.make_publisher(request, end_message, continued,
+                                   []() noexcept { return instance().has_more_room(); });
 }
 
 Result<std::shared_ptr<SubscriptionEndpoint>> Context::make_subscription(
-    const EndpointRequest& request, const std::shared_ptr<Sleeper>& sleeper, Continued continued) {
+    const EndpointRequest& request, const std::shared_ptr<Sleeper>& sleeper,
+    const Continued& continued) {
   if (Result<void> connected = connect(); !connected)
     return tl::unexpected<Failure>(connected.error());
   // The sleeper may be older than this membership.
   if (Result<void> place = make_place(*sleeper); !place)
     return tl::unexpected<Failure>(place.error());
-  const Result<wire::CreateEndpoint> body = describe(request, *sleeper->index_in(this));
-  if (!body) return tl::unexpected<Failure>(body.error());
-  std::shared_ptr<SubscriptionEndpoint> subscription;
-  Result<void> created = registration_.connection().request(
-      Opcode::create_subscription, *body,
-      [&](Incoming& packet) -> Result<void> {
-        wire::EndpointCreated made{};
-        if (!packet.read(made) || made.topic >= abi::topic_count_max ||
-            made.index >= abi::subscription_count_max) {
-          return fail(Errc::protocol_violation, "a new subscription");
-        }
-        if (Result<void> opened = registration_.open_extents(made, abi::subscription_extent_bytes); !opened)
-          return opened;
-        subscription = std::make_shared<SubscriptionEndpoint>(
-            SubscriptionEndpoint::Identity{{registration_.board().base(), abi::topic_offset(made.topic)},
-                                           made.topic,
-                                           made.index,
-                                           made.generation,
-                                           registration_.region_base(),
-                                           made.extent,
-                                           request.qos,
-                                           request.quota,
-                                           request.depth_per_publisher,
-                                           request.message_bytes,
-                                           request.message_alignment,
-                                           registration_.waker(),
-                                           continued.events,
-                                           this,
-                                           lineage_of(continued, made, Kind::subscription)},
-            sleeper);
-        endpoints_.add(subscription);
-        return {};
-      },
-      [this](Incoming& packet) { return adopt_late(Kind::subscription, packet); });
-  if (!created) return tl::unexpected<Failure>(created.error());
-  return subscription;
+  return creations_.make_subscription(request, sleeper, continued);
 }
 
 Result<void> Context::make_place(Sleeper& sleeper) {
@@ -277,30 +173,9 @@ Result<void> Context::make_place(Sleeper& sleeper) {
         if (!state_.is_alone()) return {};
         return fail(Errc::started_anew, "agnocastd has lost what it knew");
       },
-      [this](std::uint64_t executor, bool again) { return open_executor(executor, again); });
-}
-
-Result<std::unique_ptr<Sleeper::Place>> Context::open_executor(std::uint64_t executor, bool again) {
-  wire::ExecutorRequest request{};
-  request.executor = executor;
-  std::unique_ptr<Sleeper::Place> place;
-  Result<void> opened = registration_.connection().request(
-      Opcode::open_executor, request,
-      [&](Incoming& packet) -> Result<void> {
-        wire::Done answer{};
-        if (Result<void> read =
-                packet.read_as(Opcode::executor_opened, answer, 2, "the answer with an executor");
-            !read)
-          return read;
-        const auto fds = packet.packet.fds();
-        AGNOCAST_CRASH_POINT(C_sleeper);
-        place = std::make_unique<Sleeper::Place>(
-            registration_.region_base(), executor, DoorbellReceiver(std::move(fds[0]), std::move(fds[1])));
-        return {};
-      },
-      nullptr, again);
-  if (!opened) return tl::unexpected<Failure>(opened.error());
-  return place;
+      [this](std::uint64_t executor, bool again) {
+        return creations_.open_executor(executor, again);
+      });
 }
 
 // The control thread says it, now or when it is connected again.

@@ -1,38 +1,45 @@
 // SPDX-License-Identifier: Apache-2.0
 //
-// Context: a membership of this process: connection, client region, heap, peers, and every endpoint.
-// Made by the first endpoint, never destroyed (messages in statics stay valid), dead in a forked
-// child.
+// Context: a membership of this process, for those who create and destroy endpoints: what they see of its parts, and the
+// control thread that serves them all. Made by the first endpoint, never destroyed (messages in statics stay valid), dead
+// in a forked child.
 //
 // Usually there is one. When the daemon's store was lost, another one begins beside it, and becomes
-// the present one (reregistering.cpp); the former lives on by itself until nothing of it is used, and
-// then lets go of all it has mapped.
+// the present one (reregistration.hpp); the former lives on by itself until nothing of it is used, and
+// then lets go of all it has mapped. How far one has come: SessionState.
 //
-// One control thread serves it: it handles what the daemon says in order, makes the passes that
-// publishers leave to it, unlinks what is over, unmaps peers that nobody uses, and opens the next
-// heap window; and it comes back to the daemon when the connection was lost (rejoining.cpp). User
-// threads reach shared memory directly and the daemon only to create and destroy endpoints.
+//   part             what it has                                          who uses it
+//   Registration     the connection, the arena, board and own region      all threads
+//   Creations        what is asked of the daemon for new endpoints        user threads
+//   ExecutorPlaces   sleep words and doorbells, two mutexes               user threads
+//   EndpointTable    publishers and subscriptions, a mutex                all threads
+//   Departures       what leaves, and who waits for it, a mutex           all threads
+//   OwnHeap          the heap and its windows, a mutex                    all threads
+//   PeerTable        the processes that are mapped                        control thread
+//   Announcements    what the daemon says, a table of handlers            control thread
+//   Collector        what is over                                         control thread
+//   ReaderLook       readers that keep too much                           control thread
+//
+// One control thread serves it (control_thread.cpp); it comes back to the daemon when the connection was lost
+// (rejoining.cpp). User threads reach shared memory directly and the daemon only to create and destroy endpoints. The
+// mutexes belong to the parts; Context has one, so that one thread joins.
 #pragma once
 
 #include <agnocast/connection_state.hpp>
 #include <agnocast/residency.hpp>
 #include <agnocast/result.hpp>
-#include <base/doorbell.hpp>
-#include <base/mapping.hpp>
 #include <client/endpoint/endpoint_table.hpp>
 #include <client/endpoint/peer_table.hpp>
 #include <client/endpoint/publisher_endpoint.hpp>
 #include <client/endpoint/subscription_endpoint.hpp>
-#include <client/heap/arena.hpp>
 #include <client/heap/heap.hpp>
-#include <client/heap/sparse_region.hpp>
-#include <client/process/control_wake.hpp>
-#include <client/process/library_thread.hpp>
 #include <client/process/sleeper.hpp>
 #include <client/session/announcements.hpp>
 #include <client/session/collector.hpp>
 #include <client/session/connection.hpp>
+#include <client/session/creations.hpp>
 #include <client/session/departures.hpp>
+#include <client/session/endpoint_request.hpp>
 #include <client/session/executor_places.hpp>
 #include <client/session/own_heap.hpp>
 #include <client/session/pass_timer.hpp>
@@ -45,45 +52,14 @@
 #include <atomic>
 #include <chrono>
 #include <cstdint>
-#include <functional>
 #include <memory>
 #include <mutex>
-#include <optional>
-#include <span>
-#include <string>
-#include <string_view>
-#include <vector>
 
 namespace agnocast {
-
-/// What an endpoint is asked for with. Names are fully qualified.
-struct EndpointRequest {
-  std::string_view topic;
-  std::string_view type;
-  std::string_view node;
-  std::uint64_t layout_hash = 0;
-  abi::Qos qos;
-  std::uint64_t quota = 0;  // subscriptions: messages held at once, per publisher
-  bool quota_or_less = false;  // of publishers of other users fewer will do
-  bool depth_per_publisher = false;  // subscriptions
-  // Publishers: messages allocate from the shared heap by themselves, whoever answers malloc.
-  bool uses_shared_allocator = false;
-  std::uint64_t message_bytes = 0;  // sizeof the message object; 0 = any
-  std::uint64_t message_alignment = 1;
-  std::uint64_t lineage = 0;        // 0: one of its own
-  bool says_lineage_later = false;  // publishers: see EndpointName
-  SignalMask signals;               // for destructors of messages
-};
 
 /// Whether AGNOCAST=off is in the environment: then endpoints are made that do nothing, without daemon
 /// and hook. Errors: invalid_argument: it is neither on nor off.
 [[nodiscard]] Result<bool> is_switched_off() noexcept;
-
-/// What an endpoint of a further membership has from the one that it continues.
-struct Continued {
-  std::uint64_t lineage = 0;  // 0: it continues none
-  std::shared_ptr<EndpointEvents> events;
-};
 
 class Context {
  public:
@@ -167,11 +143,10 @@ class Context {
   Result<void> open_heap_for(bool uses_shared_allocator);
   Result<std::shared_ptr<PublisherEndpoint>> make_publisher(const EndpointRequest& request,
                                                             const detail::MessageEnd& end_message,
-                                                            Continued continued);
+                                                            const Continued& continued);
   Result<std::shared_ptr<SubscriptionEndpoint>> make_subscription(
-      const EndpointRequest& request, const std::shared_ptr<Sleeper>& sleeper, Continued continued);
-  std::uint64_t lineage_of(const Continued& continued, const abi::wire::EndpointCreated& made,
-                           abi::wire::Kind kind) const noexcept;
+      const EndpointRequest& request, const std::shared_ptr<Sleeper>& sleeper,
+      const Continued& continued);
   Result<void> make_place(Sleeper& sleeper);
   void let_leave(PublisherEndpoint& publisher,
                  Reconnection::Clock::time_point end = for_ever) noexcept;
@@ -182,7 +157,6 @@ class Context {
   Result<void> become_known();
   Result<void> start_control_thread();
   Result<void> start_thread();
-  Result<std::unique_ptr<Sleeper::Place>> open_executor(std::uint64_t executor, bool again);
   void wait_for(const Departure& departure, Reconnection::Clock::time_point end) noexcept;
 
   // control thread
@@ -203,9 +177,7 @@ class Context {
   void lose_connection() noexcept;
   void become_island(const Failure& why) noexcept;
   // control thread: a former membership
-  bool is_former() const noexcept {
-    return state_.may_end_by_itself() && present_.load() != this;
-  }
+  bool is_former() const noexcept { return state_.may_end_by_itself() && present_.load() != this; }
   void run_former_errands();
   bool let_go_of_everything();
 
@@ -218,7 +190,6 @@ class Context {
   void on_revoked(Incoming& packet);
   void on_own(Incoming& packet);
   void on_region(Incoming& packet);
-  Result<void> adopt_late(abi::wire::Kind kind, Incoming& packet);
   void run_errands();
 
   static std::atomic<Context*> present_;
@@ -240,6 +211,7 @@ class Context {
   PeerTable peers_{endpoints_};
   OwnHeap heap_{peers_};
   Departures departures_{endpoints_};
+  Creations creations_{this, registration_, endpoints_, departures_};
   ReaderLook readers_;
   Announcements announcements_{endpoints_, peers_, readers_, heap_.growth()};
   Collector collector_{endpoints_, peers_};

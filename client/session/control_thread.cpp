@@ -26,7 +26,6 @@
 namespace agnocast {
 
 namespace wire = abi::wire;
-using wire::Kind;
 using wire::Opcode;
 
 namespace {
@@ -58,7 +57,8 @@ void Context::serve() noexcept {
 
 // The process is about to end. What its exit handlers still want of the daemon they do not wait for.
 void Context::serve_nobody() noexcept {
-  registration_.connection().refuse({Errc::shut_down, 0, "the last thread of this process has ended"});
+  registration_.connection().refuse(
+      {Errc::shut_down, 0, "the last thread of this process has ended"});
   tell_state(ConnectionState::island);
 }
 
@@ -91,7 +91,8 @@ void Context::serve_once(int timeout_ms) {
   for (int i = 0; i < count; ++i) {
     if (events[i].data.fd == registration_.wake()->fd()) {
       std::uint64_t ignored = 0;
-      [[maybe_unused]] const ssize_t got = ::read(registration_.wake()->fd(), &ignored, sizeof ignored);
+      [[maybe_unused]] const ssize_t got =
+          ::read(registration_.wake()->fd(), &ignored, sizeof ignored);
     } else {
       read_connection();
     }
@@ -156,9 +157,12 @@ struct Context::Handler {
 
 void Context::handle(Incoming& packet) {
   static constexpr Handler handlers[] = {
-      {Opcode::rejoined, &Context::on_rejoined}, {Opcode::refused, &Context::on_refused},
-      {Opcode::revoked, &Context::on_revoked},   {Opcode::own, &Context::on_own},
-      {Opcode::region, &Context::on_region},     {Opcode::bells_renewed, &Context::on_bells_renewed},
+      {Opcode::rejoined, &Context::on_rejoined},
+      {Opcode::refused, &Context::on_refused},
+      {Opcode::revoked, &Context::on_revoked},
+      {Opcode::own, &Context::on_own},
+      {Opcode::region, &Context::on_region},
+      {Opcode::bells_renewed, &Context::on_bells_renewed},
   };
   AGNOCAST_CRASH_POINT(C_packet);
   if (announcements_.handle(registration_.connection(), packet)) return;
@@ -195,7 +199,8 @@ void Context::run_errands() {
   departures_.say(registration_.connection(), registration_.wake());
   readers_.look(endpoints_, heap_, registration_.connection());
   collector_.collect(registration_.connection());
-  departures_.see_strangers_off(registration_.connection(), registration_.wake(), registration_.board());
+  departures_.see_strangers_off(registration_.connection(), registration_.wake(),
+                                registration_.board());
   heap_.ask_for_window(registration_.connection(), registration_.region_base());
 }
 

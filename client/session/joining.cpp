@@ -22,7 +22,9 @@
 #include <algorithm>
 #include <cerrno>
 #include <chrono>
+#include <mutex>
 #include <optional>
+#include <string>
 #include <thread>
 #include <utility>
 

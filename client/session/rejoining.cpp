@@ -27,7 +27,6 @@ namespace agnocast {
 
 namespace wire = abi::wire;
 using wire::Kind;
-using wire::Opcode;
 
 void Context::tell_state(ConnectionState state) noexcept {
   if (state_.tell(state)) endpoints_.tell({state, island_reason()});
@@ -144,14 +143,6 @@ void Context::on_region(Incoming& packet) {
   if (reannouncement_.is_awaited()) return;  // it may be one whose descriptors were lost
   if (packet.read(region) && !peers_.has({region.index, region.generation}))
     say_unlinked(registration_.connection(), Kind::region, 0, region.index, region.generation);
-}
-
-// The answer to a creation that nobody waits for any more.
-Result<void> Context::adopt_late(Kind kind, Incoming& packet) {
-  wire::EndpointCreated made{};
-  if (packet.read(made))
-    departures_.adopt_stranger(kind, {made.topic, made.index}, made.generation, false);
-  return {};
 }
 
 }  // namespace agnocast

@@ -158,8 +158,7 @@ void Reregistration::run() noexcept {
 }
 
 void Reregistration::run_once() {
-  while (Context::instance().state_.is_alone() && !exit_has_begun() &&
-         !LibraryThread::is_over()) {
+  while (Context::instance().state_.is_alone() && !exit_has_begun() && !LibraryThread::is_over()) {
     Context& former = Context::instance();
     const Result<void> began = begin_next(former);
     if (began) {
@@ -200,8 +199,9 @@ Result<void> Reregistration::begin_next(Context& former) {
   }
   AGNOCAST_CRASH_POINT(C_next);
   if (Result<void> known = next->become_known(); !known) return known;
-  if (Result<void> brought = next->heap_.bring(next->registration_.connection(),
-                                                 next->registration_.region_base()); !brought)
+  if (Result<void> brought =
+          next->heap_.bring(next->registration_.connection(), next->registration_.region_base());
+      !brought)
     return brought;
   Context* const begun = next.release();
   AGNOCAST_CRASH_POINT(C_present);
@@ -245,8 +245,7 @@ void Reregistration::move_everything(Context& present) {
       entry = try_to_move(present, *entry) ? pending_.erase(entry) : entry + 1;
     if (pending_.empty()) {
       // What was refused goes on publishing where it was; the heap does not wait for it.
-      if (!is_away(made) && present.heap_.growth().permit())
-        present.wake_control();
+      if (!is_away(made) && present.heap_.growth().permit()) present.wake_control();
       if (made) return;
     }
     if (!pending_.empty()) {
