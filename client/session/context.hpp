@@ -1,8 +1,7 @@
 // SPDX-License-Identifier: Apache-2.0
 //
-// Context: a membership of this process, for those who create and destroy endpoints: what they see of its parts, and the
-// control thread that serves them all. Made by the first endpoint, never destroyed (messages in statics stay valid), dead
-// in a forked child.
+// Context: a membership of this process, for those who create and destroy endpoints: what they see of its parts. Made by
+// the first endpoint, never destroyed (messages in statics stay valid), dead in a forked child.
 //
 // Usually there is one. When the daemon's store was lost, another one begins beside it, and becomes
 // the present one (reregistration.hpp); the former lives on by itself until nothing of it is used, and
@@ -11,18 +10,15 @@
 //   part             what it has                                          who uses it
 //   Registration     the connection, the arena, board and own region      all threads
 //   Creations        what is asked of the daemon for new endpoints        user threads
-//   ExecutorPlaces   sleep words and doorbells, two mutexes               user threads
+//   ExecutorPlaces   sleep words and doorbells, two mutexes               all threads
 //   EndpointTable    publishers and subscriptions, a mutex                all threads
 //   Departures       what leaves, and who waits for it, a mutex           all threads
 //   OwnHeap          the heap and its windows, a mutex                    all threads
 //   PeerTable        the processes that are mapped                        control thread
-//   Announcements    what the daemon says, a table of handlers            control thread
-//   Collector        what is over                                         control thread
-//   ReaderLook       readers that keep too much                           control thread
+//   ControlThread    what the daemon says, and what comes back            control thread
 //
-// One control thread serves it (control_thread.cpp); it comes back to the daemon when the connection was lost
-// (rejoining.cpp). User threads reach shared memory directly and the daemon only to create and destroy endpoints. The
-// mutexes belong to the parts; Context has one, so that one thread joins.
+// User threads reach shared memory directly and the daemon only to create and destroy endpoints. The mutexes belong to
+// the parts; Context has one, so that one thread joins.
 #pragma once
 
 #include <agnocast/connection_state.hpp>
@@ -34,17 +30,13 @@
 #include <client/endpoint/subscription_endpoint.hpp>
 #include <client/heap/heap.hpp>
 #include <client/process/sleeper.hpp>
-#include <client/session/announcements.hpp>
-#include <client/session/collector.hpp>
 #include <client/session/connection.hpp>
+#include <client/session/control_thread.hpp>
 #include <client/session/creations.hpp>
 #include <client/session/departures.hpp>
 #include <client/session/endpoint_request.hpp>
 #include <client/session/executor_places.hpp>
 #include <client/session/own_heap.hpp>
-#include <client/session/pass_timer.hpp>
-#include <client/session/reader_look.hpp>
-#include <client/session/reannouncement.hpp>
 #include <client/session/reconnection.hpp>
 #include <client/session/registration.hpp>
 #include <client/session/session_state.hpp>
@@ -124,9 +116,6 @@ class Context {
 
  private:
   friend class Reregistration;
-  friend class HeapReturn;  // has a thread
-
-  using EndpointKey = EndpointTable::Key;
 
   /// Ends a membership that has not become the present one.
   struct Drop {
@@ -159,62 +148,20 @@ class Context {
   Result<void> start_thread();
   void wait_for(const Departure& departure, Reconnection::Clock::time_point end) noexcept;
 
-  // control thread
-  void serve() noexcept;
-  void serve_nobody() noexcept;
-  void serve_once(int timeout_ms);
-  void look_for_descriptors(bool now) noexcept;
-  int passes_due_ms();
-  void read_connection();
-  void look_for_bells() noexcept;
-  struct Handler;
-  void handle(Incoming& packet);
-  void on_bells_renewed(Incoming& packet);
-
-  // control thread: coming back
-  void reconnect();
-  Result<void> introduce_again();
-  void lose_connection() noexcept;
-  void become_island(const Failure& why) noexcept;
-  // control thread: a former membership
-  bool is_former() const noexcept { return state_.may_end_by_itself() && present_.load() != this; }
-  void run_former_errands();
-  bool let_go_of_everything();
-
-  void tell_state(ConnectionState state) noexcept;
-  void tell_reason(Errc reason) noexcept;         // of an island; any thread
-  void stay_island(const Failure& why) noexcept;  // no further attempt will help; any thread
-  Result<void> watch(int fd) noexcept;
-  void on_rejoined(Incoming& packet);
-  void on_refused(Incoming& packet);
-  void on_revoked(Incoming& packet);
-  void on_own(Incoming& packet);
-  void on_region(Incoming& packet);
-  void run_errands();
-
   static std::atomic<Context*> present_;
 
   SessionState state_;  // a forked child inherits it
   bool has_thread_ = false;
   mutable std::mutex connecting_;
   Registration registration_;
-  UniqueFd epoll_;
-  // Control thread only.
-  Reconnection reconnection_;
-  Reannouncement reannouncement_;
-  PassTimer pass_timer_;
-  bool is_output_blocked_ = false, descriptors_lost_ = false;
-  std::chrono::steady_clock::time_point former_looked_{}, descriptors_looked_{};
-
   ExecutorPlaces places_;  // ahead of the endpoints, whose sleepers give them back
   EndpointTable endpoints_;
   PeerTable peers_{endpoints_};
   OwnHeap heap_{peers_};
   Departures departures_{endpoints_};
   Creations creations_{this, registration_, endpoints_, departures_};
-  ReaderLook readers_;
-  Announcements announcements_{endpoints_, peers_, readers_, heap_.growth()};
-  Collector collector_{endpoints_, peers_};
+  ControlThread control_{
+      {this, state_, registration_, places_, endpoints_, peers_, heap_, departures_}};
 };
 
 }  // namespace agnocast

@@ -1,14 +1,9 @@
 // SPDX-License-Identifier: Apache-2.0
-//
-// The control thread of a session: one turn after the other, each of which reads what the daemon says, in order, and then
-// runs the errands that come back: what is over, whom to tell, and everything that user threads leave to it.
-//
-//   serve ──▶ serve_once ──▶ read_connection ──▶ handle: Announcements, or a handler of the session
-//                       └──▶ run_errands: Departures, ReaderLook, Collector, OwnHeap
 
 #include <client/heap/heap_return.hpp>
 #include <client/process/library_thread.hpp>
 #include <client/session/context.hpp>
+#include <client/session/control_thread.hpp>
 #include <client/session/reregistration.hpp>
 
 #include <base/kept_fd.hpp>
@@ -39,7 +34,27 @@ constexpr unsigned announced_descriptors = 3;
 
 }  // namespace
 
-void Context::serve() noexcept {
+Result<void> ControlThread::prepare() {
+  epoll_ = keep(UniqueFd(::epoll_create1(EPOLL_CLOEXEC)));
+  if (!epoll_) return fail(Errc::os_failure, "preparing the control thread", errno);
+  peers_.begin({registration_.client(), &registration_.region(), registration_.arena(),
+                registration_.wake()});
+  for (const int fd : {registration_.connection().fd(), registration_.wake()->fd()}) {
+    if (Result<void> watched = watch(fd); !watched) return watched;
+  }
+  return {};
+}
+
+Result<void> ControlThread::watch(int fd) noexcept {
+  epoll_event event{};
+  event.events = EPOLLIN;
+  event.data.fd = fd;
+  if (::epoll_ctl(epoll_.get(), EPOLL_CTL_ADD, fd, &event) != 0)
+    return fail(Errc::os_failure, "preparing the control thread", errno);
+  return {};
+}
+
+void ControlThread::serve() noexcept {
   for (;;) {
     try {
       serve_once(passes_due_ms());
@@ -56,14 +71,14 @@ void Context::serve() noexcept {
 }
 
 // The process is about to end. What its exit handlers still want of the daemon they do not wait for.
-void Context::serve_nobody() noexcept {
+void ControlThread::serve_nobody() noexcept {
   registration_.connection().refuse(
       {Errc::shut_down, 0, "the last thread of this process has ended"});
   tell_state(ConnectionState::island);
 }
 
 // In how many milliseconds somebody must look at the publishers again.
-int Context::passes_due_ms() {
+int ControlThread::passes_due_ms() {
   const auto all = endpoints_.publishers();
   const bool reclaimable = std::any_of(
       all.begin(), all.end(), [](const auto& publisher) { return publisher->has_reclaimable(); });
@@ -72,7 +87,7 @@ int Context::passes_due_ms() {
   return pass_timer_.next_ms(reclaimable, awaits_link, state_.is_alone());
 }
 
-void Context::serve_once(int timeout_ms) {
+void ControlThread::serve_once(int timeout_ms) {
   if (reconnection_.state() == Reconnection::State::waiting) {
     const auto left = std::chrono::ceil<std::chrono::milliseconds>(reconnection_.next_try() -
                                                                    Reconnection::Clock::now());
@@ -111,7 +126,7 @@ void Context::serve_once(int timeout_ms) {
 }
 
 /// At each tick, or `now`. Somebody may have closed descriptors of ours; their numbers may be others' by now.
-void Context::look_for_descriptors(bool now) noexcept {
+void ControlThread::look_for_descriptors(bool now) noexcept {
   const auto time = std::chrono::steady_clock::now();
   if (!now && time - descriptors_looked_ < std::chrono::milliseconds{PassTimer::last_ms}) return;
   descriptors_looked_ = time;
@@ -123,7 +138,7 @@ void Context::look_for_descriptors(bool now) noexcept {
   endpoints_.wake_sleepers();
 }
 
-void Context::read_connection() {
+void ControlThread::read_connection() {
   while (registration_.connection().fd() >= 0) {
     Incoming packet;
     bool unasked = false;
@@ -140,7 +155,7 @@ void Context::read_connection() {
 }
 
 /// Members that are mute, or not mapped, because there were too many get bells and are mapped when others have left.
-void Context::look_for_bells() noexcept {
+void ControlThread::look_for_bells() noexcept {
   const auto now = Reannouncement::Clock::now();
   if (reconnection_.state() != Reconnection::State::connected || !reannouncement_.may_look(now))
     return;
@@ -149,20 +164,25 @@ void Context::look_for_bells() noexcept {
   if (MappingShare::instance().has_more() || has_descriptors) reannouncement_.ask(now);
 }
 
+/// It may come to an end by itself.
+bool ControlThread::is_former() const noexcept {
+  return state_.may_end_by_itself() && &Context::instance() != context_;
+}
+
 /// What concerns the connection itself, and what this process has with the daemon.
-struct Context::Handler {
+struct ControlThread::Handler {
   Opcode opcode;
-  void (Context::*handle)(Incoming&);
+  void (ControlThread::*handle)(Incoming&);
 };
 
-void Context::handle(Incoming& packet) {
+void ControlThread::handle(Incoming& packet) {
   static constexpr Handler handlers[] = {
-      {Opcode::rejoined, &Context::on_rejoined},
-      {Opcode::refused, &Context::on_refused},
-      {Opcode::revoked, &Context::on_revoked},
-      {Opcode::own, &Context::on_own},
-      {Opcode::region, &Context::on_region},
-      {Opcode::bells_renewed, &Context::on_bells_renewed},
+      {Opcode::rejoined, &ControlThread::on_rejoined},
+      {Opcode::refused, &ControlThread::on_refused},
+      {Opcode::revoked, &ControlThread::on_revoked},
+      {Opcode::own, &ControlThread::on_own},
+      {Opcode::region, &ControlThread::on_region},
+      {Opcode::bells_renewed, &ControlThread::on_bells_renewed},
   };
   AGNOCAST_CRASH_POINT(C_packet);
   if (announcements_.handle(registration_.connection(), packet)) return;
@@ -174,20 +194,20 @@ void Context::handle(Incoming& packet) {
 }
 
 // One that belongs to nobody in this moment stays without: its next user is heard by its own looks.
-void Context::on_bells_renewed(Incoming& packet) {
+void ControlThread::on_bells_renewed(Incoming& packet) {
   wire::BellsRenewed renewed{};
   if (!packet.read(renewed) || packet.packet.descriptor_count != 2) return;
   const auto fds = packet.packet.fds();
   DoorbellReceiver bells(std::move(fds[0]), std::move(fds[1]));  // afterwards the former ones
   for (const auto& sleeper : Reregistration::instance().sleepers()) {
-    if (sleeper->index_in(this) != renewed.executor) continue;
-    sleeper->renew(this, bells);
+    if (sleeper->index_in(context_) != renewed.executor) continue;
+    sleeper->renew(context_, bells);
     return;
   }
   places_.renew(renewed.executor, bells);
 }
 
-void Context::run_errands() {
+void ControlThread::run_errands() {
   HeapReturn::instance().look();
   if (state_.is_alone()) return run_former_errands();
   if (reconnection_.state() == Reconnection::State::connected &&
@@ -206,18 +226,18 @@ void Context::run_errands() {
 
 // --- a membership whose daemon will not come back: nobody says who is gone, so this thread looks
 
-void Context::run_former_errands() {
+void ControlThread::run_former_errands() {
   collector_.pass();
   const auto now = std::chrono::steady_clock::now();
   if (now - former_looked_ < std::chrono::milliseconds{PassTimer::alone_ms}) return;
   former_looked_ = now;
-  if (present_.load(std::memory_order_acquire) == this) Reregistration::instance().go_on();
+  if (&Context::instance() == context_) Reregistration::instance().go_on();
   collector_.collect_alone();
 }
 
 // Nobody has anything of it any more but sleepers, and those let go here.
-bool Context::let_go_of_everything() {
-  Reregistration::instance().release_places(*this);
+bool ControlThread::let_go_of_everything() {
+  Reregistration::instance().release_places(*context_);
   if (!places_.end()) return false;  // in a moment
   AGNOCAST_CRASH_POINT(C_former_end);
   Heap::leave_region(registration_.region_base());

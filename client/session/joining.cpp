@@ -9,14 +9,12 @@
 
 #include <client/session/context.hpp>
 
-#include <base/kept_fd.hpp>
 #include <base/mapping.hpp>
 #include <client/process/forked_child.hpp>
 #include <client/process/library_thread.hpp>
 #include <client/process/steps.hpp>
 #include <client/process/user_code.hpp>
 
-#include <sys/epoll.h>
 #include <unistd.h>
 
 #include <algorithm>
@@ -81,13 +79,7 @@ Result<void> Context::become_known() {
 }
 
 Result<void> Context::start_control_thread() {
-  epoll_ = keep(UniqueFd(::epoll_create1(EPOLL_CLOEXEC)));
-  if (!epoll_) return fail(Errc::os_failure, "preparing the control thread", errno);
-  peers_.begin({registration_.client(), &registration_.region(), registration_.arena(),
-                registration_.wake()});
-  for (const int fd : {registration_.connection().fd(), registration_.wake()->fd()}) {
-    if (Result<void> watched = watch(fd); !watched) return watched;
-  }
+  if (Result<void> prepared = control_.prepare(); !prepared) return prepared;
   registration_.connection().open();
   // A further membership is told of when the endpoints are in it.
   if (state_.is_beginning()) return start_thread();
@@ -95,15 +87,6 @@ Result<void> Context::start_control_thread() {
   Result<void> started = start_thread();
   if (!started) state_.set(before);
   return started;
-}
-
-Result<void> Context::watch(int fd) noexcept {
-  epoll_event event{};
-  event.events = EPOLLIN;
-  event.data.fd = fd;
-  if (::epoll_ctl(epoll_.get(), EPOLL_CTL_ADD, fd, &event) != 0)
-    return fail(Errc::os_failure, "preparing the control thread", errno);
-  return {};
 }
 
 Result<void> Context::start_thread() {
@@ -114,7 +97,7 @@ Result<void> Context::start_thread() {
         {
           const LibraryThread registered(
               [](void* of) noexcept { static_cast<Context*>(of)->wake_control(); }, context);
-          self->serve();
+          self->control_.serve();
         }
         if (self->state_.is_dropped()) delete self;
         return nullptr;

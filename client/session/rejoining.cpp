@@ -13,7 +13,7 @@
 // process begins another membership (reregistration.hpp), and this one ends when nobody uses it.
 
 #include <client/process/forked_child.hpp>
-#include <client/session/context.hpp>
+#include <client/session/control_thread.hpp>
 #include <client/session/reregistration.hpp>
 
 #include <base/kept_fd.hpp>
@@ -28,12 +28,12 @@ namespace agnocast {
 namespace wire = abi::wire;
 using wire::Kind;
 
-void Context::tell_state(ConnectionState state) noexcept {
-  if (state_.tell(state)) endpoints_.tell({state, island_reason()});
+void ControlThread::tell_state(ConnectionState state) noexcept {
+  if (state_.tell(state)) endpoints_.tell({state, state_.reason()});
   departures_.notify();  // nobody waits for a daemon that is away
 }
 
-void Context::lose_connection() noexcept {
+void ControlThread::lose_connection() noexcept {
   if (reconnection_.state() == Reconnection::State::island) return;
   if (registration_.connection().fd() >= 0 && !has_lost_kept())
     ::epoll_ctl(epoll_.get(), EPOLL_CTL_DEL, registration_.connection().fd(), nullptr);
@@ -42,7 +42,7 @@ void Context::lose_connection() noexcept {
   tell_state(reconnection_.is_refused() ? ConnectionState::island : ConnectionState::reconnecting);
 }
 
-void Context::become_island(const Failure& why) noexcept {
+void ControlThread::become_island(const Failure& why) noexcept {
   if (reconnection_.state() == Reconnection::State::island) return;
   lose_connection();
   if (is_mended_by_people(why.code)) {
@@ -66,30 +66,30 @@ void Context::become_island(const Failure& why) noexcept {
   Reregistration::instance().begin();
 }
 
-void Context::tell_reason(Errc reason) noexcept {
+void ControlThread::tell_reason(Errc reason) noexcept {
   if (state_.give_reason(reason)) endpoints_.tell({ConnectionState::island, reason});
 }
 
-void Context::stay_island(const Failure& why) noexcept {
+void ControlThread::stay_island(const Failure& why) noexcept {
   registration_.connection().refuse(why);
   tell_reason(why.code);
 }
 
-void Context::reconnect() {
+void ControlThread::reconnect() {
   const Result<void> asked = introduce_again();
   if (asked) return;
   if (asked.error().code == Errc::daemon_untrusted) return become_island(asked.error());
   lose_connection();
 }
 
-Result<void> Context::introduce_again() {
+Result<void> ControlThread::introduce_again() {
   if (Result<void> connected = registration_.connect_again(); !connected) return connected;
   reconnection_.asked();
   if (Result<void> watched = watch(registration_.connection().fd()); !watched) return watched;
   return registration_.say_rejoin();
 }
 
-void Context::on_rejoined(Incoming& packet) {
+void ControlThread::on_rejoined(Incoming& packet) {
   wire::Rejoined body{};
   if (reconnection_.state() != Reconnection::State::rejoining || !packet.read(body) ||
       body.incarnation != registration_.incarnation())
@@ -102,7 +102,7 @@ void Context::on_rejoined(Incoming& packet) {
   tell_state(ConnectionState::connected);
 }
 
-void Context::on_refused(Incoming& packet) {
+void ControlThread::on_refused(Incoming& packet) {
   if (reconnection_.state() != Reconnection::State::rejoining) return;
   const Failure why = refusal_of(packet);
   switch (why.code) {
@@ -117,17 +117,17 @@ void Context::on_refused(Incoming& packet) {
   }
 }
 
-void Context::on_revoked(Incoming& packet) {
+void ControlThread::on_revoked(Incoming& packet) {
   become_island(failure_with(Errc::revoked, detail_of(refusal_of(packet))));
 }
 
 // --- what the daemon knows of this process
 
-void Context::on_own(Incoming& packet) {
+void ControlThread::on_own(Incoming& packet) {
   wire::Own own{};
   if (!packet.read(own)) return;
   if (registration_.connection().is_waiting(own.creation)) return;  // its answer will come
-  const EndpointKey key{own.topic, own.index};
+  const EndpointTable::Key key{own.topic, own.index};
   Departure* const departure = endpoints_.departure_of(own.kind, key, own.generation);
   if (departure == nullptr) {
     departures_.adopt_stranger(own.kind, key, own.generation, own.active == 0);
@@ -138,7 +138,7 @@ void Context::on_own(Incoming& packet) {
   }
 }
 
-void Context::on_region(Incoming& packet) {
+void ControlThread::on_region(Incoming& packet) {
   wire::Reference region{};
   if (reannouncement_.is_awaited()) return;  // it may be one whose descriptors were lost
   if (packet.read(region) && !peers_.has({region.index, region.generation}))

@@ -169,7 +169,7 @@ void Reregistration::run_once() {
     }
     const Failure& why = began.error();
     if (is_final(why.code) || is_refusal(why.code)) {
-      former.stay_island(why);
+      former.control_.stay_island(why);
       const std::lock_guard lock(mutex_);
       is_refused_ = true;
       is_hopeless_ = is_final(why.code);
@@ -177,7 +177,7 @@ void Reregistration::run_once() {
       if (is_hopeless_) return;
       pause_ = Reconnection::pause_refused;
     } else if (why.code != Errc::daemon_not_running && why.code != Errc::started_anew) {
-      former.tell_reason(why.code);
+      former.control_.tell_reason(why.code);
     }
     {
       const std::lock_guard lock(mutex_);
