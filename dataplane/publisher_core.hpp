@@ -24,6 +24,7 @@
 //   free now   retire, free in a later pass    keep
 #pragma once
 
+#include <dataplane/publisher_slots.hpp>
 #include <dataplane/steps.hpp>
 #include <region/views.hpp>
 
@@ -70,7 +71,7 @@ class PublisherCore {
         head_sequence_(identity.first_sequence),
         seen_(identity.first_sequence),
         history_(identity.qos.transient_local ? identity.qos.depth : 0),
-        slot_count_(std::min<std::uint64_t>(identity.slot_count, M::slot_capacity)) {}
+        slots_(std::min<std::uint64_t>(identity.slot_count, M::slot_capacity)) {}
 
   /// Commits one message. `environment` is told which sleepers to ring and which messages to
   /// destroy: ring(executor, armed) and freed(slot, address); and, if it has commits(entry), that
@@ -84,13 +85,13 @@ class PublisherCore {
       pass(environment, false);
       if (!room_for_one_more()) return PublishOutcome::would_block;
     }
-    std::uint64_t slot = lowest_free_slot();
+    std::uint64_t slot = slots_.lowest_free();
     // Behind lazy passes nothing has been retired yet: then the first look only retires.
-    for (int looks = self_.lazy_limit != 0 ? 2 : 1; slot == no_slot && looks > 0; --looks) {
+    for (int looks = self_.lazy_limit != 0 ? 2 : 1; slot == Slots::none && looks > 0; --looks) {
       pass(environment, false);
-      slot = lowest_free_slot();
+      slot = slots_.lowest_free();
     }
-    if (slot == no_slot) return PublishOutcome::no_slot;
+    if (slot == Slots::none) return PublishOutcome::no_slot;
     const std::uint64_t sequence = head_sequence_ + 1;
     const auto& words = self_.words;
     AGNOCAST_STEP(P1_sequence) words.intent_sequence().store(sequence, std::memory_order_relaxed);
@@ -109,10 +110,7 @@ class PublisherCore {
     AGNOCAST_STEP(P5_head)
     words.head().store(abi::pack_entry(sequence, slot), std::memory_order_release);
     head_sequence_ = sequence;
-    sequence_[slot] = sequence;
-    address_[slot] = entry.address;
-    bytes_[slot] = entry.bytes;
-    set(allocated_, slot);
+    slots_.enter(slot, sequence, entry.address, entry.bytes);
     kept_back_ += entry.bytes;
     pass(environment, true);
     AGNOCAST_STEP(P11_idle) words.intent_op().store(abi::intent_idle, std::memory_order_release);
@@ -192,7 +190,7 @@ class PublisherCore {
     if (abi::generation_of(word) != generation || !is_member(word)) return false;
     const region::LinkWords<M> link{member.region, member.extent, self_.index};
     std::uint64_t held = 0;
-    for (std::size_t i = 0; i < mask_words; ++i)
+    for (std::size_t i = 0; i < Slots::mask_words; ++i)
       held |= link.hold(i).load(std::memory_order_acquire);
     if (held != 0 && !is_member(member.word)) return false;
     end_withdrawal(index);
@@ -226,14 +224,14 @@ class PublisherCore {
     std::uint64_t index, generation;
   };
   std::uint64_t kept_bytes(std::span<const MemberId> ids) const noexcept {
-    Mask kept{};
+    typename Slots::Mask kept{};
     std::uint64_t unread_from = infinite;
     for (const auto& [index, generation] : ids) {
       const Member& member = members_[index];
       if (member.attached_generation != generation || is_disregarded(index)) continue;
       const region::LinkWords<M> link{member.region, member.extent, self_.index};
-      for (std::size_t word = 0; word < words_in_use(); ++word)
-        kept[word] |= link.hold(word).load(std::memory_order_relaxed) & allocated_[word];
+      for (std::size_t word = 0; word < slots_.words_in_use(); ++word)
+        kept[word] |= link.hold(word).load(std::memory_order_relaxed) & slots_.allocated(word);
       // `low` is what the last pass has seen.
       if (abi::state_of(member.word) == abi::MemberState::active)
         unread_from = std::min(
@@ -242,9 +240,10 @@ class PublisherCore {
     }
     const std::uint64_t history_from = region::minus_at_least(head_sequence_ + 1, history_, 0);
     std::uint64_t sum = 0;
-    for_each_allocated([&](std::uint64_t slot) {
-      if (sequence_[slot] < history_from && (test(kept, slot) || sequence_[slot] >= unread_from))
-        sum += bytes_[slot];
+    slots_.for_each([&](std::uint64_t slot) {
+      const std::uint64_t sequence = slots_.sequence(slot);
+      if (sequence < history_from && (Slots::test(kept, slot) || sequence >= unread_from))
+        sum += slots_.bytes(slot);
     });
     return sum;
   }
@@ -264,23 +263,18 @@ class PublisherCore {
   bool has_reclaimable() const noexcept {
     const std::uint64_t keep_from = region::minus_at_least(head_sequence_ + 1, history_, 0);
     bool found = false;
-    for_each_allocated([&](std::uint64_t slot) { found = found || sequence_[slot] < keep_from; });
+    slots_.for_each(
+        [&](std::uint64_t slot) { found = found || slots_.sequence(slot) < keep_from; });
     return found;
   }
   /// The daemon has freed the index: nothing of it is read by anybody any more.
   bool is_over() const noexcept { return over_ != 0; }
   std::uint64_t head_sequence() const noexcept { return head_sequence_; }
-  std::uint64_t allocated_count() const noexcept {
-    std::uint64_t count = 0;
-    for (std::uint64_t word : allocated_) count += static_cast<std::uint64_t>(std::popcount(word));
-    return count;
-  }
+  std::uint64_t allocated_count() const noexcept { return slots_.count(); }
 
  private:
-  static constexpr std::uint64_t no_slot = ~std::uint64_t{0};
+  using Slots = PublisherSlots<M>;
   static constexpr std::uint64_t infinite = ~std::uint64_t{0};
-  static constexpr std::size_t mask_words = (M::slot_capacity + 63) / 64;
-  using Mask = std::array<std::uint64_t, mask_words>;
 
   struct Member {
     // As last read from the board; of who is withdrawn leaving, and of who is disregarded free.
@@ -300,41 +294,6 @@ class PublisherCore {
         0;  // head when it was told that it gets nothing more; 0 = it was not
     typename M::Region region{};
   };
-
-  static void set(Mask& mask, std::uint64_t slot) noexcept {
-    mask[slot / 64] |= std::uint64_t{1} << slot % 64;
-  }
-  static void clear(Mask& mask, std::uint64_t slot) noexcept {
-    mask[slot / 64] &= ~(std::uint64_t{1} << slot % 64);
-  }
-  static bool test(const Mask& mask, std::uint64_t slot) noexcept {
-    return (mask[slot / 64] >> slot % 64 & 1) != 0;
-  }
-  /// Words of a mask that have a slot of this publisher; nothing is ever allocated beyond them.
-  std::size_t words_in_use() const noexcept {
-    return (static_cast<std::size_t>(slot_count_) + 63) / 64;
-  }
-  /// `function` may free the slot that it is given.
-  template <class Function>
-  void for_each_allocated(Function function) const noexcept {
-    const std::size_t words = words_in_use();
-    for (std::size_t word = 0; word < words; ++word) {
-      for (std::uint64_t bits = allocated_[word]; bits != 0; bits &= bits - 1) {
-        function(word * 64 + static_cast<std::uint64_t>(std::countr_zero(bits)));
-      }
-    }
-  }
-
-  std::uint64_t lowest_free_slot() const noexcept {
-    const std::size_t words = words_in_use();
-    for (std::size_t word = 0; word < words; ++word) {
-      if (~allocated_[word] == 0) continue;
-      const std::uint64_t slot =
-          word * 64 + static_cast<std::uint64_t>(std::countr_one(allocated_[word]));
-      return slot < slot_count_ ? slot : no_slot;
-    }
-    return no_slot;
-  }
 
   /// keep-all: no reliable keep-all member may be left with more unread messages than both sides
   /// agreed to.
@@ -383,7 +342,7 @@ class PublisherCore {
           self_.topic.publisher(self_.index, offsetof(abi::PublisherEntry, slot_count))
               .load(std::memory_order_relaxed);
       AGNOCAST_STEP(P7_slots)
-      slot_count_ = std::clamp<std::uint64_t>(slots, slot_count_, M::slot_capacity);
+      slots_.grow(slots);
     }
     if (over_ != 0 || abi::state_of(word) != abi::MemberState::active) history_ = 0;
   }
@@ -490,8 +449,8 @@ class PublisherCore {
     std::uint64_t past = infinite;
     std::uint64_t unknown_from = infinite;
     std::uint64_t unknown_to = 0;
-    Mask held;  // as far as words_in_use()
-    std::fill_n(held.begin(), words_in_use(), 0);
+    typename Slots::Mask held;  // as far as words_in_use()
+    std::fill_n(held.begin(), slots_.words_in_use(), 0);
     for (std::uint64_t i = 0; i < (over_ != 0 ? 0 : member_high_); ++i) {
       Member& member = members_[i];
       if (!is_member(member.word)) continue;
@@ -527,22 +486,23 @@ class PublisherCore {
 
   /// An honest subscription takes nothing while it holds its quota. One that holds more would take all
   /// slots of this publisher; from then on its holds are not looked at, and it reads what it likes.
-  void collect_holds(const region::LinkWords<M>& link, std::uint64_t index, Mask& held) noexcept {
+  void collect_holds(const region::LinkWords<M>& link, std::uint64_t index,
+                     typename Slots::Mask& held) noexcept {
     Member& member = members_[index];
     if (member.withdrawn_at != 0) [[unlikely]]
       return collect_last_holds(link, member, held);
-    const std::size_t words = words_in_use();
+    const std::size_t words = slots_.words_in_use();
     std::uint64_t count = 0;
     for (std::size_t word = 0; word < words; ++word) {
-      if (allocated_[word] == 0) continue;
+      if (slots_.allocated(word) == 0) continue;
       // [sync:hold] acquire; pairs with the release of L1: what the holder read, it read before
       // this message is destroyed.
       const std::uint64_t bits = link.hold(word).load(std::memory_order_acquire);
       held[word] |= bits;
-      if (bits != 0) count += static_cast<std::uint64_t>(std::popcount(bits & allocated_[word]));
+      if (bits != 0) count += static_cast<std::uint64_t>(std::popcount(bits & slots_.allocated(word)));
     }
     const std::uint64_t quota = std::min(member.quota, member.limit);
-    if (count > quota && holds_too_many(link, quota)) {
+    if (count > quota && slots_.holds_too_many(link, quota)) {
       member.withdrawn_at = head_sequence_;
       member.word = abi::pack_member(abi::generation_of(member.word), abi::MemberState::free);
       say_withdrawal(index, abi::Withdrawal::over_quota);
@@ -551,12 +511,13 @@ class PublisherCore {
 
   /// Of a member that is withdrawn. It was told before the fence of this pass, so it takes nothing that this
   /// look has not seen.
-  void collect_last_holds(const region::LinkWords<M>& link, Member& member, Mask& held) const noexcept {
+  void collect_last_holds(const region::LinkWords<M>& link, Member& member,
+                          typename Slots::Mask& held) const noexcept {
     std::uint64_t any = 0;
-    for (std::size_t word = 0; word < words_in_use(); ++word) {
-      if (allocated_[word] == 0) continue;
-      const std::uint64_t bits = published_before(member.withdrawn_at, word,
-                                                  link.hold(word).load(std::memory_order_acquire));
+    for (std::size_t word = 0; word < slots_.words_in_use(); ++word) {
+      if (slots_.allocated(word) == 0) continue;
+      const std::uint64_t bits = slots_.published_before(
+          member.withdrawn_at, word, link.hold(word).load(std::memory_order_acquire));
       held[word] |= bits;
       any |= bits;
     }
@@ -564,68 +525,30 @@ class PublisherCore {
       member.word = abi::pack_member(abi::generation_of(member.word), abi::MemberState::free);
   }
 
-  /// Of these bits of a word, those of messages up to this sequence number: who is served no more has
-  /// taken nothing that came later, whatever its bits say.
-  std::uint64_t published_before(std::uint64_t sequence, std::size_t word,
-                                 std::uint64_t bits) const noexcept {
-    std::uint64_t kept = 0;
-    for (std::uint64_t left = bits & allocated_[word]; left != 0; left &= left - 1) {
-      const std::uint64_t slot = word * 64 + static_cast<std::uint64_t>(std::countr_zero(left));
-      if (sequence_[slot] <= sequence) kept |= left & -left;
-    }
-    return kept;
-  }
-
-  /// Not what one look finds: while it lasts, messages are released and others taken. Three looks decide, of which
-  /// only what all have found counts. An honest subscription takes one message after the other and none at its quota,
-  /// so it never has more bits at one moment. Were more of them set in all looks, a bit A would be clear between the
-  /// first two and be set by a take (T4) ahead of the third. That take begins below the quota: another bit B is clear
-  /// then, which the first look has found and the third will find. So takes have undone A and B, and set them again
-  /// later; what is released is not taken again. A take undoes its bit
-  ///   - at T5, for the slot's former message. Nothing is published or freed during a pass, so only the take does that
-  ///     that was under way when the pass began, and it is the first one of the pass;
-  ///   - at T6, and leaves its message unread. The next take is of that message, and later ones are of newer ones.
-  /// So A was undone at T6 and B at T5, as the other way round, or both at T6, the take that sets A would be of a
-  /// message behind that of B, which nobody would take any more. Then the take that sets B begins below the quota as
-  /// well, and a third bit has to be clear that is set again later: there is none.
-  bool holds_too_many(const region::LinkWords<M>& link, std::uint64_t quota) const noexcept {
-    Mask all = allocated_;
-    for (int look = 0; look < 3; ++look) {
-      for (std::size_t word = 0; word < words_in_use(); ++word) {
-        if (all[word] != 0) all[word] &= link.hold(word).load(std::memory_order_acquire);
-      }
-    }
-    std::uint64_t count = 0;
-    for (std::size_t word = 0; word < words_in_use(); ++word)
-      count += static_cast<std::uint64_t>(std::popcount(all[word]));
-    return count > quota;
-  }
-
   struct Unknown {
     std::uint64_t from, to;
   };
   template <class Environment>
   void retire_and_free(Environment& environment, std::uint64_t need, std::uint64_t past,
-                       Unknown unknown, const Mask& held) noexcept {
-    for_each_allocated([&](std::uint64_t slot) {
-      const std::uint64_t sequence = sequence_[slot];
+                       Unknown unknown, const typename Slots::Mask& held) noexcept {
+    slots_.for_each([&](std::uint64_t slot) {
+      const std::uint64_t sequence = slots_.sequence(slot);
       // By an earlier pass: this one marks a slot below, when it has decided about it. So the mark is
       // older than the fence at P6.
-      const bool retired = test(retired_, slot);
+      const bool retired = slots_.is_retired(slot);
       if (!M::holds(steps::P10_needed, sequence < need) && !retired) return;
       const bool untouchable =
           M::holds(steps::P10_past, sequence < past) || M::holds(steps::P10_marked, retired);
-      if (untouchable && !M::holds(steps::P10_held, test(held, slot)) &&
+      if (untouchable && !M::holds(steps::P10_held, Slots::test(held, slot)) &&
           (sequence < unknown.from || sequence > unknown.to)) {
         AGNOCAST_STEP(P10_free) self_.words.slot_id(slot).store(0, std::memory_order_release);
-        clear(allocated_, slot);
-        clear(retired_, slot);
-        environment.freed(slot, address_[slot]);
+        slots_.free(slot);
+        environment.freed(slot, slots_.address(slot));
       } else if (!retired) {
         // [sync:hold] release, before the fence of a later pass; pairs with the seq_cst load of T5.
         AGNOCAST_STEP(P10_retire)
         self_.words.slot_id(slot).store(abi::retired_mark | sequence, std::memory_order_release);
-        set(retired_, slot);
+        slots_.retire(slot);
       }
     });
   }
@@ -635,17 +558,12 @@ class PublisherCore {
   std::uint64_t seen_;  // head at the last epoch check
   std::uint64_t epoch_seen_ = 0;
   std::uint64_t history_;     // H
-  std::uint64_t slot_count_;  // N
   std::uint64_t over_ = 0;    // 1: the daemon has freed this publisher's index
   std::uint64_t lazy_passes_ = 0;
   std::uint64_t kept_back_ = 0;  // bytes published since the last look at links
   std::uint64_t left_ = 0;       // 1: a look after a large message was left to somebody else
   std::uint64_t member_high_ = 0;
-  Mask allocated_{};
-  Mask retired_{};
-  std::array<std::uint64_t, M::slot_capacity> sequence_{};
-  std::array<std::uint64_t, M::slot_capacity> address_{};
-  std::array<std::uint64_t, M::slot_capacity> bytes_{};
+  Slots slots_;
   std::array<Member, M::subscription_capacity> members_{};
   std::array<std::uint64_t, M::subscription_capacity>
       rung_{};  // per executor: the sleep that was rung last

@@ -39,7 +39,7 @@ void end_block(detail::Block* last) noexcept {
   auto* const own = static_cast<ReceivedBlock*>(last);
   const Received received = std::move(own->received);
   own->users.store(1, std::memory_order_relaxed);
-  Context::instance().release(received);
+  received.release();
   received.link->keep(own);
 }
 

@@ -1,11 +1,9 @@
 // SPDX-License-Identifier: Apache-2.0
 
 #include <base/clock.hpp>
-#include <client/endpoint/publisher_endpoint.hpp>
+#include <client/endpoint/publisher_work.hpp>
 #include <client/endpoint/twice_owned.hpp>
 #include <client/process/forked_child.hpp>
-#include <client/process/steps.hpp>
-#include <client/process/user_code.hpp>
 
 #include <algorithm>
 #include <utility>
@@ -24,63 +22,6 @@ constexpr std::uint64_t armed_offset(std::uint64_t executor) noexcept {
 
 }  // namespace
 
-/// What one turn with the queue leaves to do outside the mutex.
-struct PublisherEndpoint::Work {
-  Work(PublisherEndpoint& of, bool destroys) noexcept : endpoint(of), may_destroy(destroys) {}
-
-  PublisherEndpoint& endpoint;
-  const bool may_destroy;                          // otherwise messages die with the process
-  std::array<void*, destroy_at_once_max> destroy;  // the first destroy_count
-  std::size_t destroy_count = 0;
-  std::uint64_t rung = 0;
-  bool wake_control = false;
-  bool destroys_later = false;
-
-  /// Into the line that the commit goes into next: stored behind that, it would take the line a second
-  /// time from those who look at it. Only written under the mutex. A death between the two leaves it one
-  /// message ahead, which is nothing to those it is for: people.
-  void commits(const dataplane::Entry& entry) noexcept {
-    auto& total =
-        endpoint.identity_.core.words.counter(offsetof(abi::PublisherEndpoint, published_bytes));
-    total.store(total.load(std::memory_order_relaxed) + entry.bytes, std::memory_order_relaxed);
-  }
-  void ring(std::uint64_t executor, std::uint64_t armed) noexcept {
-    Executor& sleeper = endpoint.executors_[executor];
-    if (!sleeper.bell.doorbell) return;
-    if (rung++ < ring_at_once_max) {
-      sleeper.bell.doorbell.ring();
-    } else {
-      sleeper.owed = armed;
-      wake_control = true;
-    }
-  }
-  /// The control thread does, as it is woken anyway; but it destroys nothing any more once exit has begun.
-  bool passes_soon() const noexcept { return wake_control && !exit_has_begun(); }
-  void freed(std::uint64_t, std::uint64_t address) noexcept {
-    if (!may_destroy) return;
-    void* const message = reinterpret_cast<void*>(address);
-    if (!destroys_later && destroy_count < destroy.size()) {
-      destroy[destroy_count++] = message;
-    } else if (endpoint.doomed_.size() == endpoint.doomed_.capacity()) {
-      // The control thread is far behind: rather here, under the mutex, than allocate.
-      const UserSignals as_creator(endpoint.identity_.signals);
-      endpoint.destroy(message);
-    } else {
-      endpoint.doomed_.push_back(message);  // within its capacity: no allocation
-      endpoint.has_doomed_.store(true, std::memory_order_relaxed);
-    }
-  }
-  /// What an earlier turn had no room for.
-  void destroy_doomed() noexcept {
-    if (!may_destroy) return;
-    auto& doomed = endpoint.doomed_;
-    for (; !doomed.empty() && destroy_count < destroy.size(); doomed.pop_back())
-      destroy[destroy_count++] = doomed.back();
-    if (doomed.empty() && !endpoint.lacked_room_.load(std::memory_order_relaxed))
-      endpoint.has_doomed_.store(false, std::memory_order_relaxed);
-  }
-};
-
 PublisherEndpoint::PublisherEndpoint(const Identity& identity)
     : identity_(identity),
       core_(std::make_unique<Core>(identity.core)),
@@ -94,39 +35,6 @@ PublisherEndpoint::PublisherEndpoint(const Identity& identity)
 void PublisherEndpoint::say_lineage() noexcept {
   const std::lock_guard lock(mutex_);
   if (!moved_) identity_.core.words.lineage().store(identity_.lineage, std::memory_order_relaxed);
-}
-
-template <class Do>
-inline void PublisherEndpoint::turn(Do work, Work& left) noexcept {
-  {
-    const std::lock_guard lock(mutex_);
-    work(left);
-  }
-  if (left.wake_control) identity_.wake_control();  // first: sleepers do not wait for destructors
-}
-
-inline void PublisherEndpoint::destroy_all(const Work& left) noexcept {
-  for (std::size_t i = 0; i < left.destroy_count; ++i) {
-    AGNOCAST_CRASH_POINT(C_destroy);
-    destroy(left.destroy[i]);
-  }
-}
-
-template <class Do>
-void PublisherEndpoint::with_queue(Do work) noexcept {
-  Work left(*this, true);
-  turn(work, left);
-  destroy_all(left);
-}
-
-template <class Do>
-void PublisherEndpoint::in_control_thread(Do work) noexcept {
-  const UserCode code;
-  Work left(*this, code.may_run());
-  turn(work, left);
-  if (left.destroy_count == 0) return;
-  const UserSignals as_creator(identity_.signals);
-  destroy_all(left);
 }
 
 dataplane::PublishOutcome PublisherEndpoint::publish(void* message, std::uint64_t object_bytes,
@@ -314,126 +222,6 @@ void PublisherEndpoint::detach(std::uint64_t index, std::uint64_t generation) no
   if (match == Match::ended) return;
   if (match == Match::awaited) events_->gained();  // it came and went between two looks
   events_->ceased();
-}
-
-void PublisherEndpoint::list_foreign_readers(std::vector<Reader>& readers) const {
-  readers.clear();
-  readers.reserve(SharedMemory::subscription_capacity);  // not below the mutex
-  const std::lock_guard lock(mutex_);
-  for (const Attached& attached : attached_) {
-    if (!attached.owner.is_own)
-      readers.push_back({{attached.index, attached.generation}, attached.owner.uid});
-  }
-}
-
-std::uint64_t PublisherEndpoint::kept_bytes(
-    std::span<const Core::MemberId> readers) const noexcept {
-  const std::lock_guard lock(mutex_);
-  return core_ != nullptr ? core_->kept_bytes(readers) : 0;
-}
-
-void PublisherEndpoint::withdraw(const Core::MemberId& reader) noexcept {
-  in_control_thread([&](Work& work) {
-    if (core_ == nullptr) return;
-    if (core_->withdraw(reader.index, reader.generation, abi::Withdrawal::over_share))
-      core_->pass(work);
-  });
-}
-
-void PublisherEndpoint::note_unmapped(const Member& member, PeerOwner owner, bool is_out,
-                                      ReaderShares::Clock::time_point now) {
-  if (is_attached(member.index, member.generation)) return;
-  Watched& watched = watched_[member.index];
-  if (watched.generation != member.generation) watched = {member.generation, now};
-  watched.owner = owner;
-  in_control_thread([&](Work& work) {
-    if (core_ == nullptr || moved_) return;
-    core_->pass(work);  // from here on it counts
-    if (is_out && core_->withdraw(member.index, member.generation, abi::Withdrawal::not_attached))
-      core_->pass(work);
-  });
-}
-
-void PublisherEndpoint::look_at_readers(ReaderShares::Clock::time_point now,
-                                        const ReaderShares& shares, UnmappedUsers& unmapped_users,
-                                        std::vector<Withdrawn>& news) {
-  const auto may_be_served_again = [&](abi::Withdrawal why, PeerOwner owner) {
-    return why == abi::Withdrawal::not_attached ||
-           (why == abi::Withdrawal::over_share && !shares.is_out(owner, now));
-  };
-  std::map<std::uint64_t, Watched> watched;
-  // What was seen at an earlier look goes on from there.
-  const auto watch = [&](std::uint64_t index, std::uint64_t generation) -> Watched& {
-    const auto before = watched_.find(index);
-    const bool is_known = before != watched_.end() && before->second.generation == generation;
-    return watched.emplace(index, is_known ? before->second : Watched{generation, now})
-        .first->second;
-  };
-  struct Mapped {
-    Member id;
-    PeerOwner owner;
-  };
-  std::vector<Member> unmapped;
-  std::vector<Mapped> attached;
-  unmapped.reserve(SharedMemory::subscription_capacity);  // not below the mutex
-  attached.reserve(SharedMemory::subscription_capacity);
-  {
-    const std::lock_guard lock(mutex_);
-    if (core_ == nullptr || moved_) return;
-    core_->for_each_unmapped([&](std::uint64_t index, std::uint64_t generation) {
-      unmapped.push_back({index, generation});
-    });
-    for (const Attached& one : attached_) {
-      const abi::Withdrawal why = core_->withdrawal(one.index, one.generation);
-      const auto known = watched_.find(one.index);
-      const bool is_told = known != watched_.end() && known->second.generation == one.generation &&
-                           known->second.why == abi::Withdrawal::over_quota;
-      if (why != abi::Withdrawal::none && !is_told)
-        attached.push_back({{one.index, one.generation}, one.owner});
-    }
-  }
-  const std::size_t unmapped_count = unmapped.size();
-  for (const Mapped& one : attached) {
-    unmapped.push_back(one.id);
-    watch(one.id.index, one.id.generation).owner = one.owner;
-  }
-  for (std::size_t i = 0; i < unmapped.size(); ++i) {
-    const std::uint64_t index = unmapped[i].index, generation = unmapped[i].generation;
-    Watched& member = watch(index, generation);
-    const bool is_out = member.owner && unmapped_users.is_out(*member.owner, now);
-    bool is_news = false, was_waited_for = false;
-    std::uint64_t bytes = 0;
-    in_control_thread([&](Work& work) {
-      abi::Withdrawal why = core_->withdrawal(index, generation);
-      if (why == abi::Withdrawal::none) {
-        if (i >= unmapped_count) return;
-        if (!is_out && now - member.since < ReaderShares::patience_to_attach) return;
-        if (!core_->withdraw(index, generation, abi::Withdrawal::not_attached)) return;  // it ended
-        why = abi::Withdrawal::not_attached;
-        was_waited_for = !is_out;
-      } else if (i >= unmapped_count && may_be_served_again(why, *member.owner) &&
-                 core_->serve_again(index, generation, work)) {
-        why = abi::Withdrawal::none;
-      } else if (!core_->is_disregarded(index) && now - member.since >= ReaderShares::patience) {
-        core_->disregard(index, generation);
-      }
-      core_->pass(work);
-      if (why == member.why) return;
-      is_news = true;
-      bytes = core_->kept_bytes(std::array{Core::MemberId{index, generation}});
-      member.why = why;
-      member.since = now;
-    });
-    if (was_waited_for && member.owner) unmapped_users.ban(*member.owner, now);
-    if (i < unmapped_count && member.why == abi::Withdrawal::none && member.owner)
-      unmapped_users.note(*member.owner);
-    if (is_news) news.push_back({index, generation, member.why, bytes});
-  }
-  // For good, and nothing is left to look at.
-  for (const auto& [index, before] : watched_) {
-    if (before.why == abi::Withdrawal::over_quota) watched.emplace(index, before);
-  }
-  watched_.swap(watched);
 }
 
 // What is attached stays: its readers are waited for as before, as far as the board tells of them.

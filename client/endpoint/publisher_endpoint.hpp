@@ -232,6 +232,8 @@ class PublisherEndpoint {
     std::optional<PeerOwner> owner = {};          // if it was announced
   };
   struct Work;
+  struct Seen;
+  struct Look;
 
   template <class Do>
   void turn(Do work, Work& left) noexcept;
@@ -241,6 +243,8 @@ class PublisherEndpoint {
   template <class Do>
   void in_control_thread(Do work) noexcept;
   void count(std::size_t counter, std::uint64_t more) noexcept;
+  bool see_readers(std::vector<Seen>& seen) const;
+  void look_at(const Seen& reader, Watched& member, const Look& look);
   std::size_t executor_of(const Peer& peer, std::uint64_t executor, Bell bell);
   void replace_bell(const Subscription& subscription, Bell bell) noexcept;
   bool is_linked(const Attached& attached) const noexcept;

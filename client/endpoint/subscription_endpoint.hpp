@@ -20,7 +20,9 @@
 #include <client/endpoint/departure.hpp>
 #include <client/endpoint/endpoint_events.hpp>
 #include <client/endpoint/peer.hpp>
+#include <client/process/forked_child.hpp>
 #include <client/process/sleeper.hpp>
+#include <client/process/steps.hpp>
 #include <dataplane/subscription_core.hpp>
 #include <journal/announce_set.hpp>
 
@@ -142,11 +144,19 @@ class Link {
   bool is_orphaned_ = false;
 };
 
-/// A message in the hands of this process. Whoever drops it calls link->release(taken.slot) exactly
-/// once.
+/// A message in the hands of this process. Whoever drops it calls release() exactly once. All that this needs it
+/// has: the link keeps what the message lies in, and wakes the control thread of its own session.
 struct Received {
   dataplane::Taken taken;
   std::shared_ptr<Link> link;
+
+  /// The last copy of it is gone. Any thread. No system call unless a closing link ends with it.
+  void release() const noexcept {
+    if (is_forked_child()) return;  // the hold is the parent's
+    if (!link->release(taken.slot)) return;
+    AGNOCAST_CRASH_POINT(C_release_last);
+    link->wake_control();
+  }
 };
 
 /// A received message as its users have it.

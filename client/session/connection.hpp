@@ -235,6 +235,17 @@ inline abi::wire::Reference reference(abi::wire::Kind kind, std::uint32_t topic,
   body.generation = generation;
   return body;
 }
+/// What was announced is used here no more, or never was; with how much of the connection this process has read.
+inline void say_unlinked(Connection& connection, abi::wire::Kind kind, std::uint32_t topic,
+                         std::uint64_t index, std::uint64_t generation) {
+  abi::wire::Unlinked body{};
+  body.kind = kind;
+  body.topic = topic;
+  body.index = index;
+  body.generation = generation;
+  body.seen = connection.seen();
+  connection.post(abi::wire::Opcode::unlinked, body);
+}
 /// Copies a name into a packet. False if it does not fit with its terminator.
 bool write_name(abi::wire::Name& name, std::string_view text) noexcept;
 

@@ -5,40 +5,19 @@
 
 #include <client/session/context.hpp>
 
-#include <base/text.hpp>
-#include <client/heap/heap_return.hpp>
 #include <client/process/forked_child.hpp>
 #include <client/process/steps.hpp>
 #include <client/session/reregistration.hpp>
 
-#include <algorithm>
 #include <chrono>
 #include <cstdlib>
-#include <cstring>
+#include <mutex>
+#include <new>
+#include <string_view>
 #include <utility>
+#include <vector>
 
 namespace agnocast {
-
-namespace wire = abi::wire;
-using wire::Kind;
-using wire::Opcode;
-
-namespace {
-
-/// The environment may come from whoever starts a setuid program; such a program does not listen.
-Result<HeapScope> scope_from_environment(HeapScope otherwise) {
-  const char* const text = ::secure_getenv("AGNOCAST_SCOPE");
-  if (text == nullptr || *text == '\0') return otherwise;
-  const std::string_view word = text;
-  if (word == "loan") return HeapScope::loan;
-  if (word == "all") return HeapScope::all;
-  return fail_with(Errc::invalid_argument,
-                   "AGNOCAST_SCOPE is " + in_quotes(text) + ", which is neither loan nor all");
-}
-
-constexpr std::chrono::seconds window_pause_last{60};
-
-}  // namespace
 
 Result<bool> is_switched_off() noexcept {
   const char* const text = ::secure_getenv("AGNOCAST");
@@ -54,7 +33,6 @@ Context& Context::first() noexcept {
   static Context* const context =
       new Context;  // immortal: messages in statics outlive every static of ours
   Context* none = nullptr;
-  context->was_present_.store(true, std::memory_order_release);
   present_.compare_exchange_strong(none, context, std::memory_order_acq_rel);
   return *context;
 }
@@ -64,7 +42,7 @@ bool Context::has_more_room() noexcept {
   const Heap& heap = *this->heap();
   heap.pause();
   try {
-    all = publishers();
+    all = endpoints_.publishers();
   } catch (const std::bad_alloc&) {
     // The control thread comes to them.
   }
@@ -74,12 +52,10 @@ bool Context::has_more_room() noexcept {
   return some;
 }
 
-bool Context::is_connected() const noexcept {
-  return !is_forked_child() && is_connected_.load(std::memory_order_acquire);
-}
+bool Context::is_connected() const noexcept { return !is_forked_child() && state_.is_connected(); }
 
 ConnectionState Context::state() const noexcept {
-  return is_forked_child() ? ConnectionState::unconnected : state_.load(std::memory_order_acquire);
+  return is_forked_child() ? ConnectionState::unconnected : state_.connection();
 }
 
 ConnectionState connection_state() noexcept { return Context::instance().state(); }
@@ -87,139 +63,7 @@ Errc island_reason() noexcept { return Context::instance().island_reason(); }
 
 Result<void> Context::set_heap_scope(HeapScope scope) noexcept {
   if (Result<void> refused = refuse_forked_child(); !refused) return refused;
-  const std::lock_guard lock(connecting_);
-  if (heap_is_open_.load(std::memory_order_relaxed) && scope != scope_)
-    return fail(Errc::invalid_argument, "the scope of a heap that is open stays as it is");
-  scope_ = scope;
-  return {};
-}
-
-Result<void> Context::open_heap() {
-  const std::lock_guard lock(connecting_);
-  if (heap_is_open_.load(std::memory_order_relaxed)) return {};
-  Result<Heap> found = Heap::find();
-  if (!found) return tl::unexpected<Failure>(found.error());
-  const Result<HeapScope> scope = scope_from_environment(scope_);
-  if (!scope) return tl::unexpected<Failure>(scope.error());
-  const auto idle_time = HeapReturn::idle_time();
-  if (!idle_time) return tl::unexpected<Failure>(idle_time.error());
-  wire::WindowRequest request{};
-  request.window = 0;
-  Result<void> opened =
-      connection_->request(Opcode::open_window, request, [&](Incoming& packet) -> Result<void> {
-        wire::WindowOpened window{};
-        if (Result<void> read =
-                packet.read_as(Opcode::window_opened, window, 2, "the answer with a heap window");
-            !read)
-          return read;
-        const auto fds = packet.packet.fds();
-        return found->attach(region_.base(), window.base, window.bytes, std::move(fds[0]),
-                             fds[1].get(), *scope,
-                             []() noexcept { Context::instance().wake_control(); });
-      });
-  if (!opened) return opened;
-  heap_ = *found;
-  scope_ = *scope;
-  heap_is_open_.store(true, std::memory_order_release);
-  if (*idle_time) HeapReturn::instance().begin(heap_->hook(), **idle_time);
-  return {};
-}
-
-// What lies in the windows stays where it is, and so do they: the new daemon is told of them.
-Result<void> Context::bring_windows() {
-  if (!heap_is_open_.load(std::memory_order_acquire)) return {};
-  if (!Heap::follow(region_.base()))
-    return fail(Errc::limit_reached, "too many former memberships are still in use");
-  for (std::uint64_t i = 0; i < Heap::window_count(); ++i) {
-    const Heap::Window window = Heap::window(i);
-    wire::BringWindow body{};
-    body.window = i;
-    body.base = window.base;
-    body.bytes = window.length;
-    body.first = window.first;
-    AGNOCAST_CRASH_POINT(C_bring);
-    Result<void> brought = connection_->request(
-        Opcode::bring_window, body, [](Incoming&) { return Result<void>(); }, nullptr, false,
-        window.write_fd);
-    AGNOCAST_CRASH_POINT(C_brought);
-    if (!brought) return brought;
-  }
-  window_count_ = Heap::window_count();
-  return {};
-}
-
-// Ahead of need: malloc never waits for the daemon. While the answer is on its way, or when it is a
-// refusal, the heap does with what it has.
-void Context::ask_for_window() {
-  if (!heap_is_open_.load(std::memory_order_acquire) || window_asked_ || !may_grow_.load()) return;
-  if (move_to_ != window_count_ && !heap_->wants_window()) return;
-  if (std::chrono::steady_clock::now() < window_again_) return;
-  wire::WindowRequest request{};
-  request.window = window_count_;
-  const auto on_answer = [this](Result<Incoming*> answer) {
-    // All windows that this process may have: no other answer will come.
-    if (!answer && answer.error().code == Errc::window_exhausted) return heap_->no_more_windows();
-    window_asked_ = false;
-    window_refused_ = !answer || !add_window(**answer);
-    if (!window_refused_) {
-      window_pause_ = window_pause_first;
-      if (++window_count_ == abi::window_count_max) heap_->no_more_windows();
-      return;
-    }
-    // What is missing (quota, arena, memory) may come back: asked again ever more rarely, because a
-    // full heap would ask at every errand.
-    window_again_ = std::chrono::steady_clock::now() + window_pause_;
-    window_pause_ = std::min(window_pause_ * 2, window_pause_last);
-  };
-  window_asked_ = true;
-  try {
-    connection_->request_later(Opcode::open_window, request, on_answer);
-  } catch (const std::bad_alloc&) {
-    window_asked_ = false;
-    throw;
-  }
-}
-
-bool Context::add_window(Incoming& answer) noexcept {
-  wire::WindowOpened opened{};
-  if (!answer.read(opened) || answer.packet.descriptor_count != 2) return false;
-  if (opened.window != window_count_) return false;
-  // The daemon announces it to everybody else. Before it is in use, so that nobody waits for it.
-  if (const auto own = peers_.find({client_, client_generation_}); own != peers_.end())
-    (void)add_window_of(own->second, {opened.window, opened.base, opened.bytes, opened.first},
-                        UniqueFd());
-  const auto fds = answer.packet.fds();
-  return heap_
-      ->add_window(region_.base(), opened.window, opened.base, opened.bytes, std::move(fds[0]),
-                   fds[1].get(), opened.first == opened.window)
-      .has_value();
-}
-
-namespace {
-
-Result<wire::CreateEndpoint> describe(const EndpointRequest& request,
-                                      std::uint64_t executor) noexcept {
-  wire::CreateEndpoint body{};
-  body.qos = abi::pack_qos(request.qos);
-  body.layout_hash = request.layout_hash;
-  body.executor = executor;
-  body.quota = request.quota | (request.quota_or_less ? wire::quota_or_less : 0);
-  if (!write_name(body.topic, request.topic))
-    return fail(Errc::invalid_name, "a topic name of more than 255 characters");
-  if (!write_name(body.type, request.type))
-    return fail(Errc::invalid_name, "a type name of more than 255 characters");
-  if (!write_name(body.node, request.node))
-    return fail(Errc::invalid_name, "a node name of more than 255 characters");
-  return body;
-}
-
-}  // namespace
-
-// The topic's entry on the board, and the endpoint's own words.
-Result<void> Context::open_extents(const wire::EndpointCreated& made, std::uint64_t bytes) {
-  AGNOCAST_CRASH_POINT(C_extent_open);
-  Result<void> opened = board_.open(abi::topic_offset(made.topic), abi::topic_bytes);
-  return opened ? region_.open(made.extent, bytes) : opened;
+  return heap_.set_scope(scope);
 }
 
 template <class Work>
@@ -289,24 +133,12 @@ Result<std::shared_ptr<Sleeper>> Context::idle_sleeper() {
   return idle->sleeper;
 }
 
-/// Of one that continues none: nobody else has the same, in whatever membership.
-std::uint64_t Context::lineage_of(const Continued& continued, const wire::EndpointCreated& made,
-                                  Kind kind) const noexcept {
-  std::uint64_t sum = continued.lineage;
-  if (sum == 0) {
-    for (const std::uint64_t part : {incarnation_, client_, std::uint64_t{made.topic}, made.index,
-                                     made.generation, static_cast<std::uint64_t>(kind)}) {
-      sum = (sum ^ part) * 0x9e3779b97f4a7c15;
-      sum ^= sum >> 29;
-    }
-  }
-  return sum != 0 ? sum : 1;
-}
-
 Result<void> Context::open_heap_for(bool uses_shared_allocator) {
   if (Result<void> connected = connect(); !connected) return connected;
-  if (Result<void> heap = open_heap(); !heap || uses_shared_allocator) return heap;
-  return heap_->check_interposition();
+  Result<void> opened = heap_.open(registration_.connection(), registration_.region_base(),
+                                   []() noexcept { Context::instance().wake_control(); });
+  if (!opened || uses_shared_allocator) return opened;
+  return heap_.opened().check_interposition();
 }
 
 Result<void> Context::prepare_to_publish(bool uses_shared_allocator) {
@@ -314,170 +146,42 @@ Result<void> Context::prepare_to_publish(bool uses_shared_allocator) {
 }
 
 Result<std::shared_ptr<PublisherEndpoint>> Context::make_publisher(
-    const EndpointRequest& request, const detail::MessageEnd& end_message, Continued continued) {
+    const EndpointRequest& request, const detail::MessageEnd& end_message,
+    const Continued& continued) {
   if (Result<void> heap = open_heap_for(request.uses_shared_allocator); !heap)
     return tl::unexpected<Failure>(heap.error());
-  const Result<wire::CreateEndpoint> body = describe(request, 0);
-  if (!body) return tl::unexpected<Failure>(body.error());
-  std::shared_ptr<PublisherEndpoint> publisher;
-  Result<void> created = connection_->request(
-      Opcode::create_publisher, *body,
-      [&](Incoming& packet) -> Result<void> {
-        wire::EndpointCreated made{};
-        if (!packet.read(made) || made.topic >= abi::topic_count_max ||
-            made.index >= abi::publisher_count_max) {
-          return fail(Errc::protocol_violation, "a new publisher");
-        }
-        if (Result<void> opened = open_extents(made, abi::publisher_extent_bytes); !opened)
-          return opened;
-        const PublisherEndpoint::Core::Identity core{{board_.base(), abi::topic_offset(made.topic)},
-                                                     {region_.base(), made.extent},
-                                                     made.index,
-                                                     made.generation,
-                                                     made.first_sequence,
-                                                     request.qos,
-                                                     made.slot_count,
-                                                     PublisherEndpoint::lazy_limit};
-        publisher = std::make_shared<PublisherEndpoint>(
-            PublisherEndpoint::Identity{core, made.topic, end_message, waker(), continued.events,
-                                        this, lineage_of(continued, made, Kind::publisher),
-                                        request.says_lineage_later && continued.events == nullptr,
-                                        []() noexcept { return Context::instance().has_more_room(); },
-                                        request.signals});
-        const std::lock_guard lock(endpoints_);
-        AGNOCAST_CRASH_POINT(C_registered);
-        publishers_[{made.topic, made.index}] = publisher;
-        return {};
-      },
-      [this](Incoming& packet) { return adopt_late(Kind::publisher, packet); });
-  if (!created) return tl::unexpected<Failure>(created.error());
-  return publisher;
+  return creations_.make_publisher(request, end_message, continued,
+                                   []() noexcept { return instance().has_more_room(); });
 }
 
 Result<std::shared_ptr<SubscriptionEndpoint>> Context::make_subscription(
-    const EndpointRequest& request, const std::shared_ptr<Sleeper>& sleeper, Continued continued) {
+    const EndpointRequest& request, const std::shared_ptr<Sleeper>& sleeper,
+    const Continued& continued) {
   if (Result<void> connected = connect(); !connected)
     return tl::unexpected<Failure>(connected.error());
   // The sleeper may be older than this membership.
   if (Result<void> place = make_place(*sleeper); !place)
     return tl::unexpected<Failure>(place.error());
-  const Result<wire::CreateEndpoint> body = describe(request, *sleeper->index_in(this));
-  if (!body) return tl::unexpected<Failure>(body.error());
-  std::shared_ptr<SubscriptionEndpoint> subscription;
-  Result<void> created = connection_->request(
-      Opcode::create_subscription, *body,
-      [&](Incoming& packet) -> Result<void> {
-        wire::EndpointCreated made{};
-        if (!packet.read(made) || made.topic >= abi::topic_count_max ||
-            made.index >= abi::subscription_count_max) {
-          return fail(Errc::protocol_violation, "a new subscription");
-        }
-        if (Result<void> opened = open_extents(made, abi::subscription_extent_bytes); !opened)
-          return opened;
-        subscription = std::make_shared<SubscriptionEndpoint>(
-            SubscriptionEndpoint::Identity{{board_.base(), abi::topic_offset(made.topic)},
-                                           made.topic,
-                                           made.index,
-                                           made.generation,
-                                           region_.base(),
-                                           made.extent,
-                                           request.qos,
-                                           request.quota,
-                                           request.depth_per_publisher,
-                                           request.message_bytes,
-                                           request.message_alignment,
-                                           waker(),
-                                           continued.events,
-                                           this,
-                                           lineage_of(continued, made, Kind::subscription)},
-            sleeper);
-        const std::lock_guard lock(endpoints_);
-        AGNOCAST_CRASH_POINT(C_registered);
-        subscriptions_[{made.topic, made.index}] = subscription;
-        return {};
-      },
-      [this](Incoming& packet) { return adopt_late(Kind::subscription, packet); });
-  if (!created) return tl::unexpected<Failure>(created.error());
-  return subscription;
-}
-
-// A place goes back to the context, not away: it stays the process's, with its bells, and its sleep
-// word goes on counting.
-std::shared_ptr<Sleeper::Place> Context::lend(std::unique_ptr<Sleeper::Place> place) {
-  return {place.release(), [this](Sleeper::Place* returned) noexcept {
-            if (is_forked_child()) return;
-            const std::lock_guard lock(sleepers_);
-            unused_places_.emplace_back(returned);  // within its capacity
-            --lent_places_;
-          }};
+  return creations_.make_subscription(request, sleeper, continued);
 }
 
 Result<void> Context::make_place(Sleeper& sleeper) {
   if (Result<void> connected = connect(); !connected) return connected;
-  const std::lock_guard making(places_making_);
-  if (sleeper.index_in(this)) return {};
-  if (is_alone_.load(std::memory_order_acquire))
-    return fail(Errc::started_anew, "agnocastd has lost what it knew");
-  wire::ExecutorRequest request{};
-  bool again = false;
-  std::unique_ptr<Sleeper::Place> place;
-  {
-    const std::lock_guard lock(sleepers_);
-    unused_places_.reserve(abi::executor_count_max);
-    failed_sleepers_.reserve(abi::executor_count_max);
-    if (!unused_places_.empty()) {
-      place = std::move(unused_places_.back());
-      unused_places_.pop_back();
-      ++lent_places_;
-    } else if (!failed_sleepers_.empty()) {
-      request.executor = failed_sleepers_.back();
-      failed_sleepers_.pop_back();
-      again = true;
-    } else if (next_sleeper_ == abi::executor_count_max) {
-      static_assert(abi::executor_count_max == 56);
-      return fail(
-          Errc::limit_reached,
-          "more than 56 nodes with callbacks in one process (polling subscriptions together "
-          "count as one)");
-    } else {
-      request.executor = next_sleeper_++;
-    }
-  }
-  if (place != nullptr) return sleeper.add(this, lend(std::move(place)));
-  Result<void> opened = connection_->request(
-      Opcode::open_executor, request,
-      [&](Incoming& packet) -> Result<void> {
-        wire::Done answer{};
-        if (Result<void> read =
-                packet.read_as(Opcode::executor_opened, answer, 2, "the answer with an executor");
-            !read)
-          return read;
-        const auto fds = packet.packet.fds();
-        AGNOCAST_CRASH_POINT(C_sleeper);
-        place = std::make_unique<Sleeper::Place>(
-            region_.base(), request.executor,
-            DoorbellReceiver(std::move(fds[0]), std::move(fds[1])));
-        return {};
+  return places_.give(
+      sleeper, this,
+      [this]() -> Result<void> {
+        if (!state_.is_alone()) return {};
+        return fail(Errc::started_anew, "agnocastd has lost what it knew");
       },
-      nullptr, again);
-  {
-    const std::lock_guard lock(sleepers_);
-    if (opened) {
-      ++lent_places_;
-    } else {
-      // Should the bells come late, nobody wants them; who gets the number next asks for new ones.
-      failed_sleepers_.push_back(request.executor);  // within its capacity
-    }
-  }
-  return opened ? sleeper.add(this, lend(std::move(place))) : opened;
+      [this](std::uint64_t executor, bool again) {
+        return creations_.open_executor(executor, again);
+      });
 }
 
 // The control thread says it, now or when it is connected again.
 void Context::wait_for(const Departure& departure, Reconnection::Clock::time_point end) noexcept {
   wake_control();
-  std::unique_lock lock(departing_);
-  departed_.wait_until(lock, std::min(end, Reconnection::Clock::now() + Connection::answer_timeout),
-                       [&] { return departure.is_known() || !connection_->is_open(); });
+  departures_.wait_for(departure, registration_.connection(), end);
 }
 
 void Context::let_leave(PublisherEndpoint& publisher,
@@ -513,13 +217,6 @@ void Context::destroy(const std::shared_ptr<SubscriptionEndpoint>& subscription,
       successor->context()->let_leave(*successor, end);
   }
   subscription->context()->let_leave(*subscription, end);
-}
-
-void Context::release(const Received& received) noexcept {
-  if (is_forked_child()) return;  // the hold is the parent's
-  if (!received.link->release(received.taken.slot)) return;
-  AGNOCAST_CRASH_POINT(C_release_last);
-  received.link->wake_control();
 }
 
 }  // namespace agnocast

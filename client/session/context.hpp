@@ -1,83 +1,57 @@
 // SPDX-License-Identifier: Apache-2.0
 //
-// Context: a membership of this process: connection, client region, heap, peers, and every endpoint.
-// Made by the first endpoint, never destroyed (messages in statics stay valid), dead in a forked
-// child.
+// Context: a membership of this process, for those who create and destroy endpoints: what they see of its parts. Made by
+// the first endpoint, never destroyed (messages in statics stay valid), dead in a forked child.
 //
 // Usually there is one. When the daemon's store was lost, another one begins beside it, and becomes
-// the present one (reregistering.cpp); the former lives on by itself until nothing of it is used, and
-// then lets go of all it has mapped.
+// the present one (reregistration.hpp); the former lives on by itself until nothing of it is used, and
+// then lets go of all it has mapped. How far one has come: SessionState.
 //
-// One control thread serves it: it handles what the daemon says in order, makes the passes that
-// publishers leave to it, unlinks what is over, unmaps peers that nobody uses, and opens the next
-// heap window; and it comes back to the daemon when the connection was lost (rejoining.cpp). User
-// threads reach shared memory directly and the daemon only to create and destroy endpoints.
+//   part             what it has                                          who uses it
+//   Registration     the connection, the arena, board and own region      all threads
+//   Creations        what is asked of the daemon for new endpoints        user threads
+//   ExecutorPlaces   sleep words and doorbells, two mutexes               all threads
+//   EndpointTable    publishers and subscriptions, a mutex                all threads
+//   Departures       what leaves, and who waits for it, a mutex           all threads
+//   OwnHeap          the heap and its windows, a mutex                    all threads
+//   PeerTable        the processes that are mapped                        control thread
+//   ControlThread    what the daemon says, and what comes back            control thread
+//
+// User threads reach shared memory directly and the daemon only to create and destroy endpoints. The mutexes belong to
+// the parts; Context has one, so that one thread joins.
 #pragma once
 
 #include <agnocast/connection_state.hpp>
 #include <agnocast/residency.hpp>
 #include <agnocast/result.hpp>
-#include <base/doorbell.hpp>
-#include <base/mapping.hpp>
-#include <client/endpoint/departure.hpp>
-#include <client/endpoint/peer.hpp>
+#include <client/endpoint/endpoint_table.hpp>
+#include <client/endpoint/peer_table.hpp>
 #include <client/endpoint/publisher_endpoint.hpp>
 #include <client/endpoint/subscription_endpoint.hpp>
-#include <client/heap/arena.hpp>
 #include <client/heap/heap.hpp>
-#include <client/heap/sparse_region.hpp>
-#include <client/process/library_thread.hpp>
 #include <client/process/sleeper.hpp>
 #include <client/session/connection.hpp>
-#include <client/session/control_wake.hpp>
+#include <client/session/control_thread.hpp>
+#include <client/session/creations.hpp>
+#include <client/session/departures.hpp>
+#include <client/session/endpoint_request.hpp>
+#include <client/session/executor_places.hpp>
+#include <client/session/own_heap.hpp>
 #include <client/session/reconnection.hpp>
-#include <client/shares/reader_shares.hpp>
-#include <client/shares/unmapped_users.hpp>
+#include <client/session/registration.hpp>
+#include <client/session/session_state.hpp>
 
 #include <atomic>
 #include <chrono>
-#include <condition_variable>
 #include <cstdint>
-#include <functional>
-#include <map>
 #include <memory>
 #include <mutex>
-#include <optional>
-#include <span>
-#include <string>
-#include <string_view>
-#include <vector>
 
 namespace agnocast {
-
-/// What an endpoint is asked for with. Names are fully qualified.
-struct EndpointRequest {
-  std::string_view topic;
-  std::string_view type;
-  std::string_view node;
-  std::uint64_t layout_hash = 0;
-  abi::Qos qos;
-  std::uint64_t quota = 0;  // subscriptions: messages held at once, per publisher
-  bool quota_or_less = false;  // of publishers of other users fewer will do
-  bool depth_per_publisher = false;  // subscriptions
-  // Publishers: messages allocate from the shared heap by themselves, whoever answers malloc.
-  bool uses_shared_allocator = false;
-  std::uint64_t message_bytes = 0;  // sizeof the message object; 0 = any
-  std::uint64_t message_alignment = 1;
-  std::uint64_t lineage = 0;        // 0: one of its own
-  bool says_lineage_later = false;  // publishers: see EndpointName
-  SignalMask signals;               // for destructors of messages
-};
 
 /// Whether AGNOCAST=off is in the environment: then endpoints are made that do nothing, without daemon
 /// and hook. Errors: invalid_argument: it is neither on nor off.
 [[nodiscard]] Result<bool> is_switched_off() noexcept;
-
-/// What an endpoint of a further membership has from the one that it continues.
-struct Continued {
-  std::uint64_t lineage = 0;  // 0: it continues none
-  std::shared_ptr<EndpointEvents> events;
-};
 
 class Context {
  public:
@@ -119,49 +93,29 @@ class Context {
   /// The subscription takes no more; messages held stay valid. Returns as above.
   void destroy(const std::shared_ptr<SubscriptionEndpoint>& subscription,
                Reconnection::Clock::time_point end = for_ever) noexcept;
-  /// The last copy of a received message is gone. No system call unless a closing link ends with
-  /// it. Any thread.
-  void release(const Received& received) noexcept;
 
   /// Before the heap is open. Errors: invalid_argument.
   [[nodiscard]] Result<void> set_heap_scope(HeapScope scope) noexcept;
   /// Null until the first publisher; then stays.
-  const Heap* heap() const noexcept {
-    return heap_is_open_.load(std::memory_order_acquire) ? &*heap_ : nullptr;
-  }
+  const Heap* heap() const noexcept { return heap_.get(); }
   /// How publish adopts foreign memory. Only after a publisher was created.
-  SharedHeap shared_heap() const noexcept { return heap_->shared_heap(); }
+  SharedHeap shared_heap() const noexcept { return heap_.opened().shared_heap(); }
   /// The heap is full: every message that nobody needs any more is destroyed, of every publisher. False:
   /// there was none. User threads, without locks of theirs that a destructor wants.
   bool has_more_room() noexcept;
   /// Of a former membership: how many of the heap's windows its daemon has told others of. Readers in
   /// it have these and no more.
-  std::uint64_t announced_windows() const noexcept { return window_count_; }
+  std::uint64_t announced_windows() const noexcept { return heap_.growth().window_count(); }
   /// False in a forked child, and before the first endpoint.
   bool is_connected() const noexcept;
   ConnectionState state() const noexcept;
-  Errc island_reason() const noexcept { return island_reason_.load(std::memory_order_acquire); }
+  Errc island_reason() const noexcept { return state_.reason(); }
   void wake_control() noexcept {
-    if (wake_ != nullptr) (*wake_)();
+    if (registration_.wake() != nullptr) (*registration_.wake())();
   }
 
  private:
   friend class Reregistration;
-  friend class HeapReturn;  // has a thread
-
-  struct KnownPeer {
-    std::unique_ptr<Peer> peer;
-    std::shared_ptr<std::atomic<std::uint64_t>> users;
-  };
-  using EndpointKey = std::pair<std::uint32_t, std::uint64_t>;  // topic, index
-  // An endpoint of this process that only the daemon knows: nobody waits for its creation any more,
-  // or it was over here while the daemon was away.
-  struct Stranger {
-    explicit Stranger(std::uint64_t known_generation) noexcept : generation(known_generation) {}
-    std::uint64_t generation;
-    Departure departure;
-  };
-  using StrangerKey = std::pair<abi::wire::Kind, EndpointKey>;
 
   /// Ends a membership that has not become the present one.
   struct Drop {
@@ -178,166 +132,36 @@ class Context {
   Result<void> open_heap_for(bool uses_shared_allocator);
   Result<std::shared_ptr<PublisherEndpoint>> make_publisher(const EndpointRequest& request,
                                                             const detail::MessageEnd& end_message,
-                                                            Continued continued);
+                                                            const Continued& continued);
   Result<std::shared_ptr<SubscriptionEndpoint>> make_subscription(
-      const EndpointRequest& request, const std::shared_ptr<Sleeper>& sleeper, Continued continued);
-  std::uint64_t lineage_of(const Continued& continued, const abi::wire::EndpointCreated& made,
-                           abi::wire::Kind kind) const noexcept;
+      const EndpointRequest& request, const std::shared_ptr<Sleeper>& sleeper,
+      const Continued& continued);
   Result<void> make_place(Sleeper& sleeper);
   void let_leave(PublisherEndpoint& publisher,
                  Reconnection::Clock::time_point end = for_ever) noexcept;
   void let_leave(SubscriptionEndpoint& subscription,
                  Reconnection::Clock::time_point end = for_ever) noexcept;
-  std::function<void()> waker() const {
-    return [wake = wake_] { (*wake)(); };
-  }
 
   Result<void> connect();
   Result<void> become_known();
-  Result<void> say_hello(Reconnection::Clock::time_point deadline);
-  Result<void> map_regions(const abi::wire::Welcome& welcome, std::span<UniqueFd> fds);
-  Result<void> reserve_arena(std::uint64_t base, std::uint64_t bytes);
-  Result<void> bring_windows();
   Result<void> start_control_thread();
   Result<void> start_thread();
-  void say_blocked();
-  Result<void> open_heap();
-  Result<void> open_extents(const abi::wire::EndpointCreated& made, std::uint64_t bytes);
-  std::shared_ptr<Sleeper::Place> lend(std::unique_ptr<Sleeper::Place> place);
   void wait_for(const Departure& departure, Reconnection::Clock::time_point end) noexcept;
 
-  // control thread
-  void serve() noexcept;
-  void serve_nobody() noexcept;
-  void serve_once(int timeout_ms);
-  void look_for_descriptors(bool now) noexcept;
-  int passes_due_ms();
-  void read_connection();
-  void ask_again_later() noexcept;
-  void look_for_bells() noexcept;
-  void handle(Incoming& packet);
-  void on_announce(Incoming& packet);
-  void on_window(Incoming& packet);
-  void on_forget(Incoming& packet);
-  void on_orphaned(Incoming& packet);
-  void on_kick(Incoming& packet);
-  void on_notice(Incoming& packet);
-  void on_move_heap(Incoming& packet);
-  void on_bells_renewed(Incoming& packet);
-  bool is_self(std::uint64_t client, std::uint64_t generation) const noexcept {
-    return client == client_ && generation == client_generation_;
-  }
-  Result<void> add_window_of(KnownPeer& known, const PeerHeap::Announced& window, UniqueFd fd);
-
-  // control thread: coming back
-  void reconnect();
-  Result<void> introduce_again();
-  void lose_connection() noexcept;
-  void become_island(const Failure& why) noexcept;
-  // control thread: a former membership
-  bool is_former() const noexcept {
-    return was_present_.load(std::memory_order_acquire) &&
-           is_alone_.load(std::memory_order_acquire) && present_.load() != this;
-  }
-  void run_former_errands();
-  bool is_unused();
-  bool let_go_of_everything();
-
-  void tell_state(ConnectionState state) noexcept;
-  void tell_reason(Errc reason) noexcept;         // of an island; any thread
-  void stay_island(const Failure& why) noexcept;  // no further attempt will help; any thread
-  Result<void> watch(int fd) noexcept;
-  void on_rejoined(Incoming& packet);
-  void on_refused(Incoming& packet);
-  void on_own(Incoming& packet);
-  void on_region(Incoming& packet);
-  void adopt_stranger(abi::wire::Kind kind, const EndpointKey& key, std::uint64_t generation,
-                      bool has_left);
-  Result<void> adopt_late(abi::wire::Kind kind, Incoming& packet);
-  void say_departures();
-  void say_departure(Departure& departure, const abi::wire::Reference& who,
-                     std::shared_ptr<void> keeps);
-  void see_strangers_off();
-  bool is_freed(const EndpointKey& key, std::uint64_t generation);
-  std::vector<std::shared_ptr<PublisherEndpoint>> publishers() const;
-  void run_errands();
-  void look_at_readers();
-  void collect_subscriptions();
-  void collect_peers();
-  void ask_for_window();
-  bool add_window(Incoming& answer) noexcept;
-  std::shared_ptr<Peer> use(KnownPeer& known);
-  PeerOwner owner_of(const abi::wire::Announcement& announcement) const noexcept;
-  std::shared_ptr<Peer> peer_of(const abi::wire::Announcement& announcement,
-                                std::span<UniqueFd> fds, std::size_t& used);
-  void say_unlinked(abi::wire::Kind kind, std::uint32_t topic, std::uint64_t index,
-                    std::uint64_t generation);
-  bool is_here(abi::wire::Kind kind, const EndpointKey& key) const;
-  bool is_linked(std::uint32_t topic, std::uint64_t publisher, std::uint64_t generation) const;
-  bool is_attached(std::uint32_t topic, std::uint64_t subscription, std::uint64_t generation) const;
-
   static std::atomic<Context*> present_;
-  std::atomic<bool> was_present_{false};  // until then whoever begins it ends it
 
-  const Context* former_ = nullptr;      // while this membership begins
-  std::atomic<bool> is_alone_{false};    // an island whose daemon will not come back
-  std::atomic<bool> has_begun_{false};   // a further one: what moves here is here
-  std::atomic<bool> tells_{true};        // its state; a further one does not before it has begun
-  std::atomic<bool> may_grow_{true};     // its heap: not before all publishers have moved here
-  std::atomic<bool> is_dropped_{false};  // it never became the present one: gone with its thread
+  SessionState state_;  // a forked child inherits it
   bool has_thread_ = false;
   mutable std::mutex connecting_;
-  std::atomic<bool> is_connected_{false};  // a forked child inherits it
-  // As found by the first membership.
-  std::string socket_path_, process_name_;
-  std::uint64_t domain_ = 0;
-  std::unique_ptr<Connection> connection_;
-  std::shared_ptr<const Arena> arena_;  // several memberships may have the same
-  SparseRegion board_, region_;
-  std::uint64_t incarnation_ = 0, client_ = 0, client_generation_ = 0;
-  HeapScope scope_ = HeapScope::loan;
-  std::optional<Heap> heap_;
-  std::atomic<bool> heap_is_open_{false};
-  std::uint64_t window_count_ = 1;  // control thread only, as the next
-  bool window_asked_ = false;
-  bool window_refused_ = false;  // the last one asked for
-  std::uint64_t move_to_ = 0;  // window that the daemon asks for, 0: none
-  static constexpr std::chrono::seconds window_pause_first{1};
-  std::chrono::seconds window_pause_ = window_pause_first;  // after the next refusal
-  std::chrono::steady_clock::time_point window_again_{};    // not before
-
-  UniqueFd epoll_;
-  std::shared_ptr<const ControlWake> wake_;
-  Reconnection reconnection_;  // control thread only, as the next four
-  // When to begin a new connection because descriptors that came on this one were lost.
-  std::optional<Reconnection::Clock::time_point> said_again_;
-  Reconnection::Clock::time_point again_at_{}, bells_looked_{}, bells_asked_{};
-  std::chrono::seconds again_pause_{};
-  std::map<StrangerKey, std::shared_ptr<Stranger>> strangers_;
-  int passes_pause_ = 0, link_look_ = 0;
-  bool was_reclaimable_ = false, is_output_blocked_ = false;
-  std::chrono::steady_clock::time_point former_looked_{}, descriptors_looked_{}, readers_looked_{};
-  ReaderShares shares_;
-  UnmappedUsers unmapped_users_;
-  bool descriptors_lost_ = false;
-  std::atomic<ConnectionState> state_{ConnectionState::unconnected};
-  std::atomic<Errc> island_reason_{Errc::ok};
-  std::mutex departing_;
-  std::condition_variable departed_;
-
-  mutable std::mutex endpoints_;
-  std::map<EndpointKey, std::shared_ptr<PublisherEndpoint>> publishers_;
-  std::map<EndpointKey, std::shared_ptr<SubscriptionEndpoint>> subscriptions_;
-  // Innermost: a place comes back wherever its last user is destroyed, also under `endpoints_`.
-  std::mutex sleepers_;
-  std::mutex places_making_;  // one at a time, so that a sleeper has one place here
-  std::uint64_t next_sleeper_ = 0;
-  std::uint64_t lent_places_ = 0;
-  std::vector<std::unique_ptr<Sleeper::Place>> unused_places_;
-  std::vector<std::uint64_t> failed_sleepers_;  // numbers whose bells never came
-
-  std::map<std::pair<std::uint64_t, std::uint64_t>, KnownPeer>
-      peers_;  // by client and generation; control thread only
+  Registration registration_;
+  ExecutorPlaces places_;  // ahead of the endpoints, whose sleepers give them back
+  EndpointTable endpoints_;
+  PeerTable peers_{endpoints_};
+  OwnHeap heap_{peers_};
+  Departures departures_{endpoints_};
+  Creations creations_{this, registration_, endpoints_, departures_};
+  ControlThread control_{
+      {this, state_, registration_, places_, endpoints_, peers_, heap_, departures_}};
 };
 
 }  // namespace agnocast

@@ -1,10 +1,9 @@
 // SPDX-License-Identifier: Apache-2.0
-//
-// The control thread of the context: what the daemon says, in order, and everything that user threads leave to it.
 
 #include <client/heap/heap_return.hpp>
 #include <client/process/library_thread.hpp>
 #include <client/session/context.hpp>
+#include <client/session/control_thread.hpp>
 #include <client/session/reregistration.hpp>
 
 #include <base/kept_fd.hpp>
@@ -16,47 +15,53 @@
 
 #include <algorithm>
 #include <cerrno>
-#include <iterator>
-#include <map>
 #include <new>
 #include <utility>
 
 namespace agnocast {
 
 namespace wire = abi::wire;
-using wire::Kind;
 using wire::Opcode;
 
 namespace {
 
-// Passes over an idle publisher: soon after the last publish, then ever more rarely
-// (docs/protocol.md, who runs a pass).
-constexpr int timer_first_ms = 100;
-constexpr int timer_last_ms = 1000;
-// Looks at a subscription that has not linked yet: usually it does within a millisecond.
-constexpr int link_look_first_ms = 1;
 // Looks at a socket that the daemon has not read empty.
 constexpr int output_look_ms = 10;
 // Before the next turn when there is no memory.
 constexpr int memory_pause_ms = 10;
-// Before a new connection because of descriptors that were lost; twice that the next time, up to the longest. It is the
-// pause as well between new connections because more bells can be had.
-constexpr std::chrono::seconds again_first{1}, again_last{30};
 // For one announcement of a subscription: its region and two bells.
 constexpr unsigned announced_descriptors = 3;
-// Looks at what is left of a membership without a daemon.
-constexpr int former_look_ms = 20;
 
 }  // namespace
 
-void Context::serve() noexcept {
+Result<void> ControlThread::prepare() {
+  epoll_ = keep(UniqueFd(::epoll_create1(EPOLL_CLOEXEC)));
+  if (!epoll_) return fail(Errc::os_failure, "preparing the control thread", errno);
+  peers_.begin({registration_.client(), &registration_.region(), registration_.arena(),
+                registration_.wake()});
+  for (const int fd : {registration_.connection().fd(), registration_.wake()->fd()}) {
+    if (Result<void> watched = watch(fd); !watched) return watched;
+  }
+  return {};
+}
+
+Result<void> ControlThread::watch(int fd) noexcept {
+  epoll_event event{};
+  event.events = EPOLLIN;
+  event.data.fd = fd;
+  if (::epoll_ctl(epoll_.get(), EPOLL_CTL_ADD, fd, &event) != 0)
+    return fail(Errc::os_failure, "preparing the control thread", errno);
+  return {};
+}
+
+void ControlThread::serve() noexcept {
   for (;;) {
     try {
       serve_once(passes_due_ms());
-      if (is_dropped_.load(std::memory_order_acquire)) return;
+      if (state_.is_dropped()) return;
       LibraryThread::look_for_users();
       if (LibraryThread::is_over()) return serve_nobody();
-      if (is_former() && is_unused() && let_go_of_everything()) return;
+      if (is_former() && collector_.is_unused() && let_go_of_everything()) return;
     } catch (const std::bad_alloc&) {
       // A packet may be half done. After a new connection the daemon says again what counts.
       lose_connection();
@@ -66,35 +71,23 @@ void Context::serve() noexcept {
 }
 
 // The process is about to end. What its exit handlers still want of the daemon they do not wait for.
-void Context::serve_nobody() noexcept {
-  connection_->refuse({Errc::shut_down, 0, "the last thread of this process has ended"});
+void ControlThread::serve_nobody() noexcept {
+  registration_.connection().refuse(
+      {Errc::shut_down, 0, "the last thread of this process has ended"});
   tell_state(ConnectionState::island);
 }
 
 // In how many milliseconds somebody must look at the publishers again.
-int Context::passes_due_ms() {
-  const auto all = publishers();
+int ControlThread::passes_due_ms() {
+  const auto all = endpoints_.publishers();
   const bool reclaimable = std::any_of(
       all.begin(), all.end(), [](const auto& publisher) { return publisher->has_reclaimable(); });
-  if (!reclaimable) {
-    passes_pause_ = timer_last_ms;
-  } else {
-    passes_pause_ = was_reclaimable_ ? std::min(passes_pause_ * 2, timer_last_ms) : timer_first_ms;
-  }
-  was_reclaimable_ = reclaimable;
   const bool awaits_link = std::any_of(
       all.begin(), all.end(), [](const auto& publisher) { return publisher->awaits_link(); });
-  if (is_alone_.load(std::memory_order_acquire)) return former_look_ms;
-  if (!awaits_link) {
-    link_look_ = link_look_first_ms;
-    return passes_pause_;
-  }
-  const int look = link_look_;
-  link_look_ = std::min(link_look_ * 2, timer_first_ms);
-  return std::min(passes_pause_, look);
+  return pass_timer_.next_ms(reclaimable, awaits_link, state_.is_alone());
 }
 
-void Context::serve_once(int timeout_ms) {
+void ControlThread::serve_once(int timeout_ms) {
   if (reconnection_.state() == Reconnection::State::waiting) {
     const auto left = std::chrono::ceil<std::chrono::milliseconds>(reconnection_.next_try() -
                                                                    Reconnection::Clock::now());
@@ -104,581 +97,156 @@ void Context::serve_once(int timeout_ms) {
   epoll_event events[4];
   int count = 0;
   if (has_lost_kept()) {
-    ::poll(nullptr, 0, std::min(timeout_ms, timer_first_ms));
+    ::poll(nullptr, 0, std::min(timeout_ms, PassTimer::first_ms));
   } else {
     count = ::epoll_wait(epoll_.get(), events, 4, timeout_ms);
     if (count < 0 && errno != EINTR) ::poll(nullptr, 0, output_look_ms);
   }
   look_for_descriptors(count < 0 && errno != EINTR);
   for (int i = 0; i < count; ++i) {
-    if (events[i].data.fd == wake_->fd()) {
+    if (events[i].data.fd == registration_.wake()->fd()) {
       std::uint64_t ignored = 0;
-      [[maybe_unused]] const ssize_t got = ::read(wake_->fd(), &ignored, sizeof ignored);
+      [[maybe_unused]] const ssize_t got =
+          ::read(registration_.wake()->fd(), &ignored, sizeof ignored);
     } else {
       read_connection();
     }
   }
-  if (said_again_ && Reconnection::Clock::now() >= *said_again_) {
+  if (reannouncement_.is_due(Reannouncement::Clock::now())) {
     if (can_open(announced_descriptors)) {
-      said_again_.reset();
+      reannouncement_.begun();
       lose_connection();
     } else {
-      said_again_ = Reconnection::Clock::now() + again_first;
+      reannouncement_.postpone(Reannouncement::Clock::now());
     }
   }
   if (reconnection_.is_due(Reconnection::Clock::now())) reconnect();
   run_errands();
-  is_output_blocked_ = connection_->flush();
+  is_output_blocked_ = registration_.connection().flush();
 }
 
 /// At each tick, or `now`. Somebody may have closed descriptors of ours; their numbers may be others' by now.
-void Context::look_for_descriptors(bool now) noexcept {
+void ControlThread::look_for_descriptors(bool now) noexcept {
   const auto time = std::chrono::steady_clock::now();
-  if (!now && time - descriptors_looked_ < std::chrono::milliseconds{timer_last_ms}) return;
+  if (!now && time - descriptors_looked_ < std::chrono::milliseconds{PassTimer::last_ms}) return;
   descriptors_looked_ = time;
   if (!lost_kept() || descriptors_lost_) return;
   descriptors_lost_ = true;
   become_island(
       {Errc::os_failure, EBADF, "this process has closed descriptors that agnocast has opened"});
   LibraryThread::end_sleeps();
-  const std::lock_guard lock(endpoints_);
-  for (const auto& [key, subscription] : subscriptions_) subscription->sleeper().wake();
+  endpoints_.wake_sleepers();
 }
 
-void Context::read_connection() {
-  while (connection_->fd() >= 0) {
+void ControlThread::read_connection() {
+  while (registration_.connection().fd() >= 0) {
     Incoming packet;
     bool unasked = false;
-    const Result<bool> alive = connection_->receive(packet, unasked);
+    const Result<bool> alive = registration_.connection().receive(packet, unasked);
     if (!alive || !*alive) return lose_connection();
     if (!unasked) return;
     if (packet.packet.descriptors_lost) {
       // This process had none free. After a new connection the daemon says all of it again.
-      ask_again_later();
+      reannouncement_.lost(Reannouncement::Clock::now());
       if (packet.header().opcode != Opcode::announce) continue;
     }
     handle(packet);
   }
 }
 
-void Context::ask_again_later() noexcept {
-  if (said_again_) return;
-  const auto now = Reconnection::Clock::now();
-  again_pause_ =
-      now - again_at_ > 2 * again_last ? again_first : std::min(2 * again_pause_, again_last);
-  said_again_ = again_at_ = now + again_pause_;
-}
-
 /// Members that are mute, or not mapped, because there were too many get bells and are mapped when others have left.
-void Context::look_for_bells() noexcept {
-  const auto now = Reconnection::Clock::now();
-  if (said_again_ || now < bells_looked_ + again_first || now < bells_asked_ + again_last ||
-      reconnection_.state() != Reconnection::State::connected)
+void ControlThread::look_for_bells() noexcept {
+  const auto now = Reannouncement::Clock::now();
+  if (reconnection_.state() != Reconnection::State::connected || !reannouncement_.may_look(now))
     return;
-  bells_looked_ = now;
+  reannouncement_.looked(now);
   const bool has_descriptors = DescriptorShare::instance().has_more();
-  if (!MappingShare::instance().has_more() && !has_descriptors) return;
-  bells_asked_ = now;
-  said_again_ = now;
+  if (MappingShare::instance().has_more() || has_descriptors) reannouncement_.ask(now);
 }
 
-// Passes destroy messages, and destructors are user code: they run without our locks.
-std::vector<std::shared_ptr<PublisherEndpoint>> Context::publishers() const {
-  const std::lock_guard lock(endpoints_);
-  std::vector<std::shared_ptr<PublisherEndpoint>> all;
-  all.reserve(publishers_.size());
-  for (const auto& [key, publisher] : publishers_) all.push_back(publisher);
-  return all;
+/// It may come to an end by itself.
+bool ControlThread::is_former() const noexcept {
+  return state_.may_end_by_itself() && &Context::instance() != context_;
 }
 
-void Context::handle(Incoming& packet) {
+/// What concerns the connection itself, and what this process has with the daemon.
+struct ControlThread::Handler {
+  Opcode opcode;
+  void (ControlThread::*handle)(Incoming&);
+};
+
+void ControlThread::handle(Incoming& packet) {
+  static constexpr Handler handlers[] = {
+      {Opcode::rejoined, &ControlThread::on_rejoined},
+      {Opcode::refused, &ControlThread::on_refused},
+      {Opcode::revoked, &ControlThread::on_revoked},
+      {Opcode::own, &ControlThread::on_own},
+      {Opcode::region, &ControlThread::on_region},
+      {Opcode::bells_renewed, &ControlThread::on_bells_renewed},
+  };
   AGNOCAST_CRASH_POINT(C_packet);
-  switch (packet.header().opcode) {
-    case Opcode::announce:
-      on_announce(packet);
-      break;
-    case Opcode::window_announced:
-      on_window(packet);
-      break;
-    case Opcode::forget:
-      on_forget(packet);
-      break;
-    case Opcode::orphaned:
-      on_orphaned(packet);
-      break;
-    case Opcode::kick:
-      on_kick(packet);
-      break;
-    case Opcode::notice:
-      on_notice(packet);
-      break;
-    case Opcode::move_heap:
-      on_move_heap(packet);
-      break;
-    case Opcode::rejoined:
-      on_rejoined(packet);
-      break;
-    case Opcode::own:
-      on_own(packet);
-      break;
-    case Opcode::region:
-      on_region(packet);
-      break;
-    case Opcode::bells_renewed:
-      on_bells_renewed(packet);
-      break;
-    case Opcode::revoked:
-      become_island(failure_with(Errc::revoked, detail_of(refusal_of(packet))));
-      break;
-    case Opcode::refused:
-      on_refused(packet);
-      break;
-    default:
-      break;  // a newer daemon may say more than we know
+  if (announcements_.handle(registration_.connection(), packet)) return;
+  const Opcode opcode = packet.header().opcode;
+  for (const Handler& handler : handlers) {
+    if (handler.opcode == opcode) return (this->*handler.handle)(packet);
   }
-}
-
-std::shared_ptr<Peer> Context::use(KnownPeer& known) {
-  known.users->fetch_add(1, std::memory_order_relaxed);
-  // The peer itself stays in the table; only the number of its users is shared.
-  return {known.peer.get(), [users = known.users, wake = wake_](Peer*) {
-            if (users->fetch_sub(1, std::memory_order_acq_rel) == 1) (*wake)();
-          }};
-}
-
-PeerOwner Context::owner_of(const wire::Announcement& announcement) const noexcept {
-  return {announcement.uid, announcement.same_user != 0 ||
-                                is_self(announcement.client, announcement.client_generation)};
-}
-
-std::shared_ptr<Peer> Context::peer_of(const wire::Announcement& announcement,
-                                       std::span<UniqueFd> fds, std::size_t& used) {
-  used = 1 + announcement.window_count;
-  if (announcement.window_count > abi::window_count_max) return nullptr;
-  const std::pair key{announcement.client, announcement.client_generation};
-  auto found = peers_.find(key);
-  const bool is_known = found != peers_.end() && found->second.peer->has_file();
-  if (fds.size() < used && !(is_known && announcement.window_count == 0)) return nullptr;
-  if (found == peers_.end()) {
-    KnownPeer known;
-    known.users = std::make_shared<std::atomic<std::uint64_t>>(0);
-    if (is_self(announcement.client, announcement.client_generation)) {
-      known.peer = std::make_unique<Peer>(client_, client_generation_, region_.base());
-    } else {
-      AGNOCAST_CRASH_POINT(C_peer_map);
-      Result<SparseRegion> region =
-          SparseRegion::make(UniqueFd(), std::uint64_t{1} << 30, Mapping::Access::read);
-      if (!region || !region->open(0, abi::page_bytes, fds[0].get())) return nullptr;
-      known.peer = std::make_unique<Peer>(announcement.client, announcement.client_generation,
-                                          owner_of(announcement), std::move(*region));
-      // Its first page, at offset 0.
-      if (!known.peer->count_mappings(0)) return nullptr;
-    }
-    found = peers_.emplace(key, std::move(known)).first;
-  }
-  KnownPeer& known = found->second;
-  for (std::uint32_t i = 0; i < announcement.window_count; ++i) {
-    const auto& window = announcement.window[i];
-    if (!add_window_of(known, {i, window.base, window.bytes, window.first}, std::move(fds[1 + i])))
-      return nullptr;
-  }
-  const std::uint64_t bytes = announcement.kind == Kind::publisher ? abi::publisher_extent_bytes
-                                                                   : abi::subscription_extent_bytes;
-  AGNOCAST_CRASH_POINT(C_peer_extent);
-  const bool own = is_self(announcement.client, announcement.client_generation);
-  Result<void> opened;
-  if (!own) {
-    opened =
-        known.peer->open(announcement.extent, bytes, fds.empty() ? UniqueFd() : std::move(fds[0]));
-  } else if (!is_here(announcement.kind, {announcement.topic, announcement.index})) {
-    // Announced before the answer to its creation, which was asked again.
-    opened = region_.open(announcement.extent, bytes);
-  }
-  if (!opened) return nullptr;
-  return use(known);
-}
-
-Result<void> Context::add_window_of(KnownPeer& known, const PeerHeap::Announced& window,
-                                    UniqueFd fd) {
-  PeerHeap& heap = known.peer->heap();
-  if (!arena_->contains(window.base, window.length))
-    return fail(Errc::protocol_violation, "a window outside the arena");
-  AGNOCAST_CRASH_POINT(C_peer_window);
-  if (heap.has(window.number)) return {};
-  const std::uint64_t before = heap.window_count();
-  const bool own = is_self(known.peer->client(), known.peer->generation());
-  Result<void> added;
-  if (own) {
-    added = heap.add_own(window);
-  } else if (!arena_->has(window.base, window.length)) {
-    added = heap.add_blocked(window);
-  } else if (!known.peer->count_mappings(Peer::part_of_window(window.number))) {
-    added = heap.add_without_file(window);
-  } else if (auto counted = DescriptorShare::instance().take(known.peer->owner(), 1)) {
-    added = heap.add(window, std::move(fd), std::move(counted));
-  } else {
-    added = heap.add_without_file(window);
-  }
-  if (heap.window_count() == before) return added;
-  // A taker may have found a message there already and left it.
-  const std::lock_guard lock(endpoints_);
-  for (const auto& [key, subscription] : subscriptions_) subscription->sleeper().wake();
-  return added;
-}
-
-namespace {
-
-/// Mute if there is none: nobody has its receiver any more, the daemon or this process had no descriptor for it, or the
-/// owner has no share left.
-PublisherEndpoint::Bell bell_among(std::span<UniqueFd> fds, std::size_t before, std::uint32_t count,
-                                   DescriptorShare::Owner owner) {
-  if (count == 0 || count > 2 || fds.size() < before + count) return {};
-  auto counted = DescriptorShare::instance().take(owner, count);
-  if (!counted) return {};
-  const auto bells = fds.subspan(before, count);
-  return {count == 1 ? Doorbell(std::move(bells[0]))
-                     : Doorbell(std::move(bells[1]), std::move(bells[0])),
-          std::move(counted)};
-}
-
-}  // namespace
-
-void Context::on_announce(Incoming& packet) {
-  wire::Announcement announcement{};
-  if (!packet.read(announcement)) return;
-  std::size_t used = 0;
-  const auto fds = packet.packet.fds();
-  std::shared_ptr<Peer> peer = peer_of(announcement, fds, used);
-  const EndpointKey own{announcement.topic, announcement.own_index};
-  const PeerOwner owner = owner_of(announcement);
-  bool linked = false;
-  if (peer != nullptr && announcement.kind == Kind::publisher) {
-    std::shared_ptr<SubscriptionEndpoint> subscription;
-    {
-      const std::lock_guard lock(endpoints_);
-      if (const auto found = subscriptions_.find(own); found != subscriptions_.end())
-        subscription = found->second;
-    }
-    if (subscription != nullptr &&
-        subscription->identity().generation == announcement.own_generation) {
-      linked = subscription->add_publisher(
-          {announcement.index, announcement.generation, announcement.extent,
-           announcement.first_sequence, abi::unpack_qos(announcement.qos),
-           announcement.from_start != 0, announcement.quota},
-          std::move(peer));
-    }
-  } else if (announcement.kind == Kind::subscription) {
-    std::shared_ptr<PublisherEndpoint> publisher;
-    {
-      const std::lock_guard lock(endpoints_);
-      if (const auto found = publishers_.find(own); found != publishers_.end())
-        publisher = found->second;
-    }
-    const auto now = ReaderShares::Clock::now();
-    if (publisher == nullptr || publisher->identity().generation != announcement.own_generation) {
-      // It is over.
-    } else if (peer == nullptr) {
-      const bool is_out = unmapped_users_.is_out(owner, now);
-      if (!is_out) unmapped_users_.note(owner);
-      publisher->note_unmapped({announcement.index, announcement.generation}, owner, is_out, now);
-    } else {
-      const bool is_new = publisher->attach(
-          {announcement.index, announcement.generation, announcement.extent, announcement.executor,
-           owner, announcement.quota},
-          peer, bell_among(fds, used, announcement.doorbell_count, peer->owner()));
-      if (is_new && shares_.is_out(owner, now))
-        publisher->withdraw({announcement.index, announcement.generation});
-      linked = true;
-    }
-  }
-  // `unlinked` speaks for the whole process: not while another endpoint of ours is linked.
-  linked = linked ||
-           (announcement.kind == Kind::publisher
-                ? is_linked(announcement.topic, announcement.index, announcement.generation)
-                : is_attached(announcement.topic, announcement.index, announcement.generation));
-  if (linked || packet.packet.descriptors_lost) return;
-  say_unlinked(announcement.kind, announcement.topic, announcement.index, announcement.generation);
-  // Never mapped, so nobody will unmap it.
-  if (peers_.count({announcement.client, announcement.client_generation}) == 0)
-    say_unlinked(Kind::region, 0, announcement.client, announcement.client_generation);
-}
-
-bool Context::is_here(Kind kind, const EndpointKey& key) const {
-  const std::lock_guard lock(endpoints_);
-  return kind == Kind::publisher ? publishers_.count(key) != 0 : subscriptions_.count(key) != 0;
-}
-
-bool Context::is_linked(std::uint32_t topic, std::uint64_t publisher,
-                        std::uint64_t generation) const {
-  const std::lock_guard lock(endpoints_);
-  return std::any_of(subscriptions_.begin(), subscriptions_.end(), [&](const auto& entry) {
-    return entry.first.first == topic && entry.second->is_linked_to(publisher, generation);
-  });
-}
-
-bool Context::is_attached(std::uint32_t topic, std::uint64_t subscription,
-                          std::uint64_t generation) const {
-  const auto all = publishers();
-  return std::any_of(all.begin(), all.end(), [&](const auto& publisher) {
-    return publisher->topic_index() == topic && publisher->is_attached(subscription, generation);
-  });
-}
-
-void Context::on_window(Incoming& packet) {
-  wire::WindowAnnounced announced{};
-  if (!packet.read(announced) || packet.packet.descriptor_count != 1) return;
-  const auto found = peers_.find({announced.client, announced.client_generation});
-  // Unmapped meanwhile: what was said of that is void, because this came after it.
-  if (found == peers_.end())
-    return say_unlinked(Kind::region, 0, announced.client, announced.client_generation);
-  (void)add_window_of(found->second,
-                      {announced.window, announced.base, announced.bytes, announced.first},
-                      std::move(packet.packet.fds()[0]));
-}
-
-void Context::on_forget(Incoming& packet) {
-  wire::Reference over{};
-  if (!packet.read(over) || over.kind != Kind::subscription) return;
-  for (const auto& publisher : publishers()) {
-    if (publisher->topic_index() == over.topic) publisher->detach(over.index, over.generation);
-  }
-  say_unlinked(Kind::subscription, over.topic, over.index, over.generation);
-}
-
-void Context::on_orphaned(Incoming& packet) {
-  wire::Orphaned gone{};
-  if (!packet.read(gone)) return;
-  const std::lock_guard lock(endpoints_);
-  for (const auto& [key, subscription] : subscriptions_) {
-    if (key.first == gone.topic)
-      subscription->orphan(gone.index, gone.generation, gone.final_head == 0);
-  }
-}
-
-// Somebody who reads from here has something else where this heap lies: it goes on elsewhere.
-void Context::on_move_heap(Incoming& packet) {
-  wire::MoveHeap move{};
-  if (packet.read(move)) move_to_ = move.window;
-}
-
-void Context::on_kick(Incoming& packet) {
-  wire::Reference whose{};
-  if (!packet.read(whose)) return;
-  for (const auto& publisher : publishers()) {
-    if (publisher->topic_index() == whose.topic && publisher->identity().index == whose.index)
-      publisher->run_errands();
-  }
+  // A newer daemon may say more than we know.
 }
 
 // One that belongs to nobody in this moment stays without: its next user is heard by its own looks.
-void Context::on_bells_renewed(Incoming& packet) {
+void ControlThread::on_bells_renewed(Incoming& packet) {
   wire::BellsRenewed renewed{};
   if (!packet.read(renewed) || packet.packet.descriptor_count != 2) return;
   const auto fds = packet.packet.fds();
   DoorbellReceiver bells(std::move(fds[0]), std::move(fds[1]));  // afterwards the former ones
   for (const auto& sleeper : Reregistration::instance().sleepers()) {
-    if (sleeper->index_in(this) != renewed.executor) continue;
-    sleeper->renew(this, bells);
+    if (sleeper->index_in(context_) != renewed.executor) continue;
+    sleeper->renew(context_, bells);
     return;
   }
-  const std::lock_guard lock(sleepers_);
-  for (const auto& place : unused_places_) {
-    if (place->index == renewed.executor) return std::swap(place->bells, bells);
-  }
+  places_.renew(renewed.executor, bells);
 }
 
-namespace {
-
-void tell(EndpointEvents& events, const wire::Notice& notice) noexcept {
-  static_assert(static_cast<int>(QosPolicyKind::durability) ==
-                    static_cast<int>(abi::QosPolicy::durability) &&
-                static_cast<int>(QosPolicyKind::reliability) ==
-                    static_cast<int>(abi::QosPolicy::reliability));
-  switch (static_cast<Errc>(notice.code)) {
-    case Errc::qos_incompatible:
-      events.incompatible_qos(static_cast<QosPolicyKind>(notice.policy));
-      break;
-    case Errc::type_mismatch:
-      events.incompatible_type();
-      break;
-    case Errc::arena_occupied: {
-      wire::Name text = notice.text;
-      text.text[sizeof text.text - 1] = '\0';
-      events.heap_collision(text.text);
-      break;
-    }
-    default:
-      break;  // a newer daemon may say more than we know
-  }
-}
-
-}  // namespace
-
-void Context::on_notice(Incoming& packet) {
-  wire::Notice notice{};
-  if (!packet.read(notice)) return;
-  const EndpointKey own{notice.topic, notice.index};
-  const std::lock_guard lock(endpoints_);
-  if (notice.kind == Kind::publisher) {
-    const auto found = publishers_.find(own);
-    if (found != publishers_.end() && found->second->identity().generation == notice.generation)
-      tell(found->second->events(), notice);
-  } else if (notice.kind == Kind::subscription) {
-    const auto found = subscriptions_.find(own);
-    if (found != subscriptions_.end() && found->second->identity().generation == notice.generation)
-      tell(found->second->events(), notice);
-  }
-}
-
-void Context::say_unlinked(Kind kind, std::uint32_t topic, std::uint64_t index,
-                           std::uint64_t generation) {
-  wire::Unlinked body{};
-  body.kind = kind;
-  body.topic = topic;
-  body.index = index;
-  body.generation = generation;
-  body.seen = connection_->seen();
-  connection_->post(Opcode::unlinked, body);
-}
-
-void Context::run_errands() {
+void ControlThread::run_errands() {
   HeapReturn::instance().look();
-  if (is_alone_.load(std::memory_order_acquire)) return run_former_errands();
-  if (has_begun_.load(std::memory_order_acquire) &&
-      reconnection_.state() == Reconnection::State::connected) {
-    has_begun_.store(false, std::memory_order_relaxed);
-    tells_.store(true, std::memory_order_release);
-    island_reason_.store(Errc::ok, std::memory_order_release);
+  if (state_.is_alone()) return run_former_errands();
+  if (reconnection_.state() == Reconnection::State::connected &&
+      state_.step(SessionState::Step::speak)) {
+    state_.give_reason(Errc::ok);
     tell_state(ConnectionState::connected);
   }
   look_for_bells();
-  say_departures();
-  look_at_readers();
-  for (const auto& publisher : publishers()) {
-    publisher->run_errands();
-    if (!publisher->is_over()) continue;
-    AGNOCAST_CRASH_POINT(C_publisher_over);
-    const auto members = publisher->detach_all();
-    const auto& identity = publisher->identity();
-    const std::uint32_t topic = publisher->topic_index();
-    {
-      const std::lock_guard lock(endpoints_);
-      publishers_.erase({topic, identity.index});
-    }
-    AGNOCAST_CRASH_POINT(C_erased);
-    // Another publisher of ours on this topic may be attached to some of them, and not to others.
-    for (const auto& [index, generation] : members) {
-      if (!is_attached(topic, index, generation))
-        say_unlinked(Kind::subscription, topic, index, generation);
-    }
-    connection_->post(Opcode::drained,
-                      reference(Kind::publisher, topic, identity.index, identity.generation));
-  }
-  collect_subscriptions();
-  collect_peers();
-  see_strangers_off();
-  ask_for_window();
-}
-
-void Context::collect_subscriptions() {
-  const std::lock_guard lock(endpoints_);
-  for (auto it = subscriptions_.begin(); it != subscriptions_.end();) {
-    const std::shared_ptr<SubscriptionEndpoint>& subscription = it->second;
-    for (const auto& link : subscription->collect_unlinked()) {
-      // `unlinked` speaks for the whole process: not while another subscription of ours is linked
-      // to the same publisher.
-      const bool still =
-          std::any_of(subscriptions_.begin(), subscriptions_.end(), [&](const auto& other) {
-            return other.first.first == it->first.first &&
-                   other.second->is_linked_to(link->publisher(), link->generation());
-          });
-      if (!still)
-        say_unlinked(Kind::publisher, it->first.first, link->publisher(), link->generation());
-    }
-    if (subscription->is_empty()) {
-      const wire::Reference self = reference(Kind::subscription, it->first.first, it->first.second,
-                                             subscription->identity().generation);
-      // First its sleeper comes back: whoever sees the place free may count on it.
-      it = subscriptions_.erase(it);
-      AGNOCAST_CRASH_POINT(C_erased);
-      connection_->post(Opcode::drained, self);
-    } else {
-      ++it;
-    }
-  }
-}
-
-void Context::collect_peers() {
-  for (auto it = peers_.begin(); it != peers_.end();) {
-    if (it->second.users->load(std::memory_order_acquire) != 0) {
-      ++it;
-      continue;
-    }
-    const auto [client, generation] = it->first;
-    AGNOCAST_CRASH_POINT(C_peer_unmap);
-    it = peers_.erase(it);  // unmapped here, said after
-    if (!is_self(client, generation)) say_unlinked(Kind::region, 0, client, generation);
-  }
+  departures_.say(registration_.connection(), registration_.wake());
+  readers_.look(endpoints_, heap_, registration_.connection());
+  collector_.collect(registration_.connection());
+  departures_.see_strangers_off(registration_.connection(), registration_.wake(),
+                                registration_.board());
+  heap_.ask_for_window(registration_.connection(), registration_.region_base());
 }
 
 // --- a membership whose daemon will not come back: nobody says who is gone, so this thread looks
 
-void Context::run_former_errands() {
-  for (const auto& publisher : publishers()) publisher->run_errands();
+void ControlThread::run_former_errands() {
+  collector_.pass();
   const auto now = std::chrono::steady_clock::now();
-  if (now - former_looked_ < std::chrono::milliseconds{former_look_ms}) return;
+  if (now - former_looked_ < std::chrono::milliseconds{PassTimer::alone_ms}) return;
   former_looked_ = now;
-  if (present_.load(std::memory_order_acquire) == this) Reregistration::instance().go_on();
-  for (const auto& publisher : publishers()) {
-    publisher->bury_dead();
-    if (!publisher->is_finished()) continue;
-    AGNOCAST_CRASH_POINT(C_finish);
-    publisher->finish();
-    AGNOCAST_CRASH_POINT(C_finish);
-    const std::lock_guard lock(endpoints_);
-    publishers_.erase({publisher->topic_index(), publisher->identity().index});
-  }
-  std::vector<std::shared_ptr<SubscriptionEndpoint>> subscriptions;
-  {
-    const std::lock_guard lock(endpoints_);
-    for (const auto& [key, subscription] : subscriptions_) subscriptions.push_back(subscription);
-  }
-  for (const auto& subscription : subscriptions) {
-    subscription->collect_alone();
-    if (!subscription->is_finished()) continue;
-    AGNOCAST_CRASH_POINT(C_finish);
-    subscription->finish();
-    AGNOCAST_CRASH_POINT(C_finish);
-    const std::lock_guard lock(endpoints_);
-    subscriptions_.erase({subscription->identity().topic_index, subscription->identity().index});
-  }
-  for (auto it = peers_.begin(); it != peers_.end();)
-    it = it->second.users->load(std::memory_order_acquire) == 0 ? peers_.erase(it) : std::next(it);
-}
-
-bool Context::is_unused() {
-  const std::lock_guard lock(endpoints_);
-  return publishers_.empty() && subscriptions_.empty() && peers_.empty();
+  if (&Context::instance() == context_) Reregistration::instance().go_on();
+  collector_.collect_alone();
 }
 
 // Nobody has anything of it any more but sleepers, and those let go here.
-bool Context::let_go_of_everything() {
-  Reregistration::instance().release_places(*this);
-  {
-    const std::lock_guard lock(sleepers_);
-    if (lent_places_ != 0) return false;  // in a moment
-    unused_places_.clear();
-  }
+bool ControlThread::let_go_of_everything() {
+  Reregistration::instance().release_places(*context_);
+  if (!places_.end()) return false;  // in a moment
   AGNOCAST_CRASH_POINT(C_former_end);
-  Heap::leave_region(region_.base());
+  Heap::leave_region(registration_.region_base());
   AGNOCAST_CRASH_POINT(C_former_end);
-  strangers_.clear();
-  region_ = {};
-  board_ = {};
-  arena_.reset();
+  departures_.forget_strangers();
+  registration_.let_go();
   AGNOCAST_CRASH_POINT(C_former_end);
   epoll_.reset();
-  ControlWake::give_back(wake_);
+  ControlWake::give_back(registration_.wake());
   return true;
 }
 

@@ -1,9 +1,6 @@
 // SPDX-License-Identifier: Apache-2.0
-//
-// The control thread's look at the readers of this process's publishers: which of them keep too much of its heap, and
-// which cannot be attached.
 
-#include <client/session/context.hpp>
+#include <client/session/reader_look.hpp>
 #include <client/shares/machine_memory.hpp>
 
 #include <algorithm>
@@ -79,11 +76,19 @@ void withdraw_largest(const std::vector<KeptOfPublisher>& kept, std::uint64_t sh
 
 }  // namespace
 
-void Context::look_at_readers() {
+void ReaderLook::look(const EndpointTable& endpoints, const OwnHeap& heap, Connection& connection) {
   const auto now = ReaderShares::Clock::now();
-  if (now - readers_looked_ < look_pause) return;
-  readers_looked_ = now;
-  const auto all = publishers();
+  if (now - looked_ < look_pause) return;
+  looked_ = now;
+  const auto all = endpoints.publishers();
+  withdraw_above(heap, all, now);
+  look_at_each(connection, all, now);
+  unmapped_users_.look(now);
+}
+
+/// From the readers of users that keep more than their share.
+void ReaderLook::withdraw_above(const OwnHeap& heap, const Publishers& all,
+                                ReaderShares::Clock::time_point now) {
   const Kept kept = kept_by_others(all);
   std::vector<ReaderShares::Held> users;
   for (const auto& [uid, parts] : kept.users) {
@@ -94,13 +99,18 @@ void Context::look_at_readers() {
     shares_.nobody_reads(now);
   } else {
     static const std::uint64_t most = machine_memory_bytes() / memory_divisor;
-    const Heap::Room room = heap_->room();
-    const bool may_grow = !window_refused_ && !heap_->has_last_window();
+    const Heap::Room room = heap.opened().room();
+    const bool may_grow = !heap.growth().is_refused() && !heap.opened().has_last_window();
     const ReaderShares::Room bounded{room.refused, may_grow, room.bytes,
                                      std::min(room.bytes_max, most)};
     for (const auto& above : shares_.look(now, bounded, kept.together, users))
       withdraw_largest(kept.users.at(above.uid), above.share);
   }
+}
+
+/// Whom each of them serves no more, or again: the daemon is told.
+void ReaderLook::look_at_each(Connection& connection, const Publishers& all,
+                              ReaderShares::Clock::time_point now) {
   std::vector<PublisherEndpoint::Withdrawn> news;
   for (const auto& publisher : all) {
     news.clear();
@@ -114,10 +124,9 @@ void Context::look_at_readers() {
       body.subscription = withdrawn.index;
       body.subscription_generation = withdrawn.generation;
       body.bytes = withdrawn.bytes;
-      connection_->post(wire::Opcode::withdrawn, body);
+      connection.post(wire::Opcode::withdrawn, body);
     }
   }
-  unmapped_users_.look(now);
 }
 
 }  // namespace agnocast

@@ -13,11 +13,9 @@
 // process begins another membership (reregistration.hpp), and this one ends when nobody uses it.
 
 #include <client/process/forked_child.hpp>
-#include <client/session/context.hpp>
+#include <client/session/control_thread.hpp>
 #include <client/session/reregistration.hpp>
 
-#include <agnocast/abi/fingerprint.hpp>
-#include <base/daemon_socket.hpp>
 #include <base/kept_fd.hpp>
 #include <client/process/steps.hpp>
 
@@ -29,31 +27,22 @@ namespace agnocast {
 
 namespace wire = abi::wire;
 using wire::Kind;
-using wire::Opcode;
 
-void Context::tell_state(ConnectionState state) noexcept {
-  if (tells_.load(std::memory_order_acquire) &&
-      state_.exchange(state, std::memory_order_acq_rel) != state) {
-    const ConnectionInfo info{state, island_reason()};
-    const std::lock_guard lock(endpoints_);
-    for (const auto& [key, publisher] : publishers_) publisher->events().connection(info);
-    for (const auto& [key, subscription] : subscriptions_) subscription->events().connection(info);
-  }
-  // Whoever waits for a departure does not wait for a daemon that is away.
-  const std::lock_guard lock(departing_);
-  departed_.notify_all();
+void ControlThread::tell_state(ConnectionState state) noexcept {
+  if (state_.tell(state)) endpoints_.tell({state, state_.reason()});
+  departures_.notify();  // nobody waits for a daemon that is away
 }
 
-void Context::lose_connection() noexcept {
+void ControlThread::lose_connection() noexcept {
   if (reconnection_.state() == Reconnection::State::island) return;
-  if (connection_->fd() >= 0 && !has_lost_kept())
-    ::epoll_ctl(epoll_.get(), EPOLL_CTL_DEL, connection_->fd(), nullptr);
-  connection_->end();
+  if (registration_.connection().fd() >= 0 && !has_lost_kept())
+    ::epoll_ctl(epoll_.get(), EPOLL_CTL_DEL, registration_.connection().fd(), nullptr);
+  registration_.connection().end();
   reconnection_.ended(Reconnection::Clock::now());
   tell_state(reconnection_.is_refused() ? ConnectionState::island : ConnectionState::reconnecting);
 }
 
-void Context::become_island(const Failure& why) noexcept {
+void ControlThread::become_island(const Failure& why) noexcept {
   if (reconnection_.state() == Reconnection::State::island) return;
   lose_connection();
   if (is_mended_by_people(why.code)) {
@@ -61,79 +50,59 @@ void Context::become_island(const Failure& why) noexcept {
   } else {
     reconnection_.refused();
   }
-  island_reason_.store(why.code, std::memory_order_release);
-  connection_->refuse(why);
+  state_.give_reason(why.code);
+  registration_.connection().refuse(why);
   if (why.code == Errc::revoked) {
     AGNOCAST_CRASH_POINT(C_revoked);
     end_service();
     AGNOCAST_CRASH_POINT(C_revoked);
-    const std::lock_guard lock(endpoints_);
-    for (const auto& [key, publisher] : publishers_) publisher->revoke();
-    for (const auto& [key, subscription] : subscriptions_) subscription->revoke();
+    endpoints_.revoke();
   }
   tell_state(ConnectionState::island);
   if (why.code != Errc::started_anew) return;
-  is_alone_.store(true, std::memory_order_release);
+  state_.step(SessionState::Step::lose);
   AGNOCAST_CRASH_POINT(C_alone);
-  {
-    const std::lock_guard lock(endpoints_);
-    for (const auto& [key, subscription] : subscriptions_) subscription->be_alone();
-  }
+  endpoints_.be_alone();
   Reregistration::instance().begin();
 }
 
-void Context::tell_reason(Errc reason) noexcept {
-  if (island_reason_.exchange(reason, std::memory_order_acq_rel) == reason) return;
-  const ConnectionInfo info{ConnectionState::island, reason};
-  const std::lock_guard lock(endpoints_);
-  for (const auto& [key, publisher] : publishers_) publisher->events().connection(info);
-  for (const auto& [key, subscription] : subscriptions_) subscription->events().connection(info);
+void ControlThread::tell_reason(Errc reason) noexcept {
+  if (state_.give_reason(reason)) endpoints_.tell({ConnectionState::island, reason});
 }
 
-void Context::stay_island(const Failure& why) noexcept {
-  connection_->refuse(why);
+void ControlThread::stay_island(const Failure& why) noexcept {
+  registration_.connection().refuse(why);
   tell_reason(why.code);
 }
 
-void Context::reconnect() {
+void ControlThread::reconnect() {
   const Result<void> asked = introduce_again();
   if (asked) return;
   if (asked.error().code == Errc::daemon_untrusted) return become_island(asked.error());
   lose_connection();
 }
 
-Result<void> Context::introduce_again() {
-  // A queue that is full now may have room at the next try.
-  Result<PacketSocket> socket = connect_to_daemon(socket_path_, std::chrono::milliseconds{0});
-  if (!socket) return tl::unexpected<Failure>(socket.error());
-  AGNOCAST_CRASH_POINT(C_reconnect);
-  connection_->begin(std::move(*socket));
+Result<void> ControlThread::introduce_again() {
+  if (Result<void> connected = registration_.connect_again(); !connected) return connected;
   reconnection_.asked();
-  if (Result<void> watched = watch(connection_->fd()); !watched) return watched;
-  wire::Rejoin rejoin{};
-  rejoin.fingerprint = abi::fingerprint();
-  rejoin.incarnation = incarnation_;
-  rejoin.client = client_;
-  rejoin.client_generation = client_generation_;
-  AGNOCAST_CRASH_POINT(C_rejoin);
-  return connection_->introduce(Opcode::rejoin, rejoin);
+  if (Result<void> watched = watch(registration_.connection().fd()); !watched) return watched;
+  return registration_.say_rejoin();
 }
 
-void Context::on_rejoined(Incoming& packet) {
+void ControlThread::on_rejoined(Incoming& packet) {
   wire::Rejoined body{};
   if (reconnection_.state() != Reconnection::State::rejoining || !packet.read(body) ||
-      body.incarnation != incarnation_)
+      body.incarnation != registration_.incarnation())
     return lose_connection();
-  say_blocked();  // the daemon may not be the one that knew
+  registration_.say_blocked();  // the daemon may not be the one that knew
   AGNOCAST_CRASH_POINT(C_rejoined);
-  connection_->open();
+  registration_.connection().open();
   reconnection_.succeeded(Reconnection::Clock::now());
-  if (tells_.load(std::memory_order_acquire))
-    island_reason_.store(Errc::ok, std::memory_order_release);
+  if (state_.speaks()) state_.give_reason(Errc::ok);
   tell_state(ConnectionState::connected);
 }
 
-void Context::on_refused(Incoming& packet) {
+void ControlThread::on_refused(Incoming& packet) {
   if (reconnection_.state() != Reconnection::State::rejoining) return;
   const Failure why = refusal_of(packet);
   switch (why.code) {
@@ -148,27 +117,20 @@ void Context::on_refused(Incoming& packet) {
   }
 }
 
+void ControlThread::on_revoked(Incoming& packet) {
+  become_island(failure_with(Errc::revoked, detail_of(refusal_of(packet))));
+}
+
 // --- what the daemon knows of this process
 
-void Context::on_own(Incoming& packet) {
+void ControlThread::on_own(Incoming& packet) {
   wire::Own own{};
   if (!packet.read(own)) return;
-  if (connection_->is_waiting(own.creation)) return;  // its answer will come
-  const EndpointKey key{own.topic, own.index};
-  Departure* departure = nullptr;
-  {
-    const std::lock_guard lock(endpoints_);
-    const auto publisher = publishers_.find(key);
-    const auto subscription = subscriptions_.find(key);
-    if (own.kind == Kind::publisher && publisher != publishers_.end() &&
-        publisher->second->identity().generation == own.generation)
-      departure = &publisher->second->departure();  // only this thread erases
-    if (own.kind == Kind::subscription && subscription != subscriptions_.end() &&
-        subscription->second->identity().generation == own.generation)
-      departure = &subscription->second->departure();
-  }
+  if (registration_.connection().is_waiting(own.creation)) return;  // its answer will come
+  const EndpointTable::Key key{own.topic, own.index};
+  Departure* const departure = endpoints_.departure_of(own.kind, key, own.generation);
   if (departure == nullptr) {
-    adopt_stranger(own.kind, key, own.generation, own.active == 0);
+    departures_.adopt_stranger(own.kind, key, own.generation, own.active == 0);
   } else if (own.active == 0 && departure->is_wanted()) {
     departure->known();
   } else if (own.active != 0 && departure->is_known()) {
@@ -176,94 +138,11 @@ void Context::on_own(Incoming& packet) {
   }
 }
 
-void Context::on_region(Incoming& packet) {
+void ControlThread::on_region(Incoming& packet) {
   wire::Reference region{};
-  if (said_again_) return;  // it may be one whose descriptors were lost
-  if (packet.read(region) && peers_.count({region.index, region.generation}) == 0)
-    say_unlinked(Kind::region, 0, region.index, region.generation);
-}
-
-// The answer to a creation that nobody waits for any more.
-Result<void> Context::adopt_late(Kind kind, Incoming& packet) {
-  wire::EndpointCreated made{};
-  if (packet.read(made)) adopt_stranger(kind, {made.topic, made.index}, made.generation, false);
-  return {};
-}
-
-void Context::adopt_stranger(Kind kind, const EndpointKey& key, std::uint64_t generation,
-                             bool has_left) {
-  const auto found = strangers_.find({kind, key});
-  std::shared_ptr<Stranger> stranger = found != strangers_.end() ? found->second : nullptr;
-  if (stranger == nullptr || stranger->generation != generation) {
-    stranger = std::make_shared<Stranger>(generation);
-    strangers_.insert_or_assign({kind, key}, stranger);
-  }
-  stranger->departure.want();
-  if (has_left) stranger->departure.known();
-}
-
-// --- departures
-
-void Context::say_departure(Departure& departure, const wire::Reference& who,
-                            std::shared_ptr<void> keeps) {
-  if (!departure.is_due()) return;
-  // A refusal means as well that there is nothing to leave.
-  const auto on_answer = [this, &departure, keeps = std::move(keeps)](const Result<Incoming*>&) {
-    AGNOCAST_CRASH_POINT(C_left);
-    departure.known();
-    wake_control();
-    const std::lock_guard lock(departing_);
-    departed_.notify_all();
-  };
-  connection_->request_later(Opcode::leave, who, on_answer);
-  departure.said();  // not before: there may be no memory for it
-}
-
-void Context::say_departures() {
-  for (const auto& publisher : publishers()) {
-    const auto& identity = publisher->identity();
-    say_departure(
-        publisher->departure(),
-        reference(Kind::publisher, publisher->topic_index(), identity.index, identity.generation),
-        publisher);
-  }
-  const std::lock_guard lock(endpoints_);
-  for (const auto& [key, subscription] : subscriptions_) {
-    say_departure(
-        subscription->departure(),
-        reference(Kind::subscription, key.first, key.second, subscription->identity().generation),
-        subscription);
-  }
-}
-
-// Nobody else was ever given such an endpoint, so nothing of it is held or published: it is drained
-// as soon as the daemon has let it leave.
-void Context::see_strangers_off() {
-  if (!connection_->is_open()) return;
-  for (auto at = strangers_.begin(); at != strangers_.end();) {
-    const auto& [kind, key] = at->first;
-    const std::shared_ptr<Stranger>& stranger = at->second;
-    const wire::Reference who = reference(kind, key.first, key.second, stranger->generation);
-    say_departure(stranger->departure, who, stranger);
-    if (!stranger->departure.is_known() ||
-        (kind == Kind::publisher && !is_freed(key, stranger->generation))) {
-      ++at;
-      continue;
-    }
-    connection_->post(Opcode::drained, who, true);
-    at = strangers_.erase(at);
-  }
-}
-
-/// Everybody else has let go of this publisher: the board says so.
-bool Context::is_freed(const EndpointKey& key, std::uint64_t generation) {
-  if (key.first >= abi::topic_count_max || key.second >= abi::publisher_count_max) return false;
-  const std::uint64_t topic = abi::topic_offset(key.first);
-  if (!board_.open(topic, abi::topic_bytes)) return false;
-  const std::uint64_t word = region::TopicWords<SharedMemory>{board_.base(), topic}
-                                 .publisher(key.second, offsetof(abi::PublisherEntry, word))
-                                 .load(std::memory_order_acquire);
-  return abi::generation_of(word) != generation || abi::state_of(word) == abi::MemberState::free;
+  if (reannouncement_.is_awaited()) return;  // it may be one whose descriptors were lost
+  if (packet.read(region) && !peers_.has({region.index, region.generation}))
+    say_unlinked(registration_.connection(), Kind::region, 0, region.index, region.generation);
 }
 
 }  // namespace agnocast

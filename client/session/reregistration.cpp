@@ -158,8 +158,7 @@ void Reregistration::run() noexcept {
 }
 
 void Reregistration::run_once() {
-  while (Context::instance().is_alone_.load(std::memory_order_acquire) && !exit_has_begun() &&
-         !LibraryThread::is_over()) {
+  while (Context::instance().state_.is_alone() && !exit_has_begun() && !LibraryThread::is_over()) {
     Context& former = Context::instance();
     const Result<void> began = begin_next(former);
     if (began) {
@@ -170,7 +169,7 @@ void Reregistration::run_once() {
     }
     const Failure& why = began.error();
     if (is_final(why.code) || is_refusal(why.code)) {
-      former.stay_island(why);
+      former.control_.stay_island(why);
       const std::lock_guard lock(mutex_);
       is_refused_ = true;
       is_hopeless_ = is_final(why.code);
@@ -178,7 +177,7 @@ void Reregistration::run_once() {
       if (is_hopeless_) return;
       pause_ = Reconnection::pause_refused;
     } else if (why.code != Errc::daemon_not_running && why.code != Errc::started_anew) {
-      former.tell_reason(why.code);
+      former.control_.tell_reason(why.code);
     }
     {
       const std::lock_guard lock(mutex_);
@@ -192,30 +191,23 @@ void Reregistration::run_once() {
 
 Result<void> Reregistration::begin_next(Context& former) {
   std::unique_ptr<Context, Context::Drop> next(new Context);
-  next->former_ = &former;
-  next->socket_path_ = former.socket_path_;
-  next->process_name_ = former.process_name_;
-  next->domain_ = former.domain_;
-  next->state_.store(ConnectionState::island, std::memory_order_relaxed);
-  next->tells_.store(false, std::memory_order_relaxed);
-  next->island_reason_.store(former.island_reason(), std::memory_order_relaxed);
-  next->may_grow_.store(false, std::memory_order_relaxed);
+  next->registration_.continue_from(former.registration_);
+  next->state_.begin_beside(former.state_);
   {
     const std::lock_guard lock(former.connecting_);
-    next->scope_ = former.scope_;
-    next->heap_ = former.heap_;
-    next->heap_is_open_.store(former.heap_is_open_.load(std::memory_order_acquire),
-                              std::memory_order_release);
+    next->heap_.continue_from(former.heap_);
   }
   AGNOCAST_CRASH_POINT(C_next);
   if (Result<void> known = next->become_known(); !known) return known;
-  if (Result<void> brought = next->bring_windows(); !brought) return brought;
-  next->is_connected_.store(true, std::memory_order_release);
+  if (Result<void> brought =
+          next->heap_.bring(next->registration_.connection(), next->registration_.region_base());
+      !brought)
+    return brought;
   Context* const begun = next.release();
   AGNOCAST_CRASH_POINT(C_present);
   Context::present_.store(begun, std::memory_order_release);
   AGNOCAST_CRASH_POINT(C_present);
-  begun->was_present_.store(true, std::memory_order_release);
+  begun->state_.step(SessionState::Step::be_present);
   const std::lock_guard lock(mutex_);
   changed_.notify_all();
   return {};
@@ -237,7 +229,7 @@ void Reregistration::move_everything(Context& present) {
   auto look = std::chrono::milliseconds{1};
   auto again = std::chrono::milliseconds{1000};  // after a refusal
   for (bool first = true; !exit_has_begun() && !LibraryThread::is_over(); first = false) {
-    if (present.is_alone_.load(std::memory_order_acquire)) {
+    if (present.state_.is_alone()) {
       abandon_pending([](const Pending&) { return true; });
       return begin();
     }
@@ -246,15 +238,14 @@ void Reregistration::move_everything(Context& present) {
     if (!is_away(made)) keep_first(made, make_subscriptions(present));
     if (!is_away(made)) keep_first(made, make_publishers(present));
     if (first) {
-      present.has_begun_.store(true, std::memory_order_release);
+      present.state_.step(SessionState::Step::arrived);
       present.wake_control();
     }
     for (auto entry = pending_.begin(); entry != pending_.end();)
       entry = try_to_move(present, *entry) ? pending_.erase(entry) : entry + 1;
     if (pending_.empty()) {
       // What was refused goes on publishing where it was; the heap does not wait for it.
-      if (!is_away(made) && !present.may_grow_.exchange(true, std::memory_order_acq_rel))
-        present.wake_control();
+      if (!is_away(made) && present.heap_.growth().permit()) present.wake_control();
       if (made) return;
     }
     if (!pending_.empty()) {

@@ -223,12 +223,12 @@ class Script {
       std::byte copy[message_bytes];
       std::memcpy(copy, message, sizeof copy);  // a message that is handed out must be readable
       if (input_.ConsumeBool()) {
-        Context::instance().release(received);
+        received.release();
       } else {
         held_.push_back(received);
       }
     }
-    for (const Received& received : held_) Context::instance().release(received);
+    for (const Received& received : held_) received.release();
     (void)daemon_.subscription().lost();
     (void)daemon_.subscription().publisher_count();
   }

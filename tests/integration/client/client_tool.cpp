@@ -251,7 +251,7 @@ class Tool {
     const Received oldest = held_.front();
     held_.pop_front();
     const bool unchanged = intact(*reinterpret_cast<const Cloud*>(oldest.taken.address));
-    Context::instance().release(oldest);
+    oldest.release();
     return unchanged ? "ok" : "damaged";
   }
 

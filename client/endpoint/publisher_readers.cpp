@@ -1,0 +1,151 @@
+// SPDX-License-Identifier: Apache-2.0
+//
+// A publisher's readers as the control thread looks at them: what those of other users keep of its messages, and which of
+// them it serves no more, or again. Who decides that, and how long a reader has: client/shares/reader_shares.hpp and
+// client/shares/unmapped_users.hpp.
+
+#include <client/endpoint/publisher_work.hpp>
+
+#include <algorithm>
+#include <array>
+#include <utility>
+
+namespace agnocast {
+
+void PublisherEndpoint::list_foreign_readers(std::vector<Reader>& readers) const {
+  readers.clear();
+  readers.reserve(SharedMemory::subscription_capacity);  // not below the mutex
+  const std::lock_guard lock(mutex_);
+  for (const Attached& attached : attached_) {
+    if (!attached.owner.is_own)
+      readers.push_back({{attached.index, attached.generation}, attached.owner.uid});
+  }
+}
+
+std::uint64_t PublisherEndpoint::kept_bytes(
+    std::span<const Core::MemberId> readers) const noexcept {
+  const std::lock_guard lock(mutex_);
+  return core_ != nullptr ? core_->kept_bytes(readers) : 0;
+}
+
+void PublisherEndpoint::withdraw(const Core::MemberId& reader) noexcept {
+  in_control_thread([&](Work& work) {
+    if (core_ == nullptr) return;
+    if (core_->withdraw(reader.index, reader.generation, abi::Withdrawal::over_share))
+      core_->pass(work);
+  });
+}
+
+void PublisherEndpoint::note_unmapped(const Member& member, PeerOwner owner, bool is_out,
+                                      ReaderShares::Clock::time_point now) {
+  if (is_attached(member.index, member.generation)) return;
+  Watched& watched = watched_[member.index];
+  if (watched.generation != member.generation) watched = {member.generation, now};
+  watched.owner = owner;
+  in_control_thread([&](Work& work) {
+    if (core_ == nullptr || moved_) return;
+    core_->pass(work);  // from here on it counts
+    if (is_out && core_->withdraw(member.index, member.generation, abi::Withdrawal::not_attached))
+      core_->pass(work);
+  });
+}
+
+/// A member as one look sees it.
+struct PublisherEndpoint::Seen {
+  Member id;
+  bool is_mapped;
+  std::optional<PeerOwner> owner;  // of one that is mapped
+};
+
+/// What a look is made with.
+struct PublisherEndpoint::Look {
+  ReaderShares::Clock::time_point now;
+  const ReaderShares& shares;
+  UnmappedUsers& unmapped_users;
+  std::vector<Withdrawn>& news;
+
+  bool may_be_served_again(abi::Withdrawal why, PeerOwner owner) const {
+    return why == abi::Withdrawal::not_attached ||
+           (why == abi::Withdrawal::over_share && !shares.is_out(owner, now));
+  }
+};
+
+/// First those that take part and are not mapped, then those that are and are withdrawn, but not for good. Returns false
+/// where nothing is published any more.
+bool PublisherEndpoint::see_readers(std::vector<Seen>& seen) const {
+  seen.reserve(2 * SharedMemory::subscription_capacity);  // not below the mutex
+  const std::lock_guard lock(mutex_);
+  if (core_ == nullptr || moved_) return false;
+  core_->for_each_unmapped([&](std::uint64_t index, std::uint64_t generation) {
+    seen.push_back({{index, generation}, false, std::nullopt});
+  });
+  for (const Attached& one : attached_) {
+    const abi::Withdrawal why = core_->withdrawal(one.index, one.generation);
+    const auto known = watched_.find(one.index);
+    const bool is_told = known != watched_.end() && known->second.generation == one.generation &&
+                         known->second.why == abi::Withdrawal::over_quota;
+    if (why != abi::Withdrawal::none && !is_told)
+      seen.push_back({{one.index, one.generation}, true, one.owner});
+  }
+  return true;
+}
+
+void PublisherEndpoint::look_at_readers(ReaderShares::Clock::time_point now,
+                                        const ReaderShares& shares, UnmappedUsers& unmapped_users,
+                                        std::vector<Withdrawn>& news) {
+  std::vector<Seen> seen;
+  if (!see_readers(seen)) return;
+  const Look look{now, shares, unmapped_users, news};
+  std::map<std::uint64_t, Watched> watched;
+  for (const Seen& reader : seen) {
+    // What was seen at an earlier look goes on from there.
+    const auto before = watched_.find(reader.id.index);
+    const bool is_known =
+        before != watched_.end() && before->second.generation == reader.id.generation;
+    Watched& member = watched
+                          .emplace(reader.id.index,
+                                   is_known ? before->second : Watched{reader.id.generation, now})
+                          .first->second;
+    if (reader.owner) member.owner = reader.owner;
+    look_at(reader, member, look);
+  }
+  // For good, and nothing is left to look at.
+  for (const auto& [index, before] : watched_) {
+    if (before.why == abi::Withdrawal::over_quota) watched.emplace(index, before);
+  }
+  watched_.swap(watched);
+}
+
+void PublisherEndpoint::look_at(const Seen& reader, Watched& member, const Look& look) {
+  const std::uint64_t index = reader.id.index, generation = reader.id.generation;
+  const bool is_out = member.owner && look.unmapped_users.is_out(*member.owner, look.now);
+  bool is_news = false, was_waited_for = false;
+  std::uint64_t bytes = 0;
+  in_control_thread([&](Work& work) {
+    abi::Withdrawal why = core_->withdrawal(index, generation);
+    if (why == abi::Withdrawal::none) {
+      if (reader.is_mapped) return;
+      if (!is_out && look.now - member.since < ReaderShares::patience_to_attach) return;
+      if (!core_->withdraw(index, generation, abi::Withdrawal::not_attached)) return;  // it ended
+      why = abi::Withdrawal::not_attached;
+      was_waited_for = !is_out;
+    } else if (reader.is_mapped && look.may_be_served_again(why, *member.owner) &&
+               core_->serve_again(index, generation, work)) {
+      why = abi::Withdrawal::none;
+    } else if (!core_->is_disregarded(index) && look.now - member.since >= ReaderShares::patience) {
+      core_->disregard(index, generation);
+    }
+    core_->pass(work);
+    if (why == member.why) return;
+    is_news = true;
+    bytes = core_->kept_bytes(std::array{Core::MemberId{index, generation}});
+    member.why = why;
+    member.since = look.now;
+  });
+  if (was_waited_for && member.owner) look.unmapped_users.ban(*member.owner, look.now);
+  if (!reader.is_mapped && member.why == abi::Withdrawal::none && member.owner)
+    look.unmapped_users.note(*member.owner);
+  if (is_news) look.news.push_back({index, generation, member.why, bytes});
+}
+
+}  // namespace agnocast

@@ -1,0 +1,123 @@
+// SPDX-License-Identifier: Apache-2.0
+//
+// ControlThread: what the one library thread of a session does, one turn after the other: it reads what the daemon says,
+// in order, and then runs the errands that come back: what is over, whom to tell, and everything that user threads leave
+// to it. When the connection was lost it comes back to the daemon (rejoining.cpp).
+//
+//   serve ──▶ serve_once ──▶ read_connection ──▶ handle: Announcements, or a handler of the session
+//                       └──▶ run_errands: Departures, ReaderLook, Collector, OwnHeap
+//
+// It ends with the process, with a session that was dropped, and with a former one that nobody uses any more.
+#pragma once
+
+#include <agnocast/connection_state.hpp>
+#include <agnocast/result.hpp>
+#include <base/unique_fd.hpp>
+#include <client/endpoint/endpoint_table.hpp>
+#include <client/endpoint/peer_table.hpp>
+#include <client/session/announcements.hpp>
+#include <client/session/collector.hpp>
+#include <client/session/departures.hpp>
+#include <client/session/executor_places.hpp>
+#include <client/session/own_heap.hpp>
+#include <client/session/pass_timer.hpp>
+#include <client/session/reader_look.hpp>
+#include <client/session/reannouncement.hpp>
+#include <client/session/reconnection.hpp>
+#include <client/session/registration.hpp>
+#include <client/session/session_state.hpp>
+
+#include <chrono>
+
+namespace agnocast {
+
+class Context;
+
+class ControlThread {
+ public:
+  /// The session that it serves.
+  struct Parts {
+    Context* context;
+    SessionState& state;
+    Registration& registration;
+    ExecutorPlaces& places;
+    EndpointTable& endpoints;
+    PeerTable& peers;
+    OwnHeap& heap;
+    Departures& departures;
+  };
+  explicit ControlThread(const Parts& parts) noexcept
+      : context_(parts.context),
+        state_(parts.state),
+        registration_(parts.registration),
+        places_(parts.places),
+        endpoints_(parts.endpoints),
+        peers_(parts.peers),
+        heap_(parts.heap),
+        departures_(parts.departures) {}
+
+  /// Before it begins, and once the registration is there. Errors: os_failure.
+  [[nodiscard]] Result<void> prepare();
+  /// The thread itself.
+  void serve() noexcept;
+
+  // --- any thread, of a session that is alone
+
+  /// It is an island for this reason now.
+  void tell_reason(Errc reason) noexcept;
+  /// The same, and no further attempt will help.
+  void stay_island(const Failure& why) noexcept;
+
+ private:
+  struct Handler;
+
+  void serve_nobody() noexcept;
+  void serve_once(int timeout_ms);
+  void look_for_descriptors(bool now) noexcept;
+  int passes_due_ms();
+  void read_connection();
+  void look_for_bells() noexcept;
+  void run_errands();
+  Result<void> watch(int fd) noexcept;
+
+  void handle(Incoming& packet);
+  void on_bells_renewed(Incoming& packet);
+  void on_rejoined(Incoming& packet);
+  void on_refused(Incoming& packet);
+  void on_revoked(Incoming& packet);
+  void on_own(Incoming& packet);
+  void on_region(Incoming& packet);
+
+  // coming back
+  void reconnect();
+  Result<void> introduce_again();
+  void lose_connection() noexcept;
+  void become_island(const Failure& why) noexcept;
+  void tell_state(ConnectionState state) noexcept;
+
+  // a former session
+  bool is_former() const noexcept;
+  void run_former_errands();
+  bool let_go_of_everything();
+
+  Context* const context_;
+  SessionState& state_;
+  Registration& registration_;
+  ExecutorPlaces& places_;
+  EndpointTable& endpoints_;
+  PeerTable& peers_;
+  OwnHeap& heap_;
+  Departures& departures_;
+
+  ReaderLook readers_;
+  Announcements announcements_{endpoints_, peers_, readers_, heap_.growth()};
+  Collector collector_{endpoints_, peers_};
+  UniqueFd epoll_;
+  Reconnection reconnection_;
+  Reannouncement reannouncement_;
+  PassTimer pass_timer_;
+  bool is_output_blocked_ = false, descriptors_lost_ = false;
+  std::chrono::steady_clock::time_point former_looked_{}, descriptors_looked_{};
+};
+
+}  // namespace agnocast

@@ -1,0 +1,163 @@
+// SPDX-License-Identifier: Apache-2.0
+
+#include <client/process/steps.hpp>
+#include <client/session/creations.hpp>
+
+#include <utility>
+
+namespace agnocast {
+
+namespace wire = abi::wire;
+using wire::Kind;
+using wire::Opcode;
+
+namespace {
+
+Result<wire::CreateEndpoint> describe(const EndpointRequest& request,
+                                      std::uint64_t executor) noexcept {
+  wire::CreateEndpoint body{};
+  body.qos = abi::pack_qos(request.qos);
+  body.layout_hash = request.layout_hash;
+  body.executor = executor;
+  body.quota = request.quota | (request.quota_or_less ? wire::quota_or_less : 0);
+  if (!write_name(body.topic, request.topic))
+    return fail(Errc::invalid_name, "a topic name of more than 255 characters");
+  if (!write_name(body.type, request.type))
+    return fail(Errc::invalid_name, "a type name of more than 255 characters");
+  if (!write_name(body.node, request.node))
+    return fail(Errc::invalid_name, "a node name of more than 255 characters");
+  return body;
+}
+
+}  // namespace
+
+/// Of one that continues none: nobody else has the same, in whatever membership.
+std::uint64_t Creations::lineage_of(const Continued& continued, const wire::EndpointCreated& made,
+                                    Kind kind) const noexcept {
+  std::uint64_t sum = continued.lineage;
+  if (sum == 0) {
+    for (const std::uint64_t part :
+         {registration_.incarnation(), registration_.client().first, std::uint64_t{made.topic},
+          made.index, made.generation, static_cast<std::uint64_t>(kind)}) {
+      sum = (sum ^ part) * 0x9e3779b97f4a7c15;
+      sum ^= sum >> 29;
+    }
+  }
+  return sum != 0 ? sum : 1;
+}
+
+Result<std::shared_ptr<PublisherEndpoint>> Creations::make_publisher(
+    const EndpointRequest& request, const detail::MessageEnd& end_message,
+    const Continued& continued, bool (*make_room)() noexcept) {
+  const Result<wire::CreateEndpoint> body = describe(request, 0);
+  if (!body) return tl::unexpected<Failure>(body.error());
+  std::shared_ptr<PublisherEndpoint> publisher;
+  Result<void> created = registration_.connection().request(
+      Opcode::create_publisher, *body,
+      [&](Incoming& packet) -> Result<void> {
+        wire::EndpointCreated made{};
+        if (!packet.read(made) || made.topic >= abi::topic_count_max ||
+            made.index >= abi::publisher_count_max) {
+          return fail(Errc::protocol_violation, "a new publisher");
+        }
+        if (Result<void> opened = registration_.open_extents(made, abi::publisher_extent_bytes);
+            !opened)
+          return opened;
+        const PublisherEndpoint::Core::Identity core{
+            {registration_.board().base(), abi::topic_offset(made.topic)},
+            {registration_.region_base(), made.extent},
+            made.index,
+            made.generation,
+            made.first_sequence,
+            request.qos,
+            made.slot_count,
+            PublisherEndpoint::lazy_limit};
+        publisher = std::make_shared<PublisherEndpoint>(PublisherEndpoint::Identity{
+            core, made.topic, end_message, registration_.waker(), continued.events, session_,
+            lineage_of(continued, made, Kind::publisher),
+            request.says_lineage_later && continued.events == nullptr, make_room, request.signals});
+        endpoints_.add(publisher);
+        return {};
+      },
+      [this](Incoming& packet) { return adopt_late(Kind::publisher, packet); });
+  if (!created) return tl::unexpected<Failure>(created.error());
+  return publisher;
+}
+
+Result<std::shared_ptr<SubscriptionEndpoint>> Creations::make_subscription(
+    const EndpointRequest& request, const std::shared_ptr<Sleeper>& sleeper,
+    const Continued& continued) {
+  const Result<wire::CreateEndpoint> body = describe(request, *sleeper->index_in(session_));
+  if (!body) return tl::unexpected<Failure>(body.error());
+  std::shared_ptr<SubscriptionEndpoint> subscription;
+  Result<void> created = registration_.connection().request(
+      Opcode::create_subscription, *body,
+      [&](Incoming& packet) -> Result<void> {
+        wire::EndpointCreated made{};
+        if (!packet.read(made) || made.topic >= abi::topic_count_max ||
+            made.index >= abi::subscription_count_max) {
+          return fail(Errc::protocol_violation, "a new subscription");
+        }
+        if (Result<void> opened = registration_.open_extents(made, abi::subscription_extent_bytes);
+            !opened)
+          return opened;
+        subscription = std::make_shared<SubscriptionEndpoint>(
+            SubscriptionEndpoint::Identity{
+                {registration_.board().base(), abi::topic_offset(made.topic)},
+                made.topic,
+                made.index,
+                made.generation,
+                registration_.region_base(),
+                made.extent,
+                request.qos,
+                request.quota,
+                request.depth_per_publisher,
+                request.message_bytes,
+                request.message_alignment,
+                registration_.waker(),
+                continued.events,
+                session_,
+                lineage_of(continued, made, Kind::subscription)},
+            sleeper);
+        endpoints_.add(subscription);
+        return {};
+      },
+      [this](Incoming& packet) { return adopt_late(Kind::subscription, packet); });
+  if (!created) return tl::unexpected<Failure>(created.error());
+  return subscription;
+}
+
+Result<std::unique_ptr<Sleeper::Place>> Creations::open_executor(std::uint64_t executor,
+                                                                 bool again) {
+  wire::ExecutorRequest request{};
+  request.executor = executor;
+  std::unique_ptr<Sleeper::Place> place;
+  Result<void> opened = registration_.connection().request(
+      Opcode::open_executor, request,
+      [&](Incoming& packet) -> Result<void> {
+        wire::Done answer{};
+        if (Result<void> read =
+                packet.read_as(Opcode::executor_opened, answer, 2, "the answer with an executor");
+            !read)
+          return read;
+        const auto fds = packet.packet.fds();
+        AGNOCAST_CRASH_POINT(C_sleeper);
+        place = std::make_unique<Sleeper::Place>(
+            registration_.region_base(), executor,
+            DoorbellReceiver(std::move(fds[0]), std::move(fds[1])));
+        return {};
+      },
+      nullptr, again);
+  if (!opened) return tl::unexpected<Failure>(opened.error());
+  return place;
+}
+
+// The answer to a creation that nobody waits for any more.
+Result<void> Creations::adopt_late(Kind kind, Incoming& packet) {
+  wire::EndpointCreated made{};
+  if (packet.read(made))
+    departures_.adopt_stranger(kind, {made.topic, made.index}, made.generation, false);
+  return {};
+}
+
+}  // namespace agnocast

@@ -1,0 +1,104 @@
+// SPDX-License-Identifier: Apache-2.0
+
+#include <client/process/steps.hpp>
+#include <client/session/departures.hpp>
+
+#include <algorithm>
+#include <cstddef>
+
+namespace agnocast {
+
+namespace wire = abi::wire;
+using wire::Opcode;
+
+namespace {
+
+/// Everybody else has let go of this publisher: the board says so.
+bool is_freed(SparseRegion& board, const Departures::Key& key, std::uint64_t generation) {
+  if (key.first >= abi::topic_count_max || key.second >= abi::publisher_count_max) return false;
+  const std::uint64_t topic = abi::topic_offset(key.first);
+  if (!board.open(topic, abi::topic_bytes)) return false;
+  const std::uint64_t word = region::TopicWords<SharedMemory>{board.base(), topic}
+                                 .publisher(key.second, offsetof(abi::PublisherEntry, word))
+                                 .load(std::memory_order_acquire);
+  return abi::generation_of(word) != generation || abi::state_of(word) == abi::MemberState::free;
+}
+
+}  // namespace
+
+void Departures::wait_for(const Departure& departure, const Connection& connection,
+                          Clock::time_point end) noexcept {
+  std::unique_lock lock(mutex_);
+  known_.wait_until(lock, std::min(end, Clock::now() + Connection::answer_timeout),
+                    [&] { return departure.is_known() || !connection.is_open(); });
+}
+
+void Departures::notify() noexcept {
+  const std::lock_guard lock(mutex_);
+  known_.notify_all();
+}
+
+void Departures::say_one(Connection& connection, const std::shared_ptr<const ControlWake>& wake,
+                         Departure& departure, const wire::Reference& who,
+                         std::shared_ptr<void> keeps) {
+  if (!departure.is_due()) return;
+  // A refusal means as well that there is nothing to leave.
+  const auto on_answer = [this, wake, &departure,
+                          keeps = std::move(keeps)](const Result<Incoming*>&) {
+    AGNOCAST_CRASH_POINT(C_left);
+    departure.known();
+    (*wake)();
+    notify();
+  };
+  connection.request_later(Opcode::leave, who, on_answer);
+  departure.said();  // not before: there may be no memory for it
+}
+
+void Departures::say(Connection& connection, const std::shared_ptr<const ControlWake>& wake) {
+  for (const auto& publisher : endpoints_.publishers()) {
+    const auto& identity = publisher->identity();
+    say_one(
+        connection, wake, publisher->departure(),
+        reference(Kind::publisher, publisher->topic_index(), identity.index, identity.generation),
+        publisher);
+  }
+  endpoints_.for_each_subscription([&](const Key& key, const auto& subscription) {
+    say_one(
+        connection, wake, subscription->departure(),
+        reference(Kind::subscription, key.first, key.second, subscription->identity().generation),
+        subscription);
+  });
+}
+
+void Departures::adopt_stranger(Kind kind, const Key& key, std::uint64_t generation,
+                                bool has_left) {
+  const auto found = strangers_.find({kind, key});
+  std::shared_ptr<Stranger> stranger = found != strangers_.end() ? found->second : nullptr;
+  if (stranger == nullptr || stranger->generation != generation) {
+    stranger = std::make_shared<Stranger>(generation);
+    strangers_.insert_or_assign({kind, key}, stranger);
+  }
+  stranger->departure.want();
+  if (has_left) stranger->departure.known();
+}
+
+void Departures::see_strangers_off(Connection& connection,
+                                   const std::shared_ptr<const ControlWake>& wake,
+                                   SparseRegion& board) {
+  if (!connection.is_open()) return;
+  for (auto at = strangers_.begin(); at != strangers_.end();) {
+    const auto& [kind, key] = at->first;
+    const std::shared_ptr<Stranger>& stranger = at->second;
+    const wire::Reference who = reference(kind, key.first, key.second, stranger->generation);
+    say_one(connection, wake, stranger->departure, who, stranger);
+    if (!stranger->departure.is_known() ||
+        (kind == Kind::publisher && !is_freed(board, key, stranger->generation))) {
+      ++at;
+      continue;
+    }
+    connection.post(Opcode::drained, who, true);
+    at = strangers_.erase(at);
+  }
+}
+
+}  // namespace agnocast

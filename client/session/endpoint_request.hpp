@@ -1,0 +1,41 @@
+// SPDX-License-Identifier: Apache-2.0
+//
+// What an endpoint is asked for with, by whoever makes one: names, quality of service, and what belongs to its type.
+#pragma once
+
+#include <agnocast/abi/words.hpp>
+#include <client/endpoint/endpoint_events.hpp>
+#include <client/process/library_thread.hpp>
+
+#include <cstdint>
+#include <memory>
+#include <string_view>
+
+namespace agnocast {
+
+/// What an endpoint is asked for with. Names are fully qualified.
+struct EndpointRequest {
+  std::string_view topic;
+  std::string_view type;
+  std::string_view node;
+  std::uint64_t layout_hash = 0;
+  abi::Qos qos;
+  std::uint64_t quota = 0;  // subscriptions: messages held at once, per publisher
+  bool quota_or_less = false;  // of publishers of other users fewer will do
+  bool depth_per_publisher = false;  // subscriptions
+  // Publishers: messages allocate from the shared heap by themselves, whoever answers malloc.
+  bool uses_shared_allocator = false;
+  std::uint64_t message_bytes = 0;  // sizeof the message object; 0 = any
+  std::uint64_t message_alignment = 1;
+  std::uint64_t lineage = 0;        // 0: one of its own
+  bool says_lineage_later = false;  // publishers: see EndpointName
+  SignalMask signals;               // for destructors of messages
+};
+
+/// What an endpoint of a further membership has from the one that it continues.
+struct Continued {
+  std::uint64_t lineage = 0;  // 0: it continues none
+  std::shared_ptr<EndpointEvents> events;
+};
+
+}  // namespace agnocast

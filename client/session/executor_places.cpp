@@ -1,0 +1,81 @@
+// SPDX-License-Identifier: Apache-2.0
+
+#include <client/process/forked_child.hpp>
+#include <client/session/executor_places.hpp>
+
+#include <agnocast/abi/limits.hpp>
+
+#include <utility>
+
+namespace agnocast {
+
+std::shared_ptr<Sleeper::Place> ExecutorPlaces::lend(std::unique_ptr<Sleeper::Place> place) {
+  return {place.release(), [this](Sleeper::Place* returned) noexcept {
+            if (is_forked_child()) return;
+            const std::lock_guard lock(mutex_);
+            unused_.emplace_back(returned);  // within its capacity
+            --lent_;
+          }};
+}
+
+Result<ExecutorPlaces::Next> ExecutorPlaces::next() {
+  const std::lock_guard lock(mutex_);
+  unused_.reserve(abi::executor_count_max);
+  failed_.reserve(abi::executor_count_max);
+  Next next;
+  if (!unused_.empty()) {
+    next.place = std::move(unused_.back());
+    unused_.pop_back();
+    ++lent_;
+  } else if (!failed_.empty()) {
+    next.executor = failed_.back();
+    failed_.pop_back();
+    next.again = true;
+  } else if (next_number_ == abi::executor_count_max) {
+    static_assert(abi::executor_count_max == 56);
+    return fail(Errc::limit_reached,
+                "more than 56 nodes with callbacks in one process (polling subscriptions together "
+                "count as one)");
+  } else {
+    next.executor = next_number_++;
+  }
+  return next;
+}
+
+Result<void> ExecutorPlaces::give(Sleeper& sleeper, Sleeper::Membership session,
+                                  const Permit& permit, const Open& open) {
+  const std::lock_guard giving(giving_);
+  if (sleeper.index_in(session)) return {};
+  if (Result<void> permitted = permit(); !permitted) return permitted;
+  Result<Next> found = next();
+  if (!found) return tl::unexpected<Failure>(found.error());
+  if (found->place != nullptr) return sleeper.add(session, lend(std::move(found->place)));
+  Result<std::unique_ptr<Sleeper::Place>> opened = open(found->executor, found->again);
+  {
+    const std::lock_guard lock(mutex_);
+    if (opened) {
+      ++lent_;
+    } else {
+      // Should the doorbells come late, nobody wants them; who gets the number next asks for new ones.
+      failed_.push_back(found->executor);  // within its capacity
+    }
+  }
+  if (!opened) return tl::unexpected<Failure>(opened.error());
+  return sleeper.add(session, lend(std::move(*opened)));
+}
+
+void ExecutorPlaces::renew(std::uint64_t executor, DoorbellReceiver& bells) noexcept {
+  const std::lock_guard lock(mutex_);
+  for (const auto& place : unused_) {
+    if (place->index == executor) return std::swap(place->bells, bells);
+  }
+}
+
+bool ExecutorPlaces::end() noexcept {
+  const std::lock_guard lock(mutex_);
+  if (lent_ != 0) return false;
+  unused_.clear();
+  return true;
+}
+
+}  // namespace agnocast

@@ -1,0 +1,139 @@
+// SPDX-License-Identifier: Apache-2.0
+//
+// Goal: a sleeper gets one place in a session, places and numbers are used again, and none is lost. Method: sleepers of
+// this process, a page as the client region, and a daemon that is a function.
+
+#include <client/session/executor_places.hpp>
+
+#include <agnocast/abi/client_region.hpp>
+
+#include <gtest/gtest.h>
+#include <sys/eventfd.h>
+#include <sys/mman.h>
+#include <sys/socket.h>
+
+#include <memory>
+#include <utility>
+#include <vector>
+
+namespace agnocast {
+namespace {
+
+DoorbellReceiver bells() {
+  int pair[2];
+  if (::socketpair(AF_UNIX, SOCK_DGRAM | SOCK_CLOEXEC | SOCK_NONBLOCK, 0, pair) != 0) std::abort();
+  ::close(pair[0]);
+  return {UniqueFd(::eventfd(0, EFD_CLOEXEC | EFD_NONBLOCK)), UniqueFd(pair[1])};
+}
+
+struct ExecutorPlacesTest : testing::Test {
+  struct Asked {
+    std::uint64_t executor;
+    bool again;
+    friend bool operator==(const Asked&, const Asked&) = default;
+  };
+
+  ExecutorPlacesTest()
+      : region(static_cast<std::byte*>(::mmap(nullptr, abi::page_bytes, PROT_READ | PROT_WRITE,
+                                              MAP_SHARED | MAP_ANONYMOUS, -1, 0))) {}
+  ~ExecutorPlacesTest() override { ::munmap(region, abi::page_bytes); }
+
+  std::shared_ptr<Sleeper> sleeper() { return Sleeper::make().value(); }
+  Result<void> give(Sleeper& to) {
+    return places.give(
+        to, this, [&] { return permit; },
+        [&](std::uint64_t executor, bool again) -> Result<std::unique_ptr<Sleeper::Place>> {
+          asked.push_back({executor, again});
+          if (refuses) return fail(Errc::daemon_not_running, "it is away");
+          return std::make_unique<Sleeper::Place>(region, executor, bells());
+        });
+  }
+
+  std::byte* const region;
+  Result<void> permit;
+  bool refuses = false;
+  std::vector<Asked> asked;
+  ExecutorPlaces places;
+};
+
+TEST_F(ExecutorPlacesTest, GivesASleeperOnePlace) {
+  const auto one = sleeper(), other = sleeper();
+  ASSERT_TRUE(give(*one));
+  ASSERT_TRUE(give(*one));
+  ASSERT_TRUE(give(*other));
+  EXPECT_EQ(asked, (std::vector<Asked>{{0, false}, {1, false}}));
+  EXPECT_EQ(one->index_in(this), 0u);
+  EXPECT_EQ(other->index_in(this), 1u);
+}
+
+TEST_F(ExecutorPlacesTest, GivesOutAgainWhatComesBack) {
+  auto one = sleeper();
+  ASSERT_TRUE(give(*one));
+  EXPECT_FALSE(places.end()) << "it is lent";
+  one.reset();
+  const auto next = sleeper();
+  ASSERT_TRUE(give(*next));
+  EXPECT_EQ(next->index_in(this), 0u);
+  EXPECT_EQ(asked.size(), 1u) << "the daemon is not asked again";
+  next->remove(this);
+  EXPECT_TRUE(places.end());
+}
+
+TEST_F(ExecutorPlacesTest, AsksAgainForANumberWhoseDoorbellsDidNotCome) {
+  const auto one = sleeper();
+  refuses = true;
+  const Result<void> refused = give(*one);
+  ASSERT_FALSE(refused);
+  EXPECT_EQ(refused.error().code, Errc::daemon_not_running);
+  EXPECT_EQ(one->index_in(this), std::nullopt);
+  refuses = false;
+  ASSERT_TRUE(give(*one));
+  EXPECT_EQ(asked, (std::vector<Asked>{{0, false}, {0, true}}));
+  const auto other = sleeper();
+  ASSERT_TRUE(give(*other));
+  EXPECT_EQ(other->index_in(this), 1u);
+}
+
+TEST_F(ExecutorPlacesTest, GivesNoneWhereItMayNot) {
+  permit = fail(Errc::started_anew, "lost");
+  const auto one = sleeper();
+  const Result<void> refused = give(*one);
+  ASSERT_FALSE(refused);
+  EXPECT_EQ(refused.error().code, Errc::started_anew);
+  EXPECT_TRUE(asked.empty());
+}
+
+TEST_F(ExecutorPlacesTest, HasAsManyAsTheClientRegion) {
+  std::vector<std::shared_ptr<Sleeper>> all;
+  for (std::uint64_t i = 0; i < abi::executor_count_max; ++i) {
+    all.push_back(sleeper());
+    ASSERT_TRUE(give(*all.back())) << i;
+  }
+  const auto more = sleeper();
+  const Result<void> refused = give(*more);
+  ASSERT_FALSE(refused);
+  EXPECT_EQ(refused.error().code, Errc::limit_reached);
+  all[7].reset();
+  ASSERT_TRUE(give(*more));
+  EXPECT_EQ(more->index_in(this), 7u);
+}
+
+TEST_F(ExecutorPlacesTest, RenewsTheDoorbellsOfAPlaceThatNobodyHas) {
+  auto one = sleeper();
+  ASSERT_TRUE(give(*one));
+  DoorbellReceiver others = bells();
+  const int fresh = others.eventfd();
+  places.renew(0, others);
+  EXPECT_EQ(others.eventfd(), fresh) << "it is lent: its sleeper renews it";
+  one.reset();
+  places.renew(1, others);
+  EXPECT_EQ(others.eventfd(), fresh) << "there is no such place";
+  places.renew(0, others);
+  EXPECT_NE(others.eventfd(), fresh);
+  const auto next = sleeper();
+  ASSERT_TRUE(give(*next));
+  EXPECT_EQ(next->index_in(this), 0u);
+}
+
+}  // namespace
+}  // namespace agnocast
