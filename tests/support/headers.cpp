@@ -1,5 +1,5 @@
 // SPDX-License-Identifier: Apache-2.0
 //
-// Whose precompiled headers all tests use; nothing runs it.
+// Whose precompiled headers all tests, or all targets of a group, use; nothing runs it.
 
 int main() {}
