@@ -373,7 +373,8 @@ TEST(DaemonRejoin, TheLastMessagesOfTheDeadAreAnnounced) {
   for (const auto* dead : {other.get(), third.get()})
     node.wire.unlinked(Kind::region, 0, dead->welcome.client, dead->welcome.client_generation);
   node.wire.drain();
-  EXPECT_LT(daemon.descriptor_count(), descriptors);
+  EXPECT_TRUE(eventually([&] { return daemon.descriptor_count() < descriptors; }))
+      << "they are closed outside the daemon's loop";
   EXPECT_EQ(Node(daemon).publisher("/t").index, known.index);
 }
 
