@@ -374,8 +374,8 @@ TEST(DaemonRejoin, TheLastMessagesOfTheDeadAreAnnounced) {
   for (const auto* dead : {other.get(), third.get()})
     node.wire.unlinked(Kind::region, 0, dead->welcome.client, dead->welcome.client_generation);
   node.wire.drain();
-  // Another thread of the daemon closes them.
-  EXPECT_TRUE(eventually([&] { return daemon.descriptor_count() < descriptors; }));
+  EXPECT_TRUE(eventually([&] { return daemon.descriptor_count() < descriptors; }))
+      << "they are closed outside the daemon's loop";
   EXPECT_EQ(Node(daemon).publisher("/t").index, known.index);
 }
 

@@ -7,6 +7,7 @@
 //
 //   malform TOPIC TYPE               one of each malformed payload → sent COUNT
 //   flood TOPIC TYPE QOS BYTES N     N strings of BYTES letters; QOS as in qos_of() → sent COUNT
+//   history TOPIC TYPE QOS BYTES N   the same, by a writer that stays → sent COUNT
 //   endpoints N                      N writers of topics that nobody else has → made
 //   others TOPIC TYPE N              N writers and N readers of that topic → made
 //   forget                           deletes all of these → forgotten
@@ -135,8 +136,8 @@ class Attacker {
   }
 
   std::string flood(const std::string& topic, const std::string& type, const DdsQos& qos,
-                    std::size_t bytes, std::size_t messages) {
-    const auto writer = participant_->create_writer(topic, type, qos).value();
+                    std::size_t bytes, std::size_t messages, bool stays) {
+    auto writer = participant_->create_writer(topic, type, qos).value();
     wait_for(*writer);
     const Bytes payload = Cdr().text(std::string(bytes, 'f'));
     std::size_t count = 0;
@@ -144,7 +145,10 @@ class Attacker {
       const auto sent = send(*writer, payload, static_cast<std::int64_t>(i + 1));
       count += sent && *sent == bridge::WriteOutcome::sent;
     }
-    linger();
+    if (stays)
+      writers_.push_back(std::move(writer));
+    else
+      linger();
     return "sent " + std::to_string(count);
   }
 
@@ -342,10 +346,10 @@ std::string obey(Attacker& attacker, const std::string& line) {
     words >> topic >> type;
     return attacker.malform(topic, type);
   }
-  if (verb == "flood") {
+  if (verb == "flood" || verb == "history") {
     std::string qos;
     words >> topic >> type >> qos >> bytes >> count;
-    return attacker.flood(topic, type, qos_of(qos), bytes, count);
+    return attacker.flood(topic, type, qos_of(qos), bytes, count, verb == "history");
   }
   if (verb == "endpoints") {
     words >> count;

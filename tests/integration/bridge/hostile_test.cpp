@@ -234,7 +234,7 @@ TEST_F(HostileDds, AHistoryTakesNoMoreOfTheHeapThanItsShare) {
   const auto subscription =
       create_subscription<String>(PlainNode(), topic(), QoS(1).transient_local());
   // 400 MB, which the writer claims to keep.
-  EXPECT_EQ(ask("flood " + dds_topic() + " " + string_type +
+  EXPECT_EQ(ask("history " + dds_topic() + " " + string_type +
                 " reliable,transient,1000 2000000 200"),
             "sent 200");
   EXPECT_TRUE(other_.eventually([&] { return refused(Limit::history_bytes_of_source) > 0; }));
