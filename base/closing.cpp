@@ -126,15 +126,15 @@ struct Emptied {
 void receive_one_and_end(int socket, std::atomic<pid_t>& place, Emptied& emptied) noexcept {
   constexpr std::size_t descriptors_per_packet = 253;  // SCM_MAX_FD
   const int process = leave_table();
-  const auto bell =
+  const auto doorbell =
       process < 0 ? -1 : static_cast<int>(::syscall(SYS_pidfd_getfd, process, socket, 0U));
-  emptied.has_socket = bell >= 0;
+  emptied.has_socket = doorbell >= 0;
   emptied.stages.go_to(Stages::taken);
   alignas(cmsghdr) std::byte control[CMSG_SPACE(sizeof(int) * descriptors_per_packet)];
   msghdr message{};
   message.msg_control = control;
   message.msg_controllen = sizeof control;
-  if (bell >= 0 && ::recvmsg(bell, &message, MSG_DONTWAIT) >= 0)
+  if (doorbell >= 0 && ::recvmsg(doorbell, &message, MSG_DONTWAIT) >= 0)
     emptied.stages.go_to(Stages::done);
   place.store(static_cast<pid_t>(::syscall(SYS_gettid)), std::memory_order_relaxed);
 }

@@ -3,7 +3,7 @@
 // Publisher core: publish, retain, retire, free. docs/protocol.md §3.1 and §3.4 have the same
 // numbers.
 //
-// A publish is one commit (P5) between an intent and a pass. A pass looks at every subscription of
+// A publish is one commit (P5) between an intent and a scan. A scan looks at every subscription of
 // the topic once and decides what may go: it loads from peers and stores to its own memory only,
 // waits for nobody and takes no lock that another process could hold. The caller holds the
 // publisher's private mutex; everything in this object is memory of this process.
@@ -14,14 +14,14 @@
 //         min(h-H+1, min over active s of max(low_s, h-D_s+1))
 //   past  below it nobody will ever take an entry again
 //         min over active and leaving s of low_s
-//   unk   from it on an unmapped member may have started
+//   unk   from it on an unmapped endpoint may have started
 //         min over unmapped s of since_s
-// A member that is withdrawn takes nothing more: it counts in none of them, and what it holds counts
+// An endpoint that is withdrawn takes nothing more: it counts in none of them, and what it holds counts
 // until it has let go of it once, or is disregarded.
 //
 //            past            need                          h
 //   ---------|---------------|-----------------------------|--->  sequence
-//   free now   retire, free in a later pass    keep
+//   free now   retire, free in a later scan    keep
 #pragma once
 
 #include <dataplane/publisher_slots.hpp>
@@ -45,7 +45,7 @@ struct Entry {
   std::uint64_t address = 0;
   std::uint64_t size = 0;
   std::uint64_t stamp_ns = 0;
-  std::uint64_t bytes = 0;  // with all that it owns: what a lazy pass may keep back
+  std::uint64_t bytes = 0;  // with all that it owns: what a deferred scan may keep back
 };
 
 template <class M>
@@ -63,7 +63,7 @@ class PublisherCore {
     std::uint64_t first_sequence;  // the queue is empty while head stands here
     abi::Qos qos;
     std::uint64_t slot_count;
-    std::uint64_t lazy_limit;  // publishes in a row that may leave out the look at links; 0 = none
+    std::uint64_t deferred_limit;  // publishes in a row that may leave out the look at links; 0 = none
   };
 
   explicit PublisherCore(const Identity& identity) noexcept
@@ -73,22 +73,22 @@ class PublisherCore {
         history_(identity.qos.transient_local ? identity.qos.depth : 0),
         slots_(std::min<std::uint64_t>(identity.slot_count, M::slot_capacity)) {}
 
-  /// Commits one message. `environment` is told which sleepers to ring and which messages to
+  /// Commits one message. `environment` is told which wait sets to ring and which messages to
   /// destroy: ring(executor, armed) and freed(slot, address); and, if it has commits(entry), that
-  /// nothing can refuse the message any more, directly ahead of the commit. If it has passes_soon(), that
-  /// says behind the rings whether somebody else is about to make a whole pass. On an error the caller
+  /// nothing can refuse the message any more, directly ahead of the commit. If it has scans_soon(), that
+  /// says behind the rings whether somebody else is about to make a whole scan. On an error the caller
   /// keeps the message. One that `was_published` before, in another queue, waits for nobody.
   template <class Environment>
   PublishOutcome publish(const Entry& entry, Environment& environment,
                          bool was_published = false) noexcept {
     if (self_.qos.keep_all && !was_published && !room_for_one_more()) {
-      pass(environment, false);
+      scan(environment, false);
       if (!room_for_one_more()) return PublishOutcome::would_block;
     }
     std::uint64_t slot = slots_.lowest_free();
-    // Behind lazy passes nothing has been retired yet: then the first look only retires.
-    for (int looks = self_.lazy_limit != 0 ? 2 : 1; slot == Slots::none && looks > 0; --looks) {
-      pass(environment, false);
+    // Behind deferred scans nothing has been retired yet: then the first look only retires.
+    for (int looks = self_.deferred_limit != 0 ? 2 : 1; slot == Slots::none && looks > 0; --looks) {
+      scan(environment, false);
       slot = slots_.lowest_free();
     }
     if (slot == Slots::none) return PublishOutcome::no_slot;
@@ -112,131 +112,131 @@ class PublisherCore {
     head_sequence_ = sequence;
     slots_.enter(slot, sequence, entry.address, entry.bytes);
     kept_back_ += entry.bytes;
-    pass(environment, true);
+    scan(environment, true);
     AGNOCAST_STEP(P11_idle) words.intent_op().store(abi::intent_idle, std::memory_order_release);
     return PublishOutcome::published;
   }
 
-  /// Looks at every member once and frees what may go. Called by publish, and by the control thread
-  /// when a member died, left or was mapped, and by its timer while anything outside the history is
+  /// Looks at every endpoint once and frees what may go. Called by publish, and by the control thread
+  /// when an endpoint died, left or was mapped, and by its timer while anything outside the history is
   /// allocated.
   template <class Environment>
-  void pass(Environment& environment) noexcept {
-    pass(environment, false);
+  void scan(Environment& environment) noexcept {
+    scan(environment, false);
   }
 
   /// The control thread has mapped the client region of the subscription with this index and
-  /// generation. `executor` numbers the sleepers of this publisher (below subscription_capacity):
+  /// generation. `executor` numbers the wait sets of this publisher (below subscription_capacity):
   /// subscriptions that share an executor share the number. Rings once: a commit between the
-  /// member's join and here could not ring it. The caller makes a pass afterwards.
+  /// endpoint's join and here could not ring it. The caller makes a scan afterwards.
   template <class Environment>
   void attach(std::uint64_t index, std::uint64_t generation, typename M::Region region,
               std::uint64_t extent, std::uint64_t armed_offset, std::uint64_t executor,
               Environment& environment) noexcept {
-    Member& member = members_[index];
-    member.executor = executor;
-    if (abi::generation_of(member.word) != generation) end_withdrawal(index);  // of the one before
-    // The number may have been another sleeper's.
+    Endpoint& endpoint = endpoints_[index];
+    endpoint.executor = executor;
+    if (abi::generation_of(endpoint.word) != generation) end_withdrawal(index);  // of the one before
+    // The number may have been another wait set's.
     AGNOCAST_STEP(J7_rung) rung_[executor] = 0;
     AGNOCAST_STEP(J7_member) {
-      member.attached_generation = generation;
-      member.region = region;
-      member.extent = extent;
-      member.armed_offset = armed_offset;
+      endpoint.attached_generation = generation;
+      endpoint.region = region;
+      endpoint.extent = extent;
+      endpoint.armed_offset = armed_offset;
     }
-    member.limit = infinite;
-    if (index >= member_high_) member_high_ = index + 1;
+    endpoint.limit = infinite;
+    if (index >= endpoint_high_) endpoint_high_ = index + 1;
     AGNOCAST_STEP(J7_ring) environment.ring(executor, 0);
   }
-  /// Behind attach(): of this publisher the member may hold no more, whatever the board says that it may
+  /// Behind attach(): of this publisher the endpoint may hold no more, whatever the board says that it may
   /// hold of others.
   void limit_holds(std::uint64_t index, std::uint64_t quota) noexcept {
-    members_[index].limit = quota;
+    endpoints_[index].limit = quota;
   }
   /// The control thread is about to unmap it.
   void detach(std::uint64_t index, std::uint64_t generation) noexcept {
-    if (members_[index].attached_generation == generation) members_[index].attached_generation = 0;
+    if (endpoints_[index].attached_generation == generation) endpoints_[index].attached_generation = 0;
   }
 
-  /// E1. A member gets nothing more: it takes nothing, and nothing is kept for it but what it holds, or
+  /// E1. An endpoint gets nothing more: it takes nothing, and nothing is kept for it but what it holds, or
   /// may hold while it is not mapped. That is looked at until it has let go of everything, or disregard().
-  /// The caller makes a pass afterwards. False: it is no member of this generation.
+  /// The caller makes a scan afterwards. False: it is no endpoint of this generation.
   bool withdraw(std::uint64_t index, std::uint64_t generation, abi::Withdrawal why) noexcept {
-    Member& member = members_[index];
-    if (abi::generation_of(member.word) != generation || !is_member(member.word)) return false;
-    member.word = abi::pack_member(generation, abi::MemberState::leaving);
-    if (member.withdrawn_at == 0) member.withdrawn_at = head_sequence_;
+    Endpoint& endpoint = endpoints_[index];
+    if (abi::generation_of(endpoint.word) != generation || !takes_part(endpoint.word)) return false;
+    endpoint.word = abi::pack_board_word(generation, abi::BoardState::leaving);
+    if (endpoint.withdrawn_at == 0) endpoint.withdrawn_at = head_sequence_;
     say_withdrawal(index, why);
     return true;
   }
-  /// What a withdrawn member holds counts no more: if it does hold something, it reads what it likes.
+  /// What a withdrawn endpoint holds counts no more: if it does hold something, it reads what it likes.
   void disregard(std::uint64_t index, std::uint64_t generation) noexcept {
-    Member& member = members_[index];
-    if (abi::generation_of(member.word) == generation && member.withdrawn_at != 0)
-      member.word = abi::pack_member(generation, abi::MemberState::free);
+    Endpoint& endpoint = endpoints_[index];
+    if (abi::generation_of(endpoint.word) == generation && endpoint.withdrawn_at != 0)
+      endpoint.word = abi::pack_board_word(generation, abi::BoardState::free);
   }
   /// It is mapped and served again. Who was disregarded not before it holds nothing: a slot that it has held
   /// since may be another message's by now.
   template <class Environment>
   bool serve_again(std::uint64_t index, std::uint64_t generation,
                    Environment& environment) noexcept {
-    Member& member = members_[index];
-    if (abi::generation_of(member.word) != generation || member.withdrawn_at == 0 ||
-        member.attached_generation != generation)
+    Endpoint& endpoint = endpoints_[index];
+    if (abi::generation_of(endpoint.word) != generation || endpoint.withdrawn_at == 0 ||
+        endpoint.attached_generation != generation)
       return false;
     const std::uint64_t word =
         self_.topic.subscription(index, offsetof(abi::SubscriptionEntry, word))
             .load(std::memory_order_acquire);
-    if (abi::generation_of(word) != generation || !is_member(word)) return false;
-    const region::LinkWords<M> link{member.region, member.extent, self_.index};
+    if (abi::generation_of(word) != generation || !takes_part(word)) return false;
+    const region::LinkWords<M> link{endpoint.region, endpoint.extent, self_.index};
     std::uint64_t held = 0;
     for (std::size_t i = 0; i < Slots::mask_words; ++i)
       held |= link.hold(i).load(std::memory_order_acquire);
-    if (held != 0 && !is_member(member.word)) return false;
+    if (held != 0 && !takes_part(endpoint.word)) return false;
     end_withdrawal(index);
-    member.word = word;
+    endpoint.word = word;
     M::fence();  // who is rung finds it so
-    AGNOCAST_STEP(J7_ring) environment.ring(member.executor, 0);
+    AGNOCAST_STEP(J7_ring) environment.ring(endpoint.executor, 0);
     return true;
   }
   abi::Withdrawal withdrawal(std::uint64_t index, std::uint64_t generation) const noexcept {
-    const Member& member = members_[index];
-    if (abi::generation_of(member.word) != generation || member.withdrawn_at == 0)
+    const Endpoint& endpoint = endpoints_[index];
+    if (abi::generation_of(endpoint.word) != generation || endpoint.withdrawn_at == 0)
       return abi::Withdrawal::none;
     return abi::withdrawal_of(self_.words.withdrawn(index).load(std::memory_order_relaxed), index);
   }
   bool is_disregarded(std::uint64_t index) const noexcept {
-    return members_[index].withdrawn_at != 0 && !is_member(members_[index].word);
+    return endpoints_[index].withdrawn_at != 0 && !takes_part(endpoints_[index].word);
   }
-  /// function(index, generation) of each member that takes part and is not mapped.
+  /// function(index, generation) of each endpoint that takes part and is not mapped.
   template <class Function>
   void for_each_unmapped(Function function) const noexcept {
-    for (std::uint64_t i = 0; i < member_high_; ++i) {
-      const std::uint64_t generation = abi::generation_of(members_[i].word);
-      if (is_member(members_[i].word) && members_[i].attached_generation != generation)
+    for (std::uint64_t i = 0; i < endpoint_high_; ++i) {
+      const std::uint64_t generation = abi::generation_of(endpoints_[i].word);
+      if (takes_part(endpoints_[i].word) && endpoints_[i].attached_generation != generation)
         function(i, generation);
     }
   }
-  /// Bytes of the messages that stay because of these mapped members, with what belongs to them: what one of
+  /// Bytes of the messages that stay because of these mapped endpoints, with what belongs to them: what one of
   /// them holds, or has not read and may still ask for. One that several keep counts once, and one of the history that
   /// is kept for late joiners does not: it would stay without them.
-  struct MemberId {
+  struct EndpointId {
     std::uint64_t index, generation;
   };
-  std::uint64_t kept_bytes(std::span<const MemberId> ids) const noexcept {
+  std::uint64_t kept_bytes(std::span<const EndpointId> ids) const noexcept {
     typename Slots::Mask kept{};
     std::uint64_t unread_from = infinite;
     for (const auto& [index, generation] : ids) {
-      const Member& member = members_[index];
-      if (member.attached_generation != generation || is_disregarded(index)) continue;
-      const region::LinkWords<M> link{member.region, member.extent, self_.index};
+      const Endpoint& endpoint = endpoints_[index];
+      if (endpoint.attached_generation != generation || is_disregarded(index)) continue;
+      const region::LinkWords<M> link{endpoint.region, endpoint.extent, self_.index};
       for (std::size_t word = 0; word < slots_.words_in_use(); ++word)
         kept[word] |= link.hold(word).load(std::memory_order_relaxed) & slots_.allocated(word);
-      // `low` is what the last pass has seen.
-      if (abi::state_of(member.word) == abi::MemberState::active)
+      // `low` is what the last scan has seen.
+      if (abi::state_of(endpoint.word) == abi::BoardState::active)
         unread_from = std::min(
             unread_from,
-            std::max(member.low, region::minus_at_least(head_sequence_ + 1, member.window, 0)));
+            std::max(endpoint.low, region::minus_at_least(head_sequence_ + 1, endpoint.window, 0)));
     }
     const std::uint64_t history_from = region::minus_at_least(head_sequence_ + 1, history_, 0);
     std::uint64_t sum = 0;
@@ -248,18 +248,18 @@ class PublisherCore {
     return sum;
   }
 
-  /// Nothing is kept for late joiners any more. The caller makes a pass afterwards.
+  /// Nothing is kept for late joiners any more. The caller makes a scan afterwards.
   void keep_no_history() noexcept { history_ = 0; }
-  /// The process of a member is gone, and there is no daemon to say so: its holds and what it has not
-  /// read count no more. The caller makes a pass afterwards.
+  /// The process of an endpoint is gone, and there is no daemon to say so: its holds and what it has not
+  /// read count no more. The caller makes a scan afterwards.
   void bury(std::uint64_t index, std::uint64_t generation) noexcept {
-    Member& member = members_[index];
-    if (abi::generation_of(member.word) == generation)
-      member.word = abi::pack_member(generation, abi::MemberState::free);
+    Endpoint& endpoint = endpoints_[index];
+    if (abi::generation_of(endpoint.word) == generation)
+      endpoint.word = abi::pack_board_word(generation, abi::BoardState::free);
     detach(index, generation);
   }
 
-  /// True while a message outside the history is allocated: a timer pass may free it.
+  /// True while a message outside the history is allocated: a timer scan may free it.
   bool has_reclaimable() const noexcept {
     const std::uint64_t keep_from = region::minus_at_least(head_sequence_ + 1, history_, 0);
     bool found = false;
@@ -276,7 +276,7 @@ class PublisherCore {
   using Slots = PublisherSlots<M>;
   static constexpr std::uint64_t infinite = ~std::uint64_t{0};
 
-  struct Member {
+  struct Endpoint {
     // As last read from the board; of who is withdrawn leaving, and of who is disregarded free.
     std::uint64_t word = 0;
     std::uint64_t since = 0;   // lower bound of where it starts, while it is not linked
@@ -287,7 +287,7 @@ class PublisherCore {
     std::uint64_t extent = 0;
     std::uint64_t armed_offset = 0;
     std::uint64_t executor = 0;
-    std::uint64_t low = 0;    // of the last pass, for room_for_one_more
+    std::uint64_t low = 0;    // of the last scan, for room_for_one_more
     std::uint64_t quota = 0;  // messages that it may hold at once
     std::uint64_t limit = infinite;  // likewise, of this publisher
     std::uint64_t withdrawn_at =
@@ -295,47 +295,47 @@ class PublisherCore {
     typename M::Region region{};
   };
 
-  /// keep-all: no reliable keep-all member may be left with more unread messages than both sides
+  /// keep-all: no reliable keep-all endpoint may be left with more unread messages than both sides
   /// agreed to.
   bool room_for_one_more() const noexcept {
     bool room = true;
-    for (std::uint64_t i = 0; i < member_high_; ++i) {
-      const Member& member = members_[i];
-      if (abi::state_of(member.word) != abi::MemberState::active || member.bound == 0) continue;
-      const std::uint64_t bound = std::min<std::uint64_t>(self_.qos.depth, member.bound);
-      if (M::holds(steps::K0_room, head_sequence_ + 2 > member.low + bound)) room = false;
+    for (std::uint64_t i = 0; i < endpoint_high_; ++i) {
+      const Endpoint& endpoint = endpoints_[i];
+      if (abi::state_of(endpoint.word) != abi::BoardState::active || endpoint.bound == 0) continue;
+      const std::uint64_t bound = std::min<std::uint64_t>(self_.qos.depth, endpoint.bound);
+      if (M::holds(steps::K0_room, head_sequence_ + 2 > endpoint.low + bound)) room = false;
     }
     return room;
   }
 
-  /// P7: learn who is a member now. A member seen for the first time may have started as early as
+  /// P7: learn who is an endpoint now. An endpoint seen for the first time may have started as early as
   /// the head of the previous look: that look missed its J3, so its J6 reads a head at or after it.
-  void refresh_members() noexcept {
+  void refresh_endpoints() noexcept {
     std::uint64_t epoch = epoch_seen_;
     // [sync:join] acquire; pairs with the daemon's seq_cst store at J3, behind the fence of P6.
     AGNOCAST_STEP(P7_epoch) epoch = self_.topic.epoch().load(std::memory_order_acquire);
     if (M::holds(steps::P7_changed, epoch != epoch_seen_)) {
       epoch_seen_ = epoch;
-      // The own word before the members' words: once it says orphan no history is kept for late joiners, and whoever joined before that must
-      // be seen by the same pass. [sync:join] acquire; pairs with D3_word, which the daemon stores after every earlier J3.
-      std::uint64_t self_word = abi::pack_member(self_.generation, abi::MemberState::active);
+      // The own word before the endpoints' words: once it says orphan no history is kept for late joiners, and whoever joined before that must
+      // be seen by the same scan. [sync:join] acquire; pairs with D3_word, which the daemon stores after every earlier J3.
+      std::uint64_t self_word = abi::pack_board_word(self_.generation, abi::BoardState::active);
       AGNOCAST_STEP(P7_self)
       self_word = self_.topic.publisher(self_.index, offsetof(abi::PublisherEntry, word))
                       .load(std::memory_order_acquire);
       std::uint64_t high = self_.topic.subscription_high().load(std::memory_order_acquire);
       high = std::min<std::uint64_t>(high, M::subscription_capacity);
-      member_high_ = std::max(member_high_, high);
-      for (std::uint64_t i = 0; i < high; ++i) refresh_member(i);
+      endpoint_high_ = std::max(endpoint_high_, high);
+      for (std::uint64_t i = 0; i < high; ++i) refresh_endpoint(i);
       refresh_self(self_word);
     }
     AGNOCAST_STEP(P7_seen) seen_ = head_sequence_;
   }
 
-  /// After the members: a first sight of one still counts with the history that it was promised.
+  /// After the endpoints: a first sight of one still counts with the history that it was promised.
   void refresh_self(std::uint64_t word) noexcept {
     // Free again, or already somebody else's: everybody it was announced to has unlinked or is dead (rule RU), so nobody holds anything.
     if (abi::generation_of(word) != self_.generation ||
-        abi::state_of(word) == abi::MemberState::free) {
+        abi::state_of(word) == abi::BoardState::free) {
       over_ = 1;
     } else {
       const std::uint64_t slots =
@@ -344,104 +344,104 @@ class PublisherCore {
       AGNOCAST_STEP(P7_slots)
       slots_.grow(slots);
     }
-    if (over_ != 0 || abi::state_of(word) != abi::MemberState::active) history_ = 0;
+    if (over_ != 0 || abi::state_of(word) != abi::BoardState::active) history_ = 0;
   }
 
-  void refresh_member(std::uint64_t index) noexcept {
-    Member& member = members_[index];
-    std::uint64_t word = member.word;
+  void refresh_endpoint(std::uint64_t index) noexcept {
+    Endpoint& endpoint = endpoints_[index];
+    std::uint64_t word = endpoint.word;
     AGNOCAST_STEP(P7_word)
     word = self_.topic.subscription(index, offsetof(abi::SubscriptionEntry, word))
                .load(std::memory_order_acquire);
-    if (abi::generation_of(word) != abi::generation_of(member.word)) {
+    if (abi::generation_of(word) != abi::generation_of(endpoint.word)) {
       const abi::Qos qos =
           abi::unpack_qos(self_.topic.subscription(index, offsetof(abi::SubscriptionEntry, qos))
                               .load(std::memory_order_relaxed));
       if (!M::holds(steps::P7_match, abi::qos_match(self_.qos, qos)))
-        word = abi::pack_member(abi::generation_of(word), abi::MemberState::free);
-      AGNOCAST_STEP(P7_window) member.window = abi::window_of(qos);
-      member.bound = qos.keep_all && qos.reliable ? qos.depth : 0;
-      member.quota = self_.topic.subscription(index, offsetof(abi::SubscriptionEntry, quota))
+        word = abi::pack_board_word(abi::generation_of(word), abi::BoardState::free);
+      AGNOCAST_STEP(P7_window) endpoint.window = abi::window_of(qos);
+      endpoint.bound = qos.keep_all && qos.reliable ? qos.depth : 0;
+      endpoint.quota = self_.topic.subscription(index, offsetof(abi::SubscriptionEntry, quota))
                          .load(std::memory_order_relaxed);
       end_withdrawal(index);
-      member.since = head_sequence_ + 1;
+      endpoint.since = head_sequence_ + 1;
       AGNOCAST_STEP(P7_since)
-      member.since = region::minus_at_least(seen_ + 1, history_, self_.first_sequence + 1);
-      member.low = member.since;
-    } else if (member.word != word && !is_member(member.word)) {
-      word = abi::pack_member(abi::generation_of(word),
-                              abi::MemberState::free);  // refused or over: it stays so
-    } else if (member.withdrawn_at != 0 && is_member(word)) {
-      word = member.word;
+      endpoint.since = region::minus_at_least(seen_ + 1, history_, self_.first_sequence + 1);
+      endpoint.low = endpoint.since;
+    } else if (endpoint.word != word && !takes_part(endpoint.word)) {
+      word = abi::pack_board_word(abi::generation_of(word),
+                              abi::BoardState::free);  // refused or over: it stays so
+    } else if (endpoint.withdrawn_at != 0 && takes_part(word)) {
+      word = endpoint.word;
     }
-    member.word = word;
+    endpoint.word = word;
   }
 
-  static bool is_member(std::uint64_t word) noexcept {
-    const abi::MemberState state = abi::state_of(word);
-    return state == abi::MemberState::active || state == abi::MemberState::leaving;
+  static bool takes_part(std::uint64_t word) noexcept {
+    const abi::BoardState state = abi::state_of(word);
+    return state == abi::BoardState::active || state == abi::BoardState::leaving;
   }
 
   void say_withdrawal(std::uint64_t index, abi::Withdrawal why) noexcept {
     auto&& word = self_.words.withdrawn(index);
     const std::uint64_t others = word.load(std::memory_order_relaxed) &
                                  ~abi::pack_withdrawal(index, static_cast<abi::Withdrawal>(3));
-    // [sync:hold] release, before the fence of a later pass; pairs with the seq_cst load at T5.
+    // [sync:hold] release, before the fence of a later scan; pairs with the seq_cst load at T5.
     AGNOCAST_STEP(E1_withdraw)
     word.store(others | abi::pack_withdrawal(index, why), std::memory_order_release);
   }
 
   void end_withdrawal(std::uint64_t index) noexcept {
-    Member& member = members_[index];
-    if (member.withdrawn_at == 0) return;
-    member.withdrawn_at = 0;
+    Endpoint& endpoint = endpoints_[index];
+    if (endpoint.withdrawn_at == 0) return;
+    endpoint.withdrawn_at = 0;
     say_withdrawal(index, abi::Withdrawal::none);
   }
 
-  /// P8: one ring per sleeper and sleep.
+  /// P8: one ring per wait set and sleep.
   template <class Environment>
-  void ring_sleepers(Environment& environment) noexcept {
-    for (std::uint64_t i = 0; i < member_high_; ++i) {
-      Member& member = members_[i];
-      if (abi::state_of(member.word) != abi::MemberState::active) continue;
-      if (member.attached_generation != abi::generation_of(member.word))
+  void ring_wait_sets(Environment& environment) noexcept {
+    for (std::uint64_t i = 0; i < endpoint_high_; ++i) {
+      Endpoint& endpoint = endpoints_[i];
+      if (abi::state_of(endpoint.word) != abi::BoardState::active) continue;
+      if (endpoint.attached_generation != abi::generation_of(endpoint.word))
         continue;  // J7 rings it once it is mapped
       std::uint64_t armed = 0;
       // [sync:sleep] relaxed behind the fence of P6; pairs with S1, S2: either this sees the
-      // sleeper or its re-check sees the commit.
+      // wait set or its re-check sees the commit.
       AGNOCAST_STEP(P8_armed)
-      armed = M::word(member.region, member.armed_offset).load(std::memory_order_relaxed);
-      if (!M::holds(steps::P8_asleep, (armed & 1) != 0 && armed != rung_[member.executor]))
+      armed = M::word(endpoint.region, endpoint.armed_offset).load(std::memory_order_relaxed);
+      if (!M::holds(steps::P8_asleep, (armed & 1) != 0 && armed != rung_[endpoint.executor]))
         continue;
-      AGNOCAST_STEP(P8_rung) rung_[member.executor] = armed;
-      AGNOCAST_STEP(P8_ring) environment.ring(member.executor, armed);
+      AGNOCAST_STEP(P8_rung) rung_[endpoint.executor] = armed;
+      AGNOCAST_STEP(P8_ring) environment.ring(endpoint.executor, armed);
     }
   }
 
   template <class Environment>
-  bool may_be_lazy(const Environment& environment) noexcept {
-    if (lazy_passes_ >= self_.lazy_limit) return false;
+  bool may_defer_scan(const Environment& environment) noexcept {
+    if (deferred_scans_ >= self_.deferred_limit) return false;
     if (kept_back_ <= kept_back_max) return true;
-    // Once: should nobody come to make that pass, the next publish does.
-    if constexpr (requires { environment.passes_soon(); })
-      return std::exchange(left_, 1) == 0 && environment.passes_soon();
+    // Once: should nobody come to make that scan, the next publish does.
+    if constexpr (requires { environment.scans_soon(); })
+      return std::exchange(left_, 1) == 0 && environment.scans_soon();
     return false;
   }
 
   template <class Environment>
-  void pass(Environment& environment, bool after_commit) noexcept {
+  void scan(Environment& environment, bool after_commit) noexcept {
     // [sync:hold] seq_cst; pairs with T4 and T5: a take that validated an entry is seen here, or
     // sees the mark made before here.
     AGNOCAST_STEP(P6_fence) M::fence();
-    refresh_members();
+    refresh_endpoints();
     if (after_commit) {
-      ring_sleepers(environment);
-      if (may_be_lazy(environment)) {
-        ++lazy_passes_;
+      ring_wait_sets(environment);
+      if (may_defer_scan(environment)) {
+        ++deferred_scans_;
         return;
       }
     }
-    lazy_passes_ = 0;
+    deferred_scans_ = 0;
     kept_back_ = 0;
     left_ = 0;
 
@@ -451,14 +451,14 @@ class PublisherCore {
     std::uint64_t unknown_to = 0;
     typename Slots::Mask held;  // as far as words_in_use()
     std::fill_n(held.begin(), slots_.words_in_use(), 0);
-    for (std::uint64_t i = 0; i < (over_ != 0 ? 0 : member_high_); ++i) {
-      Member& member = members_[i];
-      if (!is_member(member.word)) continue;
-      const bool leaving = abi::state_of(member.word) == abi::MemberState::leaving;
-      const bool mapped = member.attached_generation == abi::generation_of(member.word);
-      std::uint64_t low = member.since;
+    for (std::uint64_t i = 0; i < (over_ != 0 ? 0 : endpoint_high_); ++i) {
+      Endpoint& endpoint = endpoints_[i];
+      if (!takes_part(endpoint.word)) continue;
+      const bool leaving = abi::state_of(endpoint.word) == abi::BoardState::leaving;
+      const bool mapped = endpoint.attached_generation == abi::generation_of(endpoint.word);
+      std::uint64_t low = endpoint.since;
       if (mapped) {
-        const region::LinkWords<M> link{member.region, member.extent, self_.index};
+        const region::LinkWords<M> link{endpoint.region, endpoint.extent, self_.index};
         // [sync:link] acquire; pairs with the seq_cst store at J6: the cursor read next is at least
         // the one it was linked with.
         const bool linked = M::holds(
@@ -471,15 +471,15 @@ class PublisherCore {
           AGNOCAST_STEP(P9_hold) collect_holds(link, i, held);
         }
       } else {
-        AGNOCAST_STEP(P9_unknown) unknown_from = std::min(unknown_from, member.since);
+        AGNOCAST_STEP(P9_unknown) unknown_from = std::min(unknown_from, endpoint.since);
         unknown_to =
-            std::max(unknown_to, member.withdrawn_at != 0 ? member.withdrawn_at : infinite);
+            std::max(unknown_to, endpoint.withdrawn_at != 0 ? endpoint.withdrawn_at : infinite);
       }
       if (leaving) low = infinite;
-      member.low = low;
+      endpoint.low = low;
       past = std::min(past, low);
       if (!leaving)
-        need = std::min(need, std::max(low, region::minus_at_least(head_sequence_ + 1, member.window, 0)));
+        need = std::min(need, std::max(low, region::minus_at_least(head_sequence_ + 1, endpoint.window, 0)));
     }
     retire_and_free(environment, need, past, {unknown_from, unknown_to}, held);
   }
@@ -488,9 +488,9 @@ class PublisherCore {
   /// slots of this publisher; from then on its holds are not looked at, and it reads what it likes.
   void collect_holds(const region::LinkWords<M>& link, std::uint64_t index,
                      typename Slots::Mask& held) noexcept {
-    Member& member = members_[index];
-    if (member.withdrawn_at != 0) [[unlikely]]
-      return collect_last_holds(link, member, held);
+    Endpoint& endpoint = endpoints_[index];
+    if (endpoint.withdrawn_at != 0) [[unlikely]]
+      return collect_last_holds(link, endpoint, held);
     const std::size_t words = slots_.words_in_use();
     std::uint64_t count = 0;
     for (std::size_t word = 0; word < words; ++word) {
@@ -501,28 +501,28 @@ class PublisherCore {
       held[word] |= bits;
       if (bits != 0) count += static_cast<std::uint64_t>(std::popcount(bits & slots_.allocated(word)));
     }
-    const std::uint64_t quota = std::min(member.quota, member.limit);
+    const std::uint64_t quota = std::min(endpoint.quota, endpoint.limit);
     if (count > quota && slots_.holds_too_many(link, quota)) {
-      member.withdrawn_at = head_sequence_;
-      member.word = abi::pack_member(abi::generation_of(member.word), abi::MemberState::free);
+      endpoint.withdrawn_at = head_sequence_;
+      endpoint.word = abi::pack_board_word(abi::generation_of(endpoint.word), abi::BoardState::free);
       say_withdrawal(index, abi::Withdrawal::over_quota);
     }
   }
 
-  /// Of a member that is withdrawn. It was told before the fence of this pass, so it takes nothing that this
+  /// Of an endpoint that is withdrawn. It was told before the fence of this scan, so it takes nothing that this
   /// look has not seen.
-  void collect_last_holds(const region::LinkWords<M>& link, Member& member,
+  void collect_last_holds(const region::LinkWords<M>& link, Endpoint& endpoint,
                           typename Slots::Mask& held) const noexcept {
     std::uint64_t any = 0;
     for (std::size_t word = 0; word < slots_.words_in_use(); ++word) {
       if (slots_.allocated(word) == 0) continue;
       const std::uint64_t bits = slots_.published_before(
-          member.withdrawn_at, word, link.hold(word).load(std::memory_order_acquire));
+          endpoint.withdrawn_at, word, link.hold(word).load(std::memory_order_acquire));
       held[word] |= bits;
       any |= bits;
     }
     if (M::holds(steps::E2_clear, any == 0))
-      member.word = abi::pack_member(abi::generation_of(member.word), abi::MemberState::free);
+      endpoint.word = abi::pack_board_word(abi::generation_of(endpoint.word), abi::BoardState::free);
   }
 
   struct Unknown {
@@ -533,7 +533,7 @@ class PublisherCore {
                        Unknown unknown, const typename Slots::Mask& held) noexcept {
     slots_.for_each([&](std::uint64_t slot) {
       const std::uint64_t sequence = slots_.sequence(slot);
-      // By an earlier pass: this one marks a slot below, when it has decided about it. So the mark is
+      // By an earlier scan: this one marks a slot below, when it has decided about it. So the mark is
       // older than the fence at P6.
       const bool retired = slots_.is_retired(slot);
       if (!M::holds(steps::P10_needed, sequence < need) && !retired) return;
@@ -545,7 +545,7 @@ class PublisherCore {
         slots_.free(slot);
         environment.freed(slot, slots_.address(slot));
       } else if (!retired) {
-        // [sync:hold] release, before the fence of a later pass; pairs with the seq_cst load of T5.
+        // [sync:hold] release, before the fence of a later scan; pairs with the seq_cst load of T5.
         AGNOCAST_STEP(P10_retire)
         self_.words.slot_id(slot).store(abi::retired_mark | sequence, std::memory_order_release);
         slots_.retire(slot);
@@ -559,12 +559,12 @@ class PublisherCore {
   std::uint64_t epoch_seen_ = 0;
   std::uint64_t history_;     // H
   std::uint64_t over_ = 0;    // 1: the daemon has freed this publisher's index
-  std::uint64_t lazy_passes_ = 0;
+  std::uint64_t deferred_scans_ = 0;
   std::uint64_t kept_back_ = 0;  // bytes published since the last look at links
   std::uint64_t left_ = 0;       // 1: a look after a large message was left to somebody else
-  std::uint64_t member_high_ = 0;
+  std::uint64_t endpoint_high_ = 0;
   Slots slots_;
-  std::array<Member, M::subscription_capacity> members_{};
+  std::array<Endpoint, M::subscription_capacity> endpoints_{};
   std::array<std::uint64_t, M::subscription_capacity>
       rung_{};  // per executor: the sleep that was rung last
 };

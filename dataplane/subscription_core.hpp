@@ -71,8 +71,8 @@ class LinkCore {
     self_.line.publisher_generation().store(self_.generation, std::memory_order_seq_cst);
     const std::uint64_t word = publisher_word();
     const bool announced = abi::generation_of(word) == self_.generation &&
-                           (abi::state_of(word) == abi::MemberState::active ||
-                            abi::state_of(word) == abi::MemberState::orphan);
+                           (abi::state_of(word) == abi::BoardState::active ||
+                            abi::state_of(word) == abi::BoardState::orphan);
     if (M::holds(steps::J6_check, announced)) return true;
     unlink();
     return false;
@@ -255,7 +255,7 @@ class LinkCore {
     if ((unusual_ & is_orphaned) != 0) return;
     const std::uint64_t word = publisher_word();
     if (abi::generation_of(word) == self_.generation &&
-        abi::state_of(word) == abi::MemberState::active)
+        abi::state_of(word) == abi::BoardState::active)
       return;
     final_head_ = self_.topic.publisher(self_.index, offsetof(abi::PublisherEntry, final_head))
                       .load(std::memory_order_relaxed);

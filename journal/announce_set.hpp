@@ -30,23 +30,23 @@ class AnnounceSet {
   std::uint64_t generation() const noexcept { return generation_; }
 
   void tell(std::uint64_t client) noexcept {
-    AGNOCAST_STEP(R1_tell) members_[client / 64] |= bit(client);
+    AGNOCAST_STEP(R1_tell) clients_[client / 64] |= bit(client);
   }
   /// Removes a client that sent UNLINKED. A packet about another generation is late and ignored.
-  void let_go(std::uint64_t client, std::uint64_t generation) noexcept {
+  void acknowledge(std::uint64_t client, std::uint64_t generation) noexcept {
     if (!M::holds(steps::R2_generation, generation == generation_)) return;
-    AGNOCAST_STEP(R2_let_go) members_[client / 64] &= ~bit(client);
+    AGNOCAST_STEP(R2_let_go) clients_[client / 64] &= ~bit(client);
   }
   void died(std::uint64_t client) noexcept {
-    AGNOCAST_STEP(R3_died) members_[client / 64] &= ~bit(client);
+    AGNOCAST_STEP(R3_died) clients_[client / 64] &= ~bit(client);
   }
   bool contains(std::uint64_t client) const noexcept {
-    return (members_[client / 64] & bit(client)) != 0;
+    return (clients_[client / 64] & bit(client)) != 0;
   }
   bool reusable() const noexcept {
-    std::uint64_t told = 0;
-    for (std::uint64_t word : members_) told |= word;
-    return M::holds(steps::R4_reusable, told == 0);
+    std::uint64_t notified = 0;
+    for (std::uint64_t word : clients_) notified |= word;
+    return M::holds(steps::R4_reusable, notified == 0);
   }
 
  private:
@@ -55,7 +55,7 @@ class AnnounceSet {
   }
 
   std::uint64_t generation_ = 0;
-  std::uint64_t members_[(client_capacity + 63) / 64] = {};
+  std::uint64_t clients_[(client_capacity + 63) / 64] = {};
 };
 
 /// The client's side: decides what to do with an announcement. One per index; plain data, private

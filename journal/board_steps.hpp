@@ -60,7 +60,7 @@ class BoardSteps {
     raise(topic_.subscription_high(), index + 1);
     AGNOCAST_STEP(J3_word)
     topic_.subscription(index, offsetof(Entry, word))
-        .store(abi::pack_member(generation, abi::MemberState::active), std::memory_order_release);
+        .store(abi::pack_board_word(generation, abi::BoardState::active), std::memory_order_release);
     AGNOCAST_STEP(J3_epoch) bump_epoch();
   }
 
@@ -88,16 +88,16 @@ class BoardSteps {
     raise(topic_.publisher_high(), index + 1);
     AGNOCAST_STEP(J3_word)
     topic_.publisher(index, offsetof(Entry, word))
-        .store(abi::pack_member(generation, abi::MemberState::active), std::memory_order_release);
+        .store(abi::pack_board_word(generation, abi::BoardState::active), std::memory_order_release);
     AGNOCAST_STEP(J3_epoch) bump_epoch();
   }
 
   /// Sets a subscription to leaving, revoked, dead or free; changes only the word.
   void set_subscription(std::uint64_t index, std::uint64_t generation,
-                        abi::MemberState state) noexcept {
+                        abi::BoardState state) noexcept {
     AGNOCAST_STEP(D2_word)
     topic_.subscription(index, offsetof(abi::SubscriptionEntry, word))
-        .store(abi::pack_member(generation, state), std::memory_order_release);
+        .store(abi::pack_board_word(generation, state), std::memory_order_release);
     AGNOCAST_STEP(D2_epoch) bump_epoch();
   }
 
@@ -109,10 +109,10 @@ class BoardSteps {
     AGNOCAST_STEP(D3_final_head)
     topic_.publisher(index, offsetof(Entry, final_head))
         .store(final_head, std::memory_order_relaxed);
-    set_publisher(index, generation, abi::MemberState::orphan);
+    set_publisher(index, generation, abi::BoardState::orphan);
   }
   void free_publisher(std::uint64_t index, std::uint64_t generation) noexcept {
-    set_publisher(index, generation, abi::MemberState::free);
+    set_publisher(index, generation, abi::BoardState::free);
   }
 
   /// Makes all processes check the topic again.
@@ -120,10 +120,10 @@ class BoardSteps {
 
  private:
   void set_publisher(std::uint64_t index, std::uint64_t generation,
-                     abi::MemberState state) noexcept {
+                     abi::BoardState state) noexcept {
     AGNOCAST_STEP(D3_word)
     topic_.publisher(index, offsetof(abi::PublisherEntry, word))
-        .store(abi::pack_member(generation, state), std::memory_order_release);
+        .store(abi::pack_board_word(generation, state), std::memory_order_release);
     AGNOCAST_STEP(D3_epoch) bump_epoch();
   }
   void bump_epoch() noexcept {

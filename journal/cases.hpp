@@ -117,16 +117,16 @@ enum class AnnounceDecision : std::uint8_t { nothing, link, ignore, say_unlinked
 
 namespace announce {
 // in the announce set · read by the client · the client's book for this generation
-inline constexpr std::uint8_t told = 1, untold = 2;
+inline constexpr std::uint8_t notified = 1, untold = 2;
 inline constexpr std::uint8_t delivered = 1, lost = 2;
 inline constexpr std::uint8_t never = 1, linked = 2, unlinked = 4;
 using D = AnnounceDecision;
 inline constexpr CaseRow<D, 3> rows[] = {
     {"@U1", {untold, lost, never}, D::nothing},
-    {"@U2", {told, lost, never}, D::link},
-    {"@U3", {told, delivered, never}, D::link},
-    {"@U4", {told, delivered, linked}, D::ignore},
-    {"@U5", {told, delivered, unlinked}, D::say_unlinked},
+    {"@U2", {notified, lost, never}, D::link},
+    {"@U3", {notified, delivered, never}, D::link},
+    {"@U4", {notified, delivered, linked}, D::ignore},
+    {"@U5", {notified, delivered, unlinked}, D::say_unlinked},
     {"@U6", {untold, delivered, unlinked}, D::nothing},
     {"@U7", {untold, delivered, linked | never}, D::impossible},
     {"@U8", {any, lost, linked | unlinked}, D::impossible},
@@ -222,8 +222,8 @@ enum class StoredDecision : std::uint8_t {
 
 namespace stored {
 // kind · in the store · the record it belongs to
-inline constexpr std::uint8_t tables = 1, listening = 2, memory = 4, process = 8, bell = 16,
-                              stranger = 32;  // tables: board or redo log; memory: region or window
+inline constexpr std::uint8_t tables = 1, listening = 2, memory = 4, process = 8, doorbell = 16,
+                              unknown = 32;  // tables: board or redo log; memory: region or window
 inline constexpr std::uint8_t present = 1, absent = 2;
 inline constexpr std::uint8_t alive = 1, dead = 2, none = 4, revoked = 8;  // revoked: not yet ended
 using D = StoredDecision;
@@ -237,18 +237,18 @@ inline constexpr CaseRow<D, 3> rows[] = {
     {"@D7", {memory, absent, dead}, D::do_without},
     {"@D8", {process, present, alive}, D::take},
     {"@D9", {process, absent, alive}, D::owner_is_lost},
-    {"@D10", {bell, present, alive}, D::take},
-    {"@D11", {bell, absent, alive}, D::do_without},
-    {"@D12", {process | bell, present, dead}, D::remove},
-    {"@D13", {memory | process | bell, present, none}, D::remove},
-    {"@D14", {stranger, present, any}, D::remove},
-    {"@D15", {process | bell, absent, dead}, D::do_without},
-    {"@D16", {memory | process | bell, absent, none}, D::do_without},
-    {"@D17", {stranger, absent, any}, D::do_without},
+    {"@D10", {doorbell, present, alive}, D::take},
+    {"@D11", {doorbell, absent, alive}, D::do_without},
+    {"@D12", {process | doorbell, present, dead}, D::remove},
+    {"@D13", {memory | process | doorbell, present, none}, D::remove},
+    {"@D14", {unknown, present, any}, D::remove},
+    {"@D15", {process | doorbell, absent, dead}, D::do_without},
+    {"@D16", {memory | process | doorbell, absent, none}, D::do_without},
+    {"@D17", {unknown, absent, any}, D::do_without},
     {"@D18", {process, present, revoked}, D::take},
     {"@D19", {memory | process, absent, revoked}, D::owner_is_lost},
-    {"@D20", {bell, present, revoked}, D::remove},
-    {"@D21", {bell, absent, revoked}, D::do_without},
+    {"@D20", {doorbell, present, revoked}, D::remove},
+    {"@D21", {doorbell, absent, revoked}, D::do_without},
 };
 }  // namespace stored
 
@@ -303,23 +303,23 @@ enum class EndDecision : std::uint8_t {
 
 namespace end {
 // the connection's process · whether it lives · whether it maps its region (maps: or unknown now)
-inline constexpr std::uint8_t stranger = 1, member = 2, revoked = 4;
+inline constexpr std::uint8_t unknown = 1, client = 2, revoked = 4;
 inline constexpr std::uint8_t lives = 1, ended = 2;
-inline constexpr std::uint8_t maps = 1, let_go = 2;
+inline constexpr std::uint8_t maps = 1, unmapped = 2;
 using D = EndDecision;
 inline constexpr CaseRow<D, 3> rows[] = {
-    {"@C1", {stranger, any, any}, D::drop},
-    {"@C2", {member | revoked, lives, maps}, D::wait},
-    {"@C3", {member, lives, let_go}, D::recover},
-    {"@C4", {member, ended, any}, D::recover},
-    {"@C5", {revoked, lives, let_go}, D::free_place},
+    {"@C1", {unknown, any, any}, D::drop},
+    {"@C2", {client | revoked, lives, maps}, D::wait},
+    {"@C3", {client, lives, unmapped}, D::recover},
+    {"@C4", {client, ended, any}, D::recover},
+    {"@C5", {revoked, lives, unmapped}, D::free_place},
     {"@C6", {revoked, ended, any}, D::free_place},
 };
 }  // namespace end
 
-constexpr EndDecision decide_end(std::uint8_t whose, bool has_ended, bool has_let_go) noexcept {
+constexpr EndDecision decide_end(std::uint8_t whose, bool has_ended, bool has_unmapped) noexcept {
   return case_of(end::rows,
-                 {whose, has_ended ? end::ended : end::lives, has_let_go ? end::let_go : end::maps})
+                 {whose, has_ended ? end::ended : end::lives, has_unmapped ? end::unmapped : end::maps})
       .decision;
 }
 
@@ -359,14 +359,14 @@ inline constexpr CaseRow<D, 6> rows[] = {
 struct BroughtFacts {
   std::uint8_t number = brought::later;
   bool same_base = false;
-  bool possible_group = false;
+  bool possible_window_set = false;
   bool room = false;
   bool ours = false;
   bool free = false;
 };
 constexpr BroughtDecision decide_brought(const BroughtFacts& facts) noexcept {
   return case_of(brought::rows, {facts.number, facts.same_base ? brought::same : brought::other,
-                                 facts.possible_group ? brought::possible : brought::impossible,
+                                 facts.possible_window_set ? brought::possible : brought::impossible,
                                  facts.room ? brought::room : brought::full,
                                  facts.ours ? brought::ours : brought::foreign,
                                  facts.free ? brought::free : brought::taken})

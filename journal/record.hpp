@@ -91,7 +91,7 @@ enum class EndpointState : std::uint32_t {
 /// Why the session of a process has ended: `reason` of client_dead.
 enum class DeathReason : std::uint64_t {
   died = 0,     // its pidfd is readable
-  let_go = 1,   // alive, but without a trace of its region: exec, or a shut library
+  unmapped = 1,   // alive, but without a trace of its region: exec, or a shut library
   revoked = 2,  // alive, session ended from outside
 };
 

@@ -21,7 +21,7 @@ struct PublisherWords {
   std::uint64_t extent;
 
   decltype(auto) head() const noexcept { return at(offsetof(abi::PublisherEndpoint, head)); }
-  decltype(auto) lineage() const noexcept { return at(offsetof(abi::PublisherEndpoint, lineage)); }
+  decltype(auto) persistent_id() const noexcept { return at(offsetof(abi::PublisherEndpoint, persistent_id)); }
   decltype(auto) inherited() const noexcept {
     return at(offsetof(abi::PublisherEndpoint, inherited));
   }
@@ -100,8 +100,8 @@ struct SubscriptionWords {
   typename M::Region region;
   std::uint64_t extent;
 
-  decltype(auto) lineage() const noexcept {
-    return counter(offsetof(abi::SubscriptionCounters, lineage));
+  decltype(auto) persistent_id() const noexcept {
+    return counter(offsetof(abi::SubscriptionCounters, persistent_id));
   }
   decltype(auto) counter(std::size_t field) const noexcept {
     return M::word(region,

@@ -151,23 +151,23 @@ class Peer {
                         double seconds) {
     const std::string who = "publisher dies, " + how + ": ";
     say("step", who + std::to_string(rounds) + " times");
-    Series ended{who + "ended", {}}, told{who + "its subscription is told", {}},
+    Series ended{who + "ended", {}}, notified{who + "its subscription is told", {}},
         free{who + "everything free", {}}, meanwhile{who + "longest creation meanwhile", {}};
     for (const std::int64_t end = budget(seconds); rounds > 0 && now_ns() < end; --rounds) {
       const std::uint64_t heard = heard_;
       const auto victim = start("publisher", {std::to_string(bytes)});
       wait_until([&] { return heard_ != heard; }, "a new publisher's message");
       kill(*victim, at_subscription_,
-           {ended, told, free, bytes > small_bytes ? &meanwhile : nullptr}, nullptr);
+           {ended, notified, free, bytes > small_bytes ? &meanwhile : nullptr}, nullptr);
     }
-    for (const Series* series : {&ended, &told, &free, &meanwhile}) add(*series);
+    for (const Series* series : {&ended, &notified, &free, &meanwhile}) add(*series);
   }
 
   void subscriber_deaths(std::size_t rounds, std::size_t bytes, const std::string& how,
                          double seconds) {
     const std::string who = "subscriber dies, " + how + ": ";
     say("step", who + std::to_string(rounds) + " times");
-    Series ended{who + "ended", {}}, told{who + "its publisher is told", {}},
+    Series ended{who + "ended", {}}, notified{who + "its publisher is told", {}},
         back{who + "the message it held is free", {}}, free{who + "everything free", {}},
         meanwhile{who + "longest creation meanwhile", {}};
     for (const std::int64_t end = budget(seconds); rounds > 0 && now_ns() < end; --rounds) {
@@ -179,10 +179,10 @@ class Peer {
       if (!publisher_->publish(std::move(message))) give_up("a message was not published");
       await(*victim);
       if (Sample::destroyed_ns != 0) give_up("a message was destroyed while it was held");
-      kill(*victim, at_publisher_, {ended, told, free, bytes > small_bytes ? &meanwhile : nullptr},
+      kill(*victim, at_publisher_, {ended, notified, free, bytes > small_bytes ? &meanwhile : nullptr},
            &back);
     }
-    for (const Series* series : {&ended, &told, &back, &free, &meanwhile}) add(*series);
+    for (const Series* series : {&ended, &notified, &back, &free, &meanwhile}) add(*series);
   }
 
   void daemon_deaths(std::size_t rounds, const std::string& how, double seconds) {
@@ -266,7 +266,7 @@ class Peer {
   }
 
   struct DeathFigures {
-    Series &ended, &told, &free;
+    Series &ended, &notified, &free;
     Series* meanwhile;  // null: no creations meanwhile
   };
   void kill(Process& victim, Matched& peer, const DeathFigures& figures, Series* back) {
@@ -302,7 +302,7 @@ class Peer {
     over = true;
     creator.join();
     figures.ended.ns.push_back(ended_ns - killed);
-    figures.told.ns.push_back(peer.gone_ns - killed);
+    figures.notified.ns.push_back(peer.gone_ns - killed);
     figures.free.ns.push_back(free_ns - killed);
     if (figures.meanwhile != nullptr) figures.meanwhile->ns.push_back(longest_ns);
     if (back != nullptr) back->ns.push_back(Sample::destroyed_ns - killed);

@@ -49,7 +49,7 @@ class Fanout {
     const Comparison& most = by_count.back();
     const Series *const ours = most.find("agnocast-executor"), &floor = *most.find("floor-futex");
     const std::string where =
-        text_of_size() + " to " + std::to_string(counts_.back()) + " sleepers";
+        text_of_size() + " to " + std::to_string(counts_.back()) + " sleeping subscribers";
     const auto of_ours = [&](std::vector<double> (Series::*ratios)(const Series&) const) {
       return ours == nullptr ? std::vector<double>() : (ours->*ratios)(floor);
     };
@@ -184,7 +184,7 @@ void run_fanout(const Run& run, Report& report) {
   if (!cpus().has_two()) {
     leave_out("fanout is left out: it needs two cores");
     Aims aims(run);
-    aims.add("publish to 16 sleepers, the call / as many bare futex wakes", {},
+    aims.add("publish to 16 sleeping subscribers, the call / as many bare futex wakes", {},
              Aims::Sense::at_most, asleep_bound);
     aims.add("publish to 16 awake / to one awake", {}, Aims::Sense::at_most, awake_bound);
     return aims.tell(report);

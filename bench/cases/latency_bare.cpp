@@ -3,7 +3,7 @@
 // One process has both ends: a publisher, and a subscription used only by take(); their depth is
 // ROS 2's usual 10. Calls are timed in batches (below the depth, so nothing is lost), because the
 // clock alone takes as long as one of them. Publishers run the reclamation scan in every eighth
-// publish only (docs/protocol.md, lazy pass): a batch has one, unless the control thread has just
+// publish only (docs/protocol.md, deferred scan): a batch has one, unless the control thread has just
 // run it. Medians of all batches, minus an empty batch, so rare events are excluded: growth of
 // the heap, another thread with the same mutex. The next borrow destroys messages that leave the
 // queue; the table includes it.

@@ -25,7 +25,7 @@ namespace {
 
 struct Words {
   alignas(64) std::atomic<std::uint32_t> sent;  // a futex
-  alignas(64) std::atomic<std::uint32_t> sleepers;
+  alignas(64) std::atomic<std::uint32_t> waiters;
   alignas(64) std::atomic<std::uint32_t> ready;
 };
 
@@ -69,7 +69,7 @@ class RingSender final : public Sender {
       // Sequentially consistent: either this sees the sleeping receiver, or that one sees the
       // message.
       words.sent.store(static_cast<std::uint32_t>(++sent_));
-      if (words.sleepers.load() != 0)
+      if (words.waiters.load() != 0)
         ::syscall(SYS_futex, &words.sent, FUTEX_WAKE, INT_MAX, nullptr, nullptr, 0);
     } else {
       words.sent.store(static_cast<std::uint32_t>(++sent_), std::memory_order_release);
@@ -106,9 +106,9 @@ class RingReceiver final : public Receiver {
     if constexpr (sleeps) {
       constexpr timespec at_most{0, 100'000'000};
       Words& words = ring_.words();
-      words.sleepers.fetch_add(1);
+      words.waiters.fetch_add(1);
       ::syscall(SYS_futex, &words.sent, FUTEX_WAIT, sent, &at_most, nullptr, 0);
-      words.sleepers.fetch_sub(1);
+      words.waiters.fetch_sub(1);
     }
   }
 

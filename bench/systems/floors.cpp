@@ -18,7 +18,7 @@
 //
 // One buffer of shared memory has the payload; the loop is closed, so it is not read while it is
 // written. In scratch:
-//   published  the number of the last message   chain  for floor-chain   bells[receivers]  the futexes
+//   published  the number of the last message   chain  for floor-chain   futexes[receivers]  the futexes
 
 #include <bench/system.hpp>
 
@@ -48,7 +48,7 @@ std::runtime_error failure(const std::string& what) {
 struct alignas(64) Line {
   std::atomic<std::uint64_t> number;
 };
-struct alignas(64) Bell {
+struct alignas(64) Futex {
   std::atomic<std::uint32_t> word;
 };
 
@@ -57,10 +57,10 @@ class Ground {
  public:
   explicit Ground(const Carriage& carriage)
       : bytes_(carriage.bytes), receivers_(carriage.receivers) {
-    if ((1 + chain_lines) * sizeof(Line) + receivers_ * sizeof(Bell) > carriage.scratch_bytes)
+    if ((1 + chain_lines) * sizeof(Line) + receivers_ * sizeof(Futex) > carriage.scratch_bytes)
       throw std::runtime_error("floor: too many receivers");
     published_ = static_cast<Line*>(carriage.scratch);
-    bells_ = reinterpret_cast<Bell*>(published_ + 1 + chain_lines);
+    futexes_ = reinterpret_cast<Futex*>(published_ + 1 + chain_lines);
     // Allocates all pages: floors have no first touch.
     void* const buffer = ::mmap(nullptr, bytes_, PROT_READ | PROT_WRITE, MAP_SHARED | MAP_POPULATE,
                                 carriage.descriptors.at(0), 0);
@@ -79,18 +79,18 @@ class Ground {
   std::atomic<std::uint64_t>& chain(std::uint64_t line) const noexcept {
     return published_[1 + line % chain_lines].number;
   }
-  std::atomic<std::uint32_t>& bell(std::size_t receiver) const noexcept {
-    return bells_[receiver].word;
+  std::atomic<std::uint32_t>& futex(std::size_t receiver) const noexcept {
+    return futexes_[receiver].word;
   }
   void wake(std::size_t receiver) const noexcept {
-    bell(receiver).fetch_add(1, std::memory_order_release);
-    ::syscall(SYS_futex, &bell(receiver), FUTEX_WAKE, 1, nullptr, nullptr, 0);
+    futex(receiver).fetch_add(1, std::memory_order_release);
+    ::syscall(SYS_futex, &futex(receiver), FUTEX_WAKE, 1, nullptr, nullptr, 0);
   }
 
  private:
   std::size_t bytes_, receivers_;
   Line* published_ = nullptr;
-  Bell* bells_ = nullptr;
+  Futex* futexes_ = nullptr;
   std::byte* buffer_ = nullptr;
 };
 
@@ -287,10 +287,10 @@ class FutexReceiver final : public FloorReceiver {
 
  protected:
   void wait() override {
-    std::atomic<std::uint32_t>& bell = ground_.bell(index_);
-    while (bell.load(std::memory_order_acquire) == heard_)
-      ::syscall(SYS_futex, &bell, FUTEX_WAIT, heard_, nullptr, nullptr, 0);
-    heard_ = bell.load(std::memory_order_acquire);
+    std::atomic<std::uint32_t>& futex = ground_.futex(index_);
+    while (futex.load(std::memory_order_acquire) == heard_)
+      ::syscall(SYS_futex, &futex, FUTEX_WAIT, heard_, nullptr, nullptr, 0);
+    heard_ = futex.load(std::memory_order_acquire);
   }
 
  private:

@@ -73,52 +73,52 @@ Object limits_of(const BridgeStatus& status) {
   return list;
 }
 
-Object outlets_of(const BridgeStatus& status, std::uint64_t now_ns) {
+Object dds_writers_of(const BridgeStatus& status, std::uint64_t now_ns) {
   Object list = Object::array();
-  for (const BridgeStatus::OutletNow& outlet : status.outlets) {
-    Object object{{"topic", outlet.plan.tap.of.key.topic},
-                  {"type", outlet.plan.tap.of.key.type},
-                  {"node", outlet.plan.node},
-                  {"publisher_generation", outlet.publisher},
-                  {"guid", text_of(outlet.writer)},
-                  {"qos", qos_object(outlet.plan.offered, outlet.plan.depth, outlet.plan.keep_all)},
-                  {"matched", outlet.matched},
-                  {"incompatible", outlet.incompatible}};
-    add(object, outlet.traffic, now_ns);
+  for (const BridgeStatus::DdsWriterNow& dds_writer : status.dds_writers) {
+    Object object{{"topic", dds_writer.plan.local_reader.of.key.topic},
+                  {"type", dds_writer.plan.local_reader.of.key.type},
+                  {"node", dds_writer.plan.node},
+                  {"publisher_generation", dds_writer.publisher},
+                  {"guid", text_of(dds_writer.writer)},
+                  {"qos", qos_object(dds_writer.plan.offered, dds_writer.plan.depth, dds_writer.plan.keep_all)},
+                  {"matched", dds_writer.matched},
+                  {"incompatible", dds_writer.incompatible}};
+    add(object, dds_writer.traffic, now_ns);
     list.push_back(std::move(object));
   }
   return list;
 }
 
-Object sources_of(const BridgeStatus& status, std::uint64_t now_ns) {
+Object remote_publishers_of(const BridgeStatus& status, std::uint64_t now_ns) {
   Object list = Object::array();
-  for (const BridgeStatus::SourceNow& source : status.sources) {
+  for (const BridgeStatus::RemotePublisherNow& remote_publisher : status.remote_publishers) {
     Object object{
-        {"topic", source.plan.key.topic},
-        {"type", source.plan.key.type},
-        {"node", source.node},
-        {"guid", text_of(source.writer)},
-        {"qos", qos_object(source.plan.qos_class, source.plan.depth, source.plan.keep_all)}};
-    add(object, source.traffic, now_ns);
+        {"topic", remote_publisher.plan.key.topic},
+        {"type", remote_publisher.plan.key.type},
+        {"node", remote_publisher.node},
+        {"guid", text_of(remote_publisher.writer)},
+        {"qos", qos_object(remote_publisher.plan.qos_class, remote_publisher.plan.depth, remote_publisher.plan.keep_all)}};
+    add(object, remote_publisher.traffic, now_ns);
     list.push_back(std::move(object));
   }
   return list;
 }
 
-Object inlets_of(const BridgeStatus& status) {
+Object dds_readers_of(const BridgeStatus& status) {
   Object list = Object::array();
-  for (const BridgeStatus::InletNow& inlet : status.inlets) {
+  for (const BridgeStatus::DdsReaderNow& dds_reader : status.dds_readers) {
     list.push_back(
-        {{"topic", inlet.key.key.topic},
-         {"type", inlet.key.key.type},
-         {"nodes", inlet.plan.nodes},
-         {"guid", text_of(inlet.reader)},
-         {"qos", qos_object(inlet.plan.requested, inlet.plan.depth, inlet.plan.keep_all)},
-         {"matched", inlet.matched},
-         {"incompatible", inlet.incompatible},
-         {"malformed", inlet.malformed},
-         {"without_source", inlet.without_source},
-         {"overflow", inlet.overflow}});
+        {{"topic", dds_reader.key.key.topic},
+         {"type", dds_reader.key.key.type},
+         {"nodes", dds_reader.plan.nodes},
+         {"guid", text_of(dds_reader.reader)},
+         {"qos", qos_object(dds_reader.plan.requested, dds_reader.plan.depth, dds_reader.plan.keep_all)},
+         {"matched", dds_reader.matched},
+         {"incompatible", dds_reader.incompatible},
+         {"malformed", dds_reader.malformed},
+         {"without_remote_publisher", dds_reader.without_remote_publisher},
+         {"overflow", dds_reader.overflow}});
   }
   return list;
 }
@@ -150,14 +150,14 @@ Object services_of(const BridgeStatus& status, std::uint64_t now_ns) {
   return list;
 }
 
-Object taps_of(const BridgeStatus& status) {
+Object local_readers_of(const BridgeStatus& status) {
   Object list = Object::array();
-  for (const BridgeStatus::TapNow& tap : status.taps) {
-    const ReaderKey& key = tap.key;
+  for (const BridgeStatus::LocalReaderNow& local_reader : status.local_readers) {
+    const ReaderKey& key = local_reader.key;
     list.push_back({{"topic", key.of.key.topic},
                     {"type", key.of.key.type},
                     {"qos", qos_object(key.of.qos_class, key.depth, key.keep_all)},
-                    {"lost", tap.lost}});
+                    {"lost", local_reader.lost}});
   }
   return list;
 }
@@ -211,10 +211,10 @@ std::string json_of(const BridgeStatus& status, std::uint64_t now_ns) {
       {"lost_early", status.lost_early},
       {"discovery_info_refused", status.discovery_info_refused},
       {"limits", limits_of(status)},
-      {"outlets", outlets_of(status, now_ns)},
-      {"sources", sources_of(status, now_ns)},
-      {"taps", taps_of(status)},
-      {"inlets", inlets_of(status)},
+      {"dds_writers", dds_writers_of(status, now_ns)},
+      {"remote_publishers", remote_publishers_of(status, now_ns)},
+      {"local_readers", local_readers_of(status)},
+      {"dds_readers", dds_readers_of(status)},
       {"services", services_of(status, now_ns)},
       {"unbridged", unbridged_of(status)},
       {"failures", failures_of(status)}};

@@ -41,32 +41,32 @@ struct ServiceNumbers {
 
 struct BridgeStatus {
   /// A publisher of this host and its DDS writer.
-  struct OutletNow {
-    Outlet plan;
+  struct DdsWriterNow {
+    DdsWriterPlan plan;
     std::uint64_t publisher = 0;  // its generation
     Guid writer;
     std::uint32_t matched = 0, incompatible = 0;  // readers
     TrafficNumbers traffic;
   };
   /// A remote writer and its remote publisher on this host.
-  struct SourceNow {
-    Source plan;
+  struct RemotePublisherNow {
+    RemotePublisherPlan plan;
     Guid writer;
     std::string node;  // from the ROS graph; empty: it names none
     TrafficNumbers traffic;
   };
   /// A DDS reader, for the remote publishers of one class.
-  struct InletNow {
+  struct DdsReaderNow {
     ClassKey key;
-    Inlet plan;
+    DdsReaderPlan plan;
     Guid reader;
     std::uint32_t matched = 0, incompatible = 0;  // writers
     std::uint64_t malformed = 0;                  // payloads that are not a message of the type
-    std::uint64_t without_source = 0;             // messages of writers without a remote publisher
+    std::uint64_t without_remote_publisher = 0;             // messages of writers without a remote publisher
     std::uint64_t overflow = 0;                   // payloads dropped because of a limit
   };
   /// A local reader, for the DDS writers of one class and depth.
-  struct TapNow {
+  struct LocalReaderNow {
     ReaderKey key;
     std::uint64_t lost = 0;  // messages overwritten before they were taken
   };
@@ -88,7 +88,7 @@ struct BridgeStatus {
   bool has_daemon = true;
   std::optional<std::uint32_t> standby_for =
       {};                                    // the pid of the bridge that serves the domain instead
-  std::uint64_t lost_early = 0;              // see Outlets::lost()
+  std::uint64_t lost_early = 0;              // see DdsWriters::lost()
   std::uint64_t announced = 0;               // DDS writers without a reader
   std::uint64_t discovery_info_refused = 0;  // see RosGraph::refused()
   std::uint64_t since_ns = 0;                // monotonic
@@ -97,11 +97,11 @@ struct BridgeStatus {
     std::uint64_t most = 0, refused = 0;
   };
   std::vector<LimitNow> limits;  // see limits.hpp
-  std::vector<OutletNow> outlets;
-  std::vector<SourceNow> sources;
-  std::vector<InletNow> inlets;
+  std::vector<DdsWriterNow> dds_writers;
+  std::vector<RemotePublisherNow> remote_publishers;
+  std::vector<DdsReaderNow> dds_readers;
   std::vector<ServiceNow> services;
-  std::vector<TapNow> taps;
+  std::vector<LocalReaderNow> local_readers;
   std::vector<Unbridged> unbridged;
   std::vector<std::pair<std::string, std::string>> failures;  // what could not be made, why
 };

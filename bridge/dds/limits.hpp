@@ -24,7 +24,7 @@ enum class Limit : std::uint8_t {
   unread_bytes_of_reader,
   unread_bytes,
   unplaced_messages,
-  history_bytes_of_source,
+  history_bytes_of_remote_publisher,
   history_bytes,
   requests,
   request_bytes_of_service,
@@ -59,7 +59,7 @@ inline constexpr LimitRow limit_table[] = {
     {Limit::unplaced_messages, "unplaced_messages", 1'000},
     // As CDR, the history of a transient-local writer that its publisher here keeps: ten point
     // clouds of 6 MB.
-    {Limit::history_bytes_of_source, "history_bytes_of_source", 64 * mebibyte},
+    {Limit::history_bytes_of_remote_publisher, "history_bytes_of_remote_publisher", 64 * mebibyte},
     // All histories together.
     {Limit::history_bytes, "history_bytes", 512 * mebibyte},
     // Pending at one service: a hundred times the depth of a ROS 2 client. Beyond it, the client

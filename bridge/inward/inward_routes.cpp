@@ -21,153 +21,153 @@ constexpr std::size_t takes_max = 64, former_takes_max = 10'000;
 }  // namespace
 
 template <class Condition>
-void InwardRoutes::erase_inlets_if(Condition condition) {
-  std::erase_if(inlets_, [&](const auto& entry) {
+void InwardRoutes::erase_dds_readers_if(Condition condition) {
+  std::erase_if(dds_readers_, [&](const auto& entry) {
     if (!condition(entry.first, entry.second)) return false;
-    inlet_of_.erase(entry.second.reader.get());
+    dds_reader_of_.erase(entry.second.reader.get());
     return true;
   });
 }
 
 void InwardRoutes::end_changed(const Plan& plan) {
   std::set<ReaderKey> ended;
-  erase_inlets_if([&](const ReaderKey& key, const OpenInlet& inlet) {
-    const auto wanted = plan.inlets.find(key.of);
-    return wanted != plan.inlets.end() && wanted->second.requested != inlet.plan.requested &&
+  erase_dds_readers_if([&](const ReaderKey& key, const OpenDdsReader& dds_reader) {
+    const auto wanted = plan.dds_readers.find(key.of);
+    return wanted != plan.dds_readers.end() && wanted->second.requested != dds_reader.plan.requested &&
            ended.insert(key).second;
   });
   const Time end = std::chrono::steady_clock::now() + linger;
-  for (auto& [writer, source] : sources_.all()) source.way.end_inlets(ended, end);
+  for (auto& [writer, remote_publisher] : remote_publishers_.all()) remote_publisher.way.end_dds_readers(ended, end);
 }
 
 void InwardRoutes::end_all() {
-  sources_.clear();
+  remote_publishers_.clear();
   unplaced_.clear();
-  erase_inlets_if([](const ReaderKey&, const OpenInlet&) { return true; });
+  erase_dds_readers_if([](const ReaderKey&, const OpenDdsReader&) { return true; });
 }
 
 ReaderKey InwardRoutes::reader_of(const Plan& plan, const ClassKey& key) {
-  const Inlet& inlet = plan.inlets.at(key);
-  return {key, inlet.depth, inlet.keep_all};
+  const DdsReaderPlan& dds_reader = plan.dds_readers.at(key);
+  return {key, dds_reader.depth, dds_reader.keep_all};
 }
 
 // Publishers first: they give the process a shared heap, into which DDS readers read.
 InwardRoutes::Applied InwardRoutes::apply(const Plan& plan) {
   Applied applied;
-  open_sources(plan, applied);
-  open_inlets(plan);
+  open_remote_publishers(plan, applied);
+  open_dds_readers(plan);
   for (const Unbridged& each : plan.unbridged) {
     if (each.why == WhyNot::too_many)
       refusals_.note(
           "writers of " + each.topic,
-          "more than the " + std::to_string(sources_per_topic_max) + " that a topic may have");
+          "more than the " + std::to_string(remote_publishers_per_topic_max) + " that a topic may have");
   }
   settle_at_ = std::chrono::steady_clock::now();
   return applied;
 }
 
 // A writer's last messages may come after its end is known, so its remote publisher lingers.
-void InwardRoutes::open_sources(const Plan& plan, Applied& applied) {
+void InwardRoutes::open_remote_publishers(const Plan& plan, Applied& applied) {
   const Time end = std::chrono::steady_clock::now() + linger;
   std::map<TopicKey, std::size_t> counts;
-  for (auto& [writer, source] : sources_.all()) {
-    ++counts[source.plan.key];
-    if (!source.end && !plan.sources.contains(writer)) source.end = end;
+  for (auto& [writer, remote_publisher] : remote_publishers_.all()) {
+    ++counts[remote_publisher.plan.key];
+    if (!remote_publisher.end && !plan.remote_publishers.contains(writer)) remote_publisher.end = end;
   }
-  for (const auto& [writer, source] : plan.sources) {
-    const ReaderKey inlet = reader_of(plan, {source.key, source.inlet});
-    if (const auto old = sources_.all().find(writer); old != sources_.all().end()) {
+  for (const auto& [writer, remote_publisher] : plan.remote_publishers) {
+    const ReaderKey dds_reader = reader_of(plan, {remote_publisher.key, remote_publisher.dds_reader});
+    if (const auto old = remote_publishers_.all().find(writer); old != remote_publishers_.all().end()) {
       old->second.end.reset();
-      old->second.plan = source;
-      if (old->second.way.inlet() != inlet) old->second.way.go_over(inlet, end);
+      old->second.plan = remote_publisher;
+      if (old->second.way.dds_reader() != dds_reader) old->second.way.go_over(dds_reader, end);
       continue;
     }
     // Lingering ones still count.
-    std::size_t& count = counts[source.key];
-    if (count >= sources_per_topic_max) {
-      refusals_.note("new writer of " + source.key.topic,
+    std::size_t& count = counts[remote_publisher.key];
+    if (count >= remote_publishers_per_topic_max) {
+      refusals_.note("new writer of " + remote_publisher.key.topic,
                      "remote publishers of gone writers still occupy the topic");
       applied.again = end;
       continue;
     }
-    const auto made = sources_.open(writer, source);
+    const auto made = remote_publishers_.open(writer, remote_publisher);
     if (!made) {
-      refusals_.note("publisher of " + source.key.topic, text_of(made.error()));
+      refusals_.note("publisher of " + remote_publisher.key.topic, text_of(made.error()));
       applied.refusal = made.error().code;
       if (applied.refusal == Errc::daemon_not_running) break;
       continue;
     }
     ++count;
     Way& way = (*made)->way;
-    way = Way(inlet);
+    way = Way(dds_reader);
     // The reader that waited for it may have messages that the new one misses; a history contains
     // all of them.
-    const auto looks_out = inlets_.lower_bound({inlet.of, 0, false});
-    if (!source.inlet.transient_local && !inlets_.contains(inlet) && looks_out != inlets_.end() &&
-        looks_out->first.of == inlet.of)
+    const auto looks_out = dds_readers_.lower_bound({dds_reader.of, 0, false});
+    if (!remote_publisher.dds_reader.transient_local && !dds_readers_.contains(dds_reader) && looks_out != dds_readers_.end() &&
+        looks_out->first.of == dds_reader.of)
       way.begin_with(looks_out->first, end);
   }
 }
 
-void InwardRoutes::open_inlets(const Plan& plan) {
+void InwardRoutes::open_dds_readers(const Plan& plan) {
   std::set<ReaderKey> planned;
-  for (const auto& [of, inlet] : plan.inlets) {
+  for (const auto& [of, dds_reader] : plan.dds_readers) {
     const ReaderKey key = reader_of(plan, of);
     planned.insert(key);
-    if (const auto open = inlets_.find(key); open != inlets_.end()) {
-      open->second.plan = inlet;
+    if (const auto open = dds_readers_.find(key); open != dds_readers_.end()) {
+      open->second.plan = dds_reader;
       continue;
     }
     const TopicKey& topic = of.key;
     auto reader = participant_.create_reader(
         *dds_topic_of({DdsTopicKind::topic, topic.topic}), *dds_type_of(topic.type),
-        dds_qos_of(inlet.requested, inlet.depth, inlet.keep_all),
+        dds_qos_of(dds_reader.requested, dds_reader.depth, dds_reader.keep_all),
         decoder_of(types_.at(topic.type), topic.topic));
     if (!reader) {
       refusals_.note("reader of " + topic.topic, reader.error().text());
       continue;
     }
-    const auto made = inlets_.emplace(key, OpenInlet{std::move(*reader), inlet, false}).first;
-    inlet_of_[made->second.reader.get()] = &made->first;
+    const auto made = dds_readers_.emplace(key, OpenDdsReader{std::move(*reader), dds_reader, false}).first;
+    dds_reader_of_[made->second.reader.get()] = &made->first;
   }
-  for (auto& [key, inlet] : inlets_) inlet.is_over = !planned.contains(key);
+  for (auto& [key, dds_reader] : dds_readers_) dds_reader.is_over = !planned.contains(key);
 }
 
-std::vector<DdsSample> InwardRoutes::take(DdsReader& inlet) {
+std::vector<DdsSample> InwardRoutes::take(DdsReader& dds_reader) {
   std::vector<DdsSample> taken;
   while (taken.size() < takes_max) {
-    auto sample = inlet.take();
+    auto sample = dds_reader.take();
     if (!sample) break;
     taken.push_back(std::move(*sample));
   }
   return taken;
 }
 
-bool InwardRoutes::has_strangers(std::span<const DdsSample> taken) const {
+bool InwardRoutes::has_unknown_writers(std::span<const DdsSample> taken) const {
   return std::any_of(taken.begin(), taken.end(),
-                     [&](const DdsSample& sample) { return !has_source(sample.writer); });
+                     [&](const DdsSample& sample) { return !has_remote_publisher(sample.writer); });
 }
 
-void InwardRoutes::publish(const DdsReader* inlet, std::vector<DdsSample> taken) {
-  const auto known = inlet_of_.find(inlet);
-  if (known == inlet_of_.end()) return;
+void InwardRoutes::publish(const DdsReader* dds_reader, std::vector<DdsSample> taken) {
+  const auto known = dds_reader_of_.find(dds_reader);
+  if (known == dds_reader_of_.end()) return;
   const ReaderKey& key = *known->second;
   publish_former(key, taken);
   for (DdsSample& sample : taken) publish_one(key, std::move(sample));
 }
 
 // Messages through the DDS reader that a writer leaves came before.
-void InwardRoutes::publish_former(const ReaderKey& inlet, std::span<const DdsSample> taken) {
+void InwardRoutes::publish_former(const ReaderKey& dds_reader, std::span<const DdsSample> taken) {
   std::set<ReaderKey> left;
   for (const DdsSample& sample : taken) {
-    const auto source = sources_.all().find(sample.writer);
-    if (source == sources_.all().end()) continue;
-    const Way& way = source->second.way;
-    if (way.former() && way.inlet() == inlet) left.insert(*way.former());
+    const auto remote_publisher = remote_publishers_.all().find(sample.writer);
+    if (remote_publisher == remote_publishers_.all().end()) continue;
+    const Way& way = remote_publisher->second.way;
+    if (way.former() && way.dds_reader() == dds_reader) left.insert(*way.former());
   }
   for (const ReaderKey& former : left) {
-    const auto open = inlets_.find(former);
-    if (open == inlets_.end()) continue;
+    const auto open = dds_readers_.find(former);
+    if (open == dds_readers_.end()) continue;
     for (std::size_t i = 0; i < former_takes_max; ++i) {
       auto sample = open->second.reader->take();
       if (!sample) break;
@@ -178,40 +178,40 @@ void InwardRoutes::publish_former(const ReaderKey& inlet, std::span<const DdsSam
 
 void InwardRoutes::publish_unplaced() {
   auto unplaced = std::exchange(unplaced_, {});
-  for (auto& [inlet, sample] : unplaced) publish_one(inlet, std::move(sample));
+  for (auto& [dds_reader, sample] : unplaced) publish_one(dds_reader, std::move(sample));
 }
 
-void InwardRoutes::publish_one(const ReaderKey& inlet, DdsSample sample) {
+void InwardRoutes::publish_one(const ReaderKey& dds_reader, DdsSample sample) {
   if (sample.state != DdsSample::State::valid) return;
-  const auto source = sources_.all().find(sample.writer);
-  if (source != sources_.all().end()) {
-    if (source->second.way.takes(inlet, sample.source_time_ns))
-      sources_.publish(sample.writer, source->second, *static_cast<Received*>(sample.object.get()));
+  const auto remote_publisher = remote_publishers_.all().find(sample.writer);
+  if (remote_publisher != remote_publishers_.all().end()) {
+    if (remote_publisher->second.way.takes(dds_reader, sample.source_time_ns))
+      remote_publishers_.publish(sample.writer, remote_publisher->second, *static_cast<Received*>(sample.object.get()));
     return;
   }
   if (pace_.is_owed()) {
     if (unplaced_.size() < most_of(Limit::unplaced_messages))
-      return void(unplaced_.emplace_back(inlet, std::move(sample)));
+      return void(unplaced_.emplace_back(dds_reader, std::move(sample)));
     participant_.limits().refuse(Limit::unplaced_messages);
   }
-  if (const auto read = inlets_.find(inlet); read != inlets_.end()) ++read->second.without_source;
+  if (const auto read = dds_readers_.find(dds_reader); read != dds_readers_.end()) ++read->second.without_remote_publisher;
 }
 
 std::optional<Time> InwardRoutes::tidy(Time now) {
-  const std::optional<Time> next_room = sources_.publish_waiting(now);
+  const std::optional<Time> next_room = remote_publishers_.publish_waiting(now);
   if (settle_at_ && *settle_at_ <= now) settle_at_ = settle(now);
   return earliest(next_room, settle_at_);
 }
 
 std::optional<Time> InwardRoutes::settle(Time now) {
-  const std::optional<Time> next = sources_.tidy(now);
+  const std::optional<Time> next = remote_publishers_.tidy(now);
   std::set<ReaderKey> needed;
-  for (const auto& [writer, source] : sources_.all()) {
-    needed.insert(source.way.inlet());
-    if (source.way.former()) needed.insert(*source.way.former());
+  for (const auto& [writer, remote_publisher] : remote_publishers_.all()) {
+    needed.insert(remote_publisher.way.dds_reader());
+    if (remote_publisher.way.former()) needed.insert(*remote_publisher.way.former());
   }
-  erase_inlets_if([&](const ReaderKey& key, const OpenInlet& inlet) {
-    return inlet.is_over && !needed.contains(key);
+  erase_dds_readers_if([&](const ReaderKey& key, const OpenDdsReader& dds_reader) {
+    return dds_reader.is_over && !needed.contains(key);
   });
   return next;
 }
@@ -253,10 +253,10 @@ RawDecoder InwardRoutes::decoder_of(std::shared_ptr<const BridgedType> type,
 }
 
 void InwardRoutes::tell(const Plan& plan, const NodesByName& nodes) const {
-  for (const auto& [key, inlet] : plan.inlets) {
-    const auto open = inlets_.find({key, inlet.depth, inlet.keep_all});
-    if (open == inlets_.end()) continue;
-    for (const std::string& name : inlet.nodes) {
+  for (const auto& [key, dds_reader] : plan.dds_readers) {
+    const auto open = dds_readers_.find({key, dds_reader.depth, dds_reader.keep_all});
+    if (open == dds_readers_.end()) continue;
+    for (const std::string& name : dds_reader.nodes) {
       if (const auto node = nodes.find(name); node != nodes.end())
         node->second->readers.push_back(open->second.reader->guid());
     }
@@ -268,21 +268,21 @@ void InwardRoutes::look(BridgeStatus& now, const RosGraph::Others& others) const
   for (const auto& [participant, entities] : others) {
     for (const RosNode& node : entities.nodes) {
       for (const Guid& writer : node.writers) {
-        if (has_source(writer))
+        if (has_remote_publisher(writer))
           node_of[writer] = (node.name_space == "/" ? "" : node.name_space) + '/' + node.name;
       }
     }
   }
-  for (const auto& [writer, source] : sources_.all()) {
+  for (const auto& [writer, remote_publisher] : remote_publishers_.all()) {
     const auto node = node_of.find(writer);
-    now.sources.push_back({source.plan, writer,
+    now.remote_publishers.push_back({remote_publisher.plan, writer,
                            node == node_of.end() ? std::string() : node->second,
-                           source.traffic.numbers()});
+                           remote_publisher.traffic.numbers()});
   }
-  for (const auto& [key, inlet] : inlets_) {
-    now.inlets.push_back({key.of, inlet.plan, inlet.reader->guid(), inlet.reader->matched(),
-                          inlet.reader->incompatible(), inlet.reader->refused(),
-                          inlet.without_source, inlet.reader->overflow()});
+  for (const auto& [key, dds_reader] : dds_readers_) {
+    now.dds_readers.push_back({key.of, dds_reader.plan, dds_reader.reader->guid(), dds_reader.reader->matched(),
+                          dds_reader.reader->incompatible(), dds_reader.reader->refused(),
+                          dds_reader.without_remote_publisher, dds_reader.reader->overflow()});
   }
 }
 

@@ -21,7 +21,7 @@
 #include <bridge/common/status.hpp>
 #include <bridge/dds/participant.hpp>
 #include <bridge/dds/ros_graph.hpp>
-#include <bridge/inward/sources.hpp>
+#include <bridge/inward/remote_publishers.hpp>
 #include <bridge/plan/plan_pace.hpp>
 #include <bridge/plan/routes.hpp>
 
@@ -49,7 +49,7 @@ class InwardRoutes {
         pace_(pace),
         log_(log),
         refusals_(refusals),
-        sources_(node, types, participant.limits(), reaper, log) {}
+        remote_publishers_(node, types, participant.limits(), reaper, log) {}
 
   /// Ends DDS readers for which the plan has another QoS, which cannot change while they live.
   void end_changed(const Plan& plan);
@@ -61,15 +61,15 @@ class InwardRoutes {
   /// Ends everything at once.
   void end_all();
 
-  bool has_source(const Guid& writer) const { return sources_.all().contains(writer); }
+  bool has_remote_publisher(const Guid& writer) const { return remote_publishers_.all().contains(writer); }
   /// Returns whether it is one of these DDS readers.
-  bool has(const DdsReader* reader) const { return inlet_of_.contains(reader); }
+  bool has(const DdsReader* reader) const { return dds_reader_of_.contains(reader); }
   /// Takes what a DDS reader has received, bounded so that others get their turn.
-  static std::vector<DdsSample> take(DdsReader& inlet);
+  static std::vector<DdsSample> take(DdsReader& dds_reader);
   /// Returns whether a sample's writer has no remote publisher.
-  bool has_strangers(std::span<const DdsSample> taken) const;
+  bool has_unknown_writers(std::span<const DdsSample> taken) const;
   /// Publishes the samples taken from this DDS reader; nothing if it has ended meanwhile.
-  void publish(const DdsReader* inlet, std::vector<DdsSample> taken);
+  void publish(const DdsReader* dds_reader, std::vector<DdsSample> taken);
   /// Call after a plan.
   void publish_unplaced();
   /// Publishes waiting messages and ends what is due. Returns when to call it again.
@@ -81,22 +81,22 @@ class InwardRoutes {
   void look(BridgeStatus& now, const RosGraph::Others& others) const;
 
  private:
-  struct OpenInlet {
+  struct OpenDdsReader {
     std::unique_ptr<DdsReader> reader;
-    Inlet plan;
+    DdsReaderPlan plan;
     bool is_over = false;              // no longer planned; ends with its last remote publisher
-    std::uint64_t without_source = 0;  // messages
+    std::uint64_t without_remote_publisher = 0;  // messages
   };
 
   static ReaderKey reader_of(const Plan& plan, const ClassKey& key);
-  void open_sources(const Plan& plan, Applied& applied);
-  void open_inlets(const Plan& plan);
-  void publish_one(const ReaderKey& inlet, DdsSample sample);
-  void publish_former(const ReaderKey& inlet, std::span<const DdsSample> taken);
+  void open_remote_publishers(const Plan& plan, Applied& applied);
+  void open_dds_readers(const Plan& plan);
+  void publish_one(const ReaderKey& dds_reader, DdsSample sample);
+  void publish_former(const ReaderKey& dds_reader, std::span<const DdsSample> taken);
   /// Ends DDS readers that no remote publisher needs. Returns when to call it again.
   std::optional<Time> settle(Time now);
   template <class Condition>
-  void erase_inlets_if(Condition condition);
+  void erase_dds_readers_if(Condition condition);
   RawDecoder decoder_of(std::shared_ptr<const BridgedType> type, const std::string& topic) const;
 
   DdsParticipant& participant_;
@@ -104,9 +104,9 @@ class InwardRoutes {
   const PlanPace& pace_;
   const Log& log_;
   Refusals& refusals_;
-  std::map<ReaderKey, OpenInlet> inlets_;
-  std::unordered_map<const DdsReader*, const ReaderKey*> inlet_of_;  // keys of inlets_
-  Sources sources_;
+  std::map<ReaderKey, OpenDdsReader> dds_readers_;
+  std::unordered_map<const DdsReader*, const ReaderKey*> dds_reader_of_;  // keys of dds_readers_
+  RemotePublishers remote_publishers_;
   // Samples of writers that no plan knows yet, by DDS reader.
   std::deque<std::pair<ReaderKey, DdsSample>> unplaced_;
   std::optional<Time> settle_at_;  // when something may have to end

@@ -10,23 +10,23 @@ void Way::begin_with(const ReaderKey& former, Time end) {
   former_end_ = end;
 }
 
-void Way::go_over(const ReaderKey& inlet, Time end) {
-  if (has_begun_) former_ = inlet_;  // else former_ stays the one before
-  inlet_ = inlet;
-  has_begun_ = former_ == inlet;
+void Way::go_over(const ReaderKey& dds_reader, Time end) {
+  if (has_begun_) former_ = dds_reader_;  // else former_ stays the one before
+  dds_reader_ = dds_reader;
+  has_begun_ = former_ == dds_reader;
   if (has_begun_) former_.reset();
   former_end_ = end;
 }
 
-void Way::end_inlets(const std::set<ReaderKey>& ended, Time end) {
+void Way::end_dds_readers(const std::set<ReaderKey>& ended, Time end) {
   if (former_ && ended.contains(*former_)) former_.reset();
-  if (!ended.contains(inlet_)) return;
+  if (!ended.contains(dds_reader_)) return;
   has_begun_ = false;
   former_end_ = end;
 }
 
 bool Way::takes(const ReaderKey& by, std::int64_t source_time_ns) {
-  const bool is_own = inlet_ == by;
+  const bool is_own = dds_reader_ == by;
   if (!is_own && former_ != by) return false;  // the other DDS reader has it too
   if (is_own && !has_begun_) {
     if (source_time_ns < newest_ns_) return false;

@@ -19,24 +19,24 @@ namespace agnocast::bridge {
 class Way {
  public:
   Way() = default;
-  explicit Way(ReaderKey inlet) : inlet_(std::move(inlet)) {}
+  explicit Way(ReaderKey dds_reader) : dds_reader_(std::move(dds_reader)) {}
 
-  const ReaderKey& inlet() const noexcept { return inlet_; }
+  const ReaderKey& dds_reader() const noexcept { return dds_reader_; }
   /// Returns the DDS reader through which its messages still come.
   const std::optional<ReaderKey>& former() const noexcept { return former_; }
 
   /// Another DDS reader waited for the writer, and may have messages that the own one misses.
   void begin_with(const ReaderKey& former, Time end);
-  void go_over(const ReaderKey& inlet, Time end);
+  void go_over(const ReaderKey& dds_reader, Time end);
   /// These DDS readers have ended. A reader in their place may get a history that came already.
-  void end_inlets(const std::set<ReaderKey>& ended, Time end);
+  void end_dds_readers(const std::set<ReaderKey>& ended, Time end);
   /// Returns whether to pass on a message from this DDS reader; older ones are then rejected.
   bool takes(const ReaderKey& by, std::int64_t source_time_ns);
   /// Ends what is due. Returns when to call it again.
   std::optional<Time> tidy(Time now);
 
  private:
-  ReaderKey inlet_;
+  ReaderKey dds_reader_;
   // False from a change of the DDS reader until the new one gives a message that is not older than
   // the last one. Until then, or until its time is over, messages come through the former one.
   bool has_begun_ = true;

@@ -10,18 +10,18 @@
 namespace agnocast::bridge {
 namespace {
 
-bool is_same(const Outlet& a, const Outlet& b) noexcept {
+bool is_same(const DdsWriterPlan& a, const DdsWriterPlan& b) noexcept {
   return a.offered == b.offered && a.depth == b.depth && a.keep_all == b.keep_all;
 }
 
 }  // namespace
 
 DdsResult<std::unique_ptr<DdsWriter>> create_writer_of(DdsParticipant& participant,
-                                                       const Outlet& outlet) {
-  const TopicKey& topic = outlet.tap.of.key;
+                                                       const DdsWriterPlan& dds_writer) {
+  const TopicKey& topic = dds_writer.local_reader.of.key;
   return participant.create_writer(*dds_topic_of({DdsTopicKind::topic, topic.topic}),
                                    *dds_type_of(topic.type),
-                                   dds_qos_of(outlet.offered, outlet.depth, outlet.keep_all));
+                                   dds_qos_of(dds_writer.offered, dds_writer.depth, dds_writer.keep_all));
 }
 
 void Announced::end_others(const Plan& plan) {
@@ -30,7 +30,7 @@ void Announced::end_others(const Plan& plan) {
       const auto wanted = planned.find(at->first);
       return wanted != planned.end() && is_same(wanted->second, at->second.plan);
     };
-    if (is_wanted(plan.announced) || is_wanted(plan.outlets)) {
+    if (is_wanted(plan.announced) || is_wanted(plan.dds_writers)) {
       ++at;
     } else {
       reaper_.end(std::move(at->second.writer));
@@ -48,13 +48,13 @@ std::unique_ptr<DdsWriter> Announced::take_over(std::uint64_t publisher) {
 }
 
 void Announced::open(const Plan& plan, DdsParticipant& participant, Refusals& refusals) {
-  for (const auto& [publisher, outlet] : plan.announced) {
+  for (const auto& [publisher, dds_writer] : plan.announced) {
     if (writers_.contains(publisher)) continue;
-    auto writer = create_writer_of(participant, outlet);
+    auto writer = create_writer_of(participant, dds_writer);
     if (writer)
-      writers_[publisher] = {outlet, std::move(*writer)};
+      writers_[publisher] = {dds_writer, std::move(*writer)};
     else
-      refusals.note("writer of " + outlet.tap.of.key.topic, writer.error().text());
+      refusals.note("writer of " + dds_writer.local_reader.of.key.topic, writer.error().text());
   }
 }
 

@@ -24,7 +24,7 @@ namespace agnocast::bridge {
 
 /// Creates the DDS writer of a publisher.
 [[nodiscard]] DdsResult<std::unique_ptr<DdsWriter>> create_writer_of(DdsParticipant& participant,
-                                                                     const Outlet& outlet);
+                                                                     const DdsWriterPlan& dds_writer);
 
 class Announced {
  public:
@@ -48,7 +48,7 @@ class Announced {
 
  private:
   struct One {
-    Outlet plan;
+    DdsWriterPlan plan;
     std::unique_ptr<DdsWriter> writer;
   };
 

@@ -5,7 +5,7 @@
 //   lanes   (nodes' threads, the library's) messages of local readers ──▶ their DDS writers; large
 //           messages of a topic delay only the other topics of its lane
 //
-// A message is written from shared memory directly into the DDS sample: see outlets.hpp.
+// A message is written from shared memory directly into the DDS sample: see dds_writers.hpp.
 // Publishers without a reader in DDS are only announced.
 //
 // Everything except the callbacks of local readers is run()'s thread.
@@ -23,7 +23,7 @@
 #include <bridge/dds/participant.hpp>
 #include <bridge/dds/ros_graph.hpp>
 #include <bridge/outward/announced.hpp>
-#include <bridge/outward/outlets.hpp>
+#include <bridge/outward/dds_writers.hpp>
 #include <bridge/plan/routes.hpp>
 
 #include <cstddef>
@@ -47,7 +47,7 @@ class OutwardRoutes {
         lanes_(lanes),
         types_(types),
         refusals_(refusals),
-        outlets_(log, reaper, [&participant] { participant.interrupt(); }),
+        dds_writers_(log, reaper, [&participant] { participant.interrupt(); }),
         announced_(reaper) {}
 
   /// Ends DDS writers for which the plan has another QoS, which cannot change while they live.
@@ -67,32 +67,32 @@ class OutwardRoutes {
   void look(BridgeStatus& now) const;
 
  private:
-  struct OpenTap {
+  struct OpenLocalReader {
     std::size_t lane = 0;
     GenericSubscription::SharedPtr subscription;
     bool is_over = false;  // no longer planned; ends when no DDS writer needs it
   };
   /// The local readers of each topic.
-  using TapsOfTopic = std::map<TopicKey, std::set<ReaderKey>>;
+  using LocalReadersOfTopic = std::map<TopicKey, std::set<ReaderKey>>;
 
   void close_others(const Plan& plan, const std::set<std::uint64_t>& present);
-  void end_taps();
-  [[nodiscard]] Errc open_taps(const Plan& plan);
+  void end_local_readers();
+  [[nodiscard]] Errc open_local_readers(const Plan& plan);
   /// `former` are the local readers before the plan. Adds publishers whose writer could not be
   /// made to `without`.
-  void open_outlets(const Plan& plan, TapsOfTopic former, std::set<std::uint64_t>& without);
+  void open_dds_writers(const Plan& plan, LocalReadersOfTopic former, std::set<std::uint64_t>& without);
 
   DdsParticipant& participant_;
   const Lanes& lanes_;
   const MessageTypes& types_;
   Refusals& refusals_;
-  Outlets outlets_;
-  std::set<std::uint64_t> outlet_keys_;
+  DdsWriters dds_writers_;
+  std::set<std::uint64_t> dds_writer_keys_;
   Announced announced_;
   // Generations of the endpoints of this host in the newest plan.
   std::set<std::uint64_t> planned_for_;
   std::optional<Time> settle_at_;      // when local readers may have to end
-  std::map<ReaderKey, OpenTap> taps_;  // end before the DDS writers that they write to
+  std::map<ReaderKey, OpenLocalReader> local_readers_;  // end before the DDS writers that they write to
 };
 
 }  // namespace agnocast::bridge

@@ -16,10 +16,10 @@ namespace {
 constexpr std::size_t unknown_depth = 10;
 // A keep-last reader counts the messages of all its writers together; messages that come while the
 // bridge creates endpoints must not displace earlier ones.
-constexpr std::size_t inlet_depth_min = 100;
+constexpr std::size_t dds_reader_depth_min = 100;
 /// In few steps, because another depth makes a new DDS reader.
-std::size_t inlet_depth_of(std::size_t wanted) noexcept {
-  std::size_t depth = inlet_depth_min;
+std::size_t dds_reader_depth_of(std::size_t wanted) noexcept {
+  std::size_t depth = dds_reader_depth_min;
   while (depth < wanted) depth *= 2;
   return depth;
 }
@@ -118,7 +118,7 @@ class Planner {
       if (!is_open(key, Direction::outward, verdict, side.readers, WhyNot::no_reader)) {
         for (const EndpointInfo* const publisher : publishers) {
           if (is_announced)
-            plan_.announced[publisher->generation] = outlet_of(key, *publisher, said);
+            plan_.announced[publisher->generation] = dds_writer_of(key, *publisher, said);
         }
         continue;
       }
@@ -130,20 +130,20 @@ class Planner {
       };
       bool any = false;
       for (const EndpointInfo* const publisher : publishers) {
-        Outlet outlet = outlet_of(key, *publisher, said);
-        if (!is_always(verdict) && !is_read(outlet.offered)) {
-          if (is_announced) plan_.announced[publisher->generation] = std::move(outlet);
+        DdsWriterPlan dds_writer = dds_writer_of(key, *publisher, said);
+        if (!is_always(verdict) && !is_read(dds_writer.offered)) {
+          if (is_announced) plan_.announced[publisher->generation] = std::move(dds_writer);
           continue;
         }
         any = true;
-        plan_.taps.insert(outlet.tap);
-        plan_.outlets[publisher->generation] = std::move(outlet);
+        plan_.local_readers.insert(dds_writer.local_reader);
+        plan_.dds_writers[publisher->generation] = std::move(dds_writer);
       }
       if (!any) not_bridged(key, Direction::outward, WhyNot::qos, "no reader in DDS matches");
     }
   }
 
-  static Outlet outlet_of(const TopicKey& key, const EndpointInfo& publisher,
+  static DdsWriterPlan dds_writer_of(const TopicKey& key, const EndpointInfo& publisher,
                           const QosOverride& said) {
     const QosClass own = class_of(publisher.qos);
     const std::size_t depth = publisher.qos.depth();
@@ -170,12 +170,12 @@ class Planner {
     const bool is_wanted_always = is_always(verdict) && goes(verdict.direction, Direction::inward);
     if (subscriptions.empty() && !is_wanted_always) return;
     const QosOverride& said = verdict.rule == nullptr ? no_override : verdict.rule->from_dds;
-    std::map<QosClass, Inlet> inlets;
-    const auto inlet_of = [&](const QosClass& qos_class, std::size_t depth) -> Inlet& {
-      Inlet& inlet = inlets[qos_class];
-      inlet.requested = overridden(qos_class, said);
-      inlet.depth = said.depth.value_or(std::max(inlet.depth, inlet_depth_of(depth)));
-      return inlet;
+    std::map<QosClass, DdsReaderPlan> dds_readers;
+    const auto dds_reader_of = [&](const QosClass& qos_class, std::size_t depth) -> DdsReaderPlan& {
+      DdsReaderPlan& dds_reader = dds_readers[qos_class];
+      dds_reader.requested = overridden(qos_class, said);
+      dds_reader.depth = said.depth.value_or(std::max(dds_reader.depth, dds_reader_depth_of(depth)));
+      return dds_reader;
     };
     bool any = false;
     const bool is_there = is_open(key, Direction::inward, verdict, side.writers, WhyNot::no_writer);
@@ -204,14 +204,14 @@ class Planner {
       choose(key, places);
       for (const auto& [writer, wanted] : places) {
         const std::size_t depth = depth_of(writer->qos);
-        plan_.sources[writer->guid] = {key, class_of(writer->qos), depth, writer->qos.keep_all,
+        plan_.remote_publishers[writer->guid] = {key, class_of(writer->qos), depth, writer->qos.keep_all,
                                        wanted};
-        inlet_of(wanted, depth).keep_all |= writer->qos.keep_all && !said.depth;
+        dds_reader_of(wanted, depth).keep_all |= writer->qos.keep_all && !said.depth;
       }
       for (const auto& [qos_class, served] : served_by) {
         for (const QosClass& own : served) {
           const Wanting& wanting = subscriptions.at(own);
-          inlet_of(qos_class, wanting.depth)
+          dds_reader_of(qos_class, wanting.depth)
               .nodes.insert(wanting.nodes.begin(), wanting.nodes.end());
         }
       }
@@ -219,9 +219,9 @@ class Planner {
         any = true;
         QosClass wanted;
         if (!subscriptions.empty()) wanted = subscriptions.begin()->first;
-        Inlet& inlet = inlet_of(overridden(wanted, said), unknown_depth);
+        DdsReaderPlan& dds_reader = dds_reader_of(overridden(wanted, said), unknown_depth);
         for (const auto& [own, wanting] : subscriptions)
-          inlet.nodes.insert(wanting.nodes.begin(), wanting.nodes.end());
+          dds_reader.nodes.insert(wanting.nodes.begin(), wanting.nodes.end());
       }
       if (!any) not_bridged(key, Direction::inward, WhyNot::qos, "no writer in DDS matches");
     }
@@ -229,42 +229,42 @@ class Planner {
     if (goes(verdict.direction, Direction::inward) && has_ros_name(key) && !problem_of(key.type)) {
       for (const auto& [wanted, wanting] : subscriptions) {
         const QosClass own = wanted;
-        const bool is_read = std::any_of(inlets.begin(), inlets.end(), [&](const auto& inlet) {
-          return inlet.first != own && inlet.second.requested == overridden(own, said);
+        const bool is_read = std::any_of(dds_readers.begin(), dds_readers.end(), [&](const auto& dds_reader) {
+          return dds_reader.first != own && dds_reader.second.requested == overridden(own, said);
         });
         if (is_read) continue;
-        Inlet& inlet = inlet_of(own, wanting.depth);
-        inlet.keep_all |= wanting.keep_all && !said.depth;
-        inlet.nodes.insert(wanting.nodes.begin(), wanting.nodes.end());
+        DdsReaderPlan& dds_reader = dds_reader_of(own, wanting.depth);
+        dds_reader.keep_all |= wanting.keep_all && !said.depth;
+        dds_reader.nodes.insert(wanting.nodes.begin(), wanting.nodes.end());
       }
     }
-    for (auto& [qos_class, inlet] : inlets) {
-      if (inlet.keep_all) inlet.depth = inlet_depth_min;  // depth has no meaning for keep-all
-      plan_.inlets[{key, qos_class}] = std::move(inlet);
+    for (auto& [qos_class, dds_reader] : dds_readers) {
+      if (dds_reader.keep_all) dds_reader.depth = dds_reader_depth_min;  // depth has no meaning for keep-all
+      plan_.dds_readers[{key, qos_class}] = std::move(dds_reader);
     }
   }
 
   /// Writers with a remote publisher keep it, so that nobody displaces another's, except those of
   /// a participant beyond its share.
   void choose(const TopicKey& key, std::vector<std::pair<const Remote*, QosClass>>& writers) {
-    if (writers.size() <= sources_per_topic_max) return;
+    if (writers.size() <= remote_publishers_per_topic_max) return;
     using Writer = std::pair<const Remote*, QosClass>;
-    const auto has_source = [&](const Writer& writer) {
-      return situation_.has_source && situation_.has_source(writer.first->guid);
+    const auto has_remote_publisher = [&](const Writer& writer) {
+      return situation_.has_remote_publisher && situation_.has_remote_publisher(writer.first->guid);
     };
     std::sort(writers.begin(), writers.end(), [&](const Writer& a, const Writer& b) {
-      return std::pair(!has_source(a), a.first->guid) < std::pair(!has_source(b), b.first->guid);
+      return std::pair(!has_remote_publisher(a), a.first->guid) < std::pair(!has_remote_publisher(b), b.first->guid);
     });
     std::map<Guid, std::size_t> of_participant;
     std::stable_partition(writers.begin(), writers.end(), [&](const Writer& writer) {
-      return ++of_participant[writer.first->participant] <= sources_of_participant_share;
+      return ++of_participant[writer.first->participant] <= remote_publishers_of_participant_share;
     });
     not_bridged(key, Direction::inward, WhyNot::too_many,
-                std::to_string(writers.size() - sources_per_topic_max) + " of " +
+                std::to_string(writers.size() - remote_publishers_per_topic_max) + " of " +
                     std::to_string(writers.size()) +
                     " writers do not fit: the limit for a topic is " +
-                    std::to_string(sources_per_topic_max));
-    writers.resize(sources_per_topic_max);
+                    std::to_string(remote_publishers_per_topic_max));
+    writers.resize(remote_publishers_per_topic_max);
   }
 
   Verdict verdict_on(const TopicKey& key) const {

@@ -15,8 +15,8 @@
 //                    ├─ DDS reader with ─┤
 //   remote writer D ─┘  one request      └─▶ remote publisher D
 //
-// A class is reliability and durability. A local reader (`tap`) requests what its publishers offer
-// and keeps as much: a deeper one would make other publishers retain more. A DDS reader (`inlet`)
+// A class is reliability and durability. A local reader (`local_reader`) requests what its publishers offer
+// and keeps as much: a deeper one would make other publishers retain more. A DDS reader (`dds_reader`)
 // requests the union of the requests of the subscriptions that its writers serve. Both get
 // messages of others too, and pass on only those of their own publishers or writers. So every
 // message goes one way once, history goes where it is offered and requested, and best effort stays
@@ -28,8 +28,8 @@
 // Nothing is made for a topic that one side lacks, with two exceptions: DDS readers for the
 // requests of subscriptions (otherwise two bridges would wait for each other's endpoints for
 // ever), and announced writers, by which readers in DDS find the topics of this host. With the
-// rule `always`, a publisher of this host has its DDS writer (`outlet`) without a reader in DDS,
-// and a remote writer its remote publisher (`source`) without a subscription here.
+// rule `always`, a publisher of this host has its DDS writer (`dds_writer`) without a reader in DDS,
+// and a remote writer its remote publisher (`remote_publisher`) without a subscription here.
 #pragma once
 
 #include <agnocast/abi/limits.hpp>
@@ -89,26 +89,26 @@ struct ReaderKey {
 
   auto operator<=>(const ReaderKey&) const = default;
 };
-struct Outlet {
-  ReaderKey tap;  ///< with the publisher's QoS
+struct DdsWriterPlan {
+  ReaderKey local_reader;  ///< with the publisher's QoS
   bool keep_all = false;
   std::size_t depth = 1;
   std::string node;  ///< full name
   QosClass offered;  ///< in DDS: as its local reader, unless a rule overrides it
 };
 /// Another depth makes it another DDS reader.
-struct Inlet {
+struct DdsReaderPlan {
   std::size_t depth = 1;
   bool keep_all = false;
   std::set<std::string> nodes;  ///< full names, of the subscriptions that it serves
   QosClass requested;           ///< in DDS: its class, unless a rule overrides it
 };
-struct Source {
+struct RemotePublisherPlan {
   TopicKey key;
   QosClass qos_class;
   std::size_t depth = 1;
   bool keep_all = false;
-  QosClass inlet;  ///< the class of the DDS reader that reads it
+  QosClass dds_reader;  ///< the class of the DDS reader that reads it
 };
 
 enum class WhyNot : std::uint8_t {
@@ -137,13 +137,13 @@ DdsQos dds_qos_of(const QosClass& qos_class, std::size_t depth, bool keep_all);
 QoS qos_of(const QosClass& qos_class, std::size_t depth, bool keep_all);
 
 struct Plan {
-  std::map<std::uint64_t, Outlet> outlets;  ///< by generation of the publisher
-  /// With the same key: publishers without a reader in DDS whose writers are announced; `tap` is not
+  std::map<std::uint64_t, DdsWriterPlan> dds_writers;  ///< by generation of the publisher
+  /// With the same key: publishers without a reader in DDS whose writers are announced; `local_reader` is not
   /// made.
-  std::map<std::uint64_t, Outlet> announced;
-  std::set<ReaderKey> taps;
-  std::map<ClassKey, Inlet> inlets;
-  std::map<Guid, Source> sources;  ///< by remote writer
+  std::map<std::uint64_t, DdsWriterPlan> announced;
+  std::set<ReaderKey> local_readers;
+  std::map<ClassKey, DdsReaderPlan> dds_readers;
+  std::map<Guid, RemotePublisherPlan> remote_publishers;  ///< by remote writer
   std::vector<Unbridged> unbridged;
 };
 
@@ -157,16 +157,16 @@ struct Situation {
   std::function<std::optional<std::string>(const std::string& type)> problem_of_type;
   Direction otherwise = Direction::both;  ///< for topics that no rule matches
   /// Returns whether a remote writer has its remote publisher: if there are too many, it keeps it.
-  std::function<bool(const Guid& writer)> has_source = {};
+  std::function<bool(const Guid& writer)> has_remote_publisher = {};
   bool announce = false;  ///< give publishers without a reader a writer in DDS as well
 };
 
 /// Other hosts may have any number of writers: half of the publishers that a topic may have here,
 /// which leaves room for those of this host.
-inline constexpr std::size_t sources_per_topic_max = abi::publisher_count_max / 2;
+inline constexpr std::size_t remote_publishers_per_topic_max = abi::publisher_count_max / 2;
 
 /// If a topic has too many writers, one participant's writers beyond this give way to others'.
-inline constexpr std::size_t sources_of_participant_share = sources_per_topic_max / 2;
+inline constexpr std::size_t remote_publishers_of_participant_share = remote_publishers_per_topic_max / 2;
 
 /// Reads all endpoints, in n log n.
 Plan plan_of(const Situation& situation);

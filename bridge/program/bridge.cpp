@@ -54,7 +54,7 @@ Bridge::Bridge(BridgeOptions options, const Log& log, OutwardRoutes::Lanes lanes
       marker_(options.domain, participant_->guid(), watch_, log),
       planner_(options.domain, {std::move(options.rules), options.otherwise, options.announce},
                marker_, types_, pace_, refusals_,
-               [this](const Guid& writer) { return inward_.has_source(writer); }),
+               [this](const Guid& writer) { return inward_.has_remote_publisher(writer); }),
       discovery_info_(options.domain, *ros_graph_, log, refusals_),
       limits_log_(participant_->limits(), log),
       status_(options.domain, {*participant_, *ros_graph_, outward_, inward_, services_, watch_,
@@ -114,14 +114,14 @@ bool Bridge::renew_local() {
   return true;
 }
 
-void Bridge::take_from(DdsReader& inlet) {
-  std::vector<DdsSample> taken = InwardRoutes::take(inlet);
+void Bridge::take_from(DdsReader& dds_reader) {
+  std::vector<DdsSample> taken = InwardRoutes::take(dds_reader);
   // Samples of a writer that came after run() read the discovery.
-  if (inward_.has_strangers(taken)) {
+  if (inward_.has_unknown_writers(taken)) {
     planner_.note(participant_->discovered());
     if (planner_.is_due(std::chrono::steady_clock::now())) plan();
   }
-  inward_.publish(&inlet, std::move(taken));
+  inward_.publish(&dds_reader, std::move(taken));
 }
 
 void Bridge::plan() {

@@ -83,7 +83,7 @@ class Bridge {
   void move(const DdsParticipant::Ready& ready);
   /// Returns whether the endpoints of this host have changed.
   bool renew_local();
-  void take_from(DdsReader& inlet);
+  void take_from(DdsReader& dds_reader);
   void plan();
   Planner::CarriedOut carry_out(const Planner::Plans& plans);
   /// Ends what is over, and returns how long run() may sleep.

@@ -32,7 +32,7 @@ bool Marker::show_oneself() {
   SubscriptionOptions options;
   options.connection_callback([&watch = watch_](ConnectionInfo& info) {
     watch.daemon_is(info.state != ConnectionState::reconnecting, "the connection has ended");
-    if (info.state == ConnectionState::island && info.reason == Errc::revoked) watch.revoke();
+    if (info.state == ConnectionState::orphaned && info.reason == Errc::revoked) watch.revoke();
   });
   auto made = try_create_generic_subscription(
       *node_, marker_topic, TypeIdentity{"agnocast_bridge", 1}, QoS(1), nullptr, options);

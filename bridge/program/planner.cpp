@@ -20,13 +20,13 @@ Time soon() { return std::chrono::steady_clock::now() + daemon_interval; }
 }  // namespace
 
 Planner::Planner(std::uint32_t domain, Rules rules, Marker& marker, MessageTypes& types,
-                 PlanPace& pace, Refusals& refusals, HasSource has_source)
+                 PlanPace& pace, Refusals& refusals, HasRemotePublisher has_remote_publisher)
     : domain_(domain),
       marker_(marker),
       types_(types),
       pace_(pace),
       refusals_(refusals),
-      has_source_(std::move(has_source)),
+      has_remote_publisher_(std::move(has_remote_publisher)),
       rules_(std::move(rules)) {}
 
 void Planner::set_rules(Rules rules) {
@@ -50,7 +50,7 @@ void Planner::note(const std::vector<RemoteChange>& changes) {
   if (!changes.empty()) pace_.changed();
   for (const RemoteChange& change : changes) {
     const Remote& remote = change.remote;
-    if (!change.is_there && remote.kind == Remote::Kind::writer && !has_source_(remote.guid) &&
+    if (!change.is_there && remote.kind == Remote::Kind::writer && !has_remote_publisher_(remote.guid) &&
         gone_writers_.size() < gone_writers_max)
       gone_writers_.push_back(remote);
   }
@@ -120,7 +120,7 @@ Situation Planner::situation(const DdsParticipant::Remotes& remotes) {
           rules_.list,
           [this](const std::string& type) { return types_.problem_of(type); },
           rules_.otherwise,
-          has_source_,
+          has_remote_publisher_,
           rules_.announce};
 }
 

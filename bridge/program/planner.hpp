@@ -52,11 +52,11 @@ class Planner {
     std::optional<Time> again = {};  // when to retry what did not fit
   };
   using CarryOut = std::function<CarriedOut(const Plans&)>;
-  using HasSource = std::function<bool(const Guid& writer)>;
+  using HasRemotePublisher = std::function<bool(const Guid& writer)>;
 
-  /// All references must outlive it. `has_source` tells if a remote writer has a publisher here.
+  /// All references must outlive it. `has_remote_publisher` tells if a remote writer has a publisher here.
   Planner(std::uint32_t domain, Rules rules, Marker& marker, MessageTypes& types, PlanPace& pace,
-          Refusals& refusals, HasSource has_source);
+          Refusals& refusals, HasRemotePublisher has_remote_publisher);
 
   /// Replaces the rules, once renew_rules() has been called. Any thread.
   void set_rules(Rules rules);
@@ -89,7 +89,7 @@ class Planner {
   MessageTypes& types_;
   PlanPace& pace_;
   Refusals& refusals_;
-  const HasSource has_source_;
+  const HasRemotePublisher has_remote_publisher_;
   Rules rules_;
   GraphSnapshot local_;
   std::vector<Remote> gone_writers_;  // since the newest complete plan, without a publisher here

@@ -35,7 +35,7 @@ BridgeStatus StatusCollector::look() const {
   now.layout = parts_.ros_graph.layout();
   const ConnectionState connection = connection_state();
   now.has_daemon = parts_.watch.has_daemon() && connection != ConnectionState::reconnecting &&
-                   connection != ConnectionState::island;
+                   connection != ConnectionState::orphaned;
   now.standby_for = parts_.marker.standby_for();
   for (const LimitRow& row : limit_table)
     now.limits.push_back({row.name, row.most, parts_.participant.limits().refused(row.limit)});

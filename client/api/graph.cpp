@@ -63,7 +63,7 @@ tl::unexpected<Failure> nonsense() noexcept {
   return fail(Errc::protocol_violation, "an answer of agnocastd");
 }
 
-bool takes_part(abi::MemberState state) noexcept { return state == abi::MemberState::active; }
+bool takes_part(abi::BoardState state) noexcept { return state == abi::BoardState::active; }
 
 }  // namespace
 
@@ -197,7 +197,7 @@ class Graph::State {
           const auto process = processes.find(endpoint.client);
           if (process == processes.end() ||
               process->second.generation != endpoint.client_generation ||
-              !takes_part(abi::state_of(endpoint.member)))
+              !takes_part(abi::state_of(endpoint.board_word)))
             break;
           snapshot.endpoints.push_back(info_of(endpoint, topic->second, process->second));
           break;

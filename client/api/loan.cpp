@@ -54,7 +54,7 @@ struct BorrowScope::Home {
   // instruction.
   std::atomic<std::uint64_t> left{thread_lives};
 
-  void let_go(std::uint64_t part) noexcept {
+  void release(std::uint64_t part) noexcept {
     if (left.fetch_sub(part, std::memory_order_acq_rel) == part) delete this;
   }
   void pay(const Heap& heap) noexcept {
@@ -70,7 +70,7 @@ void BorrowScope::open() noexcept {
   struct LeavesHome {
     ~LeavesHome() {
       if (Home* const home = std::exchange(current(), nullptr); home != nullptr)
-        home->let_go(Home::thread_lives - home->open);
+        home->release(Home::thread_lives - home->open);
     }
   };
   const Heap* const heap = Context::instance().heap();
@@ -103,7 +103,7 @@ void BorrowScope::close() noexcept {
     --home->open;
   } else {
     home->owed.fetch_add(1, std::memory_order_release);
-    home->let_go(1);
+    home->release(1);
   }
 }
 

@@ -30,8 +30,8 @@ void pin_object_of(void (*code)(const void*, void*) noexcept) noexcept {
 // For a publisher that the present daemon refuses, and that continues in a previous session:
 // memory in further windows is foreign there, because no peer in that session will ever have
 // those windows.
-WindowSet windows_of_former(void* membership) noexcept {
-  const std::uint64_t count = static_cast<const Context*>(membership)->announced_windows();
+WindowSet windows_of_former(void* session) noexcept {
+  const std::uint64_t count = static_cast<const Context*>(session)->announced_windows();
   const WindowSet all = Context::instance().shared_heap().windows(nullptr);
   WindowSet known;
   for (std::size_t i = 0; i < all.count(); ++i) {
@@ -41,12 +41,12 @@ WindowSet windows_of_former(void* membership) noexcept {
   }
   return known;
 }
-std::uint64_t leave_of_former(void* membership) noexcept {
+std::uint64_t leave_of_former(void* session) noexcept {
   const SharedHeap heap = Context::instance().shared_heap();
   const std::uint64_t strays = heap.leave(heap.context);
   // An unseen part may be in a further window.
   const bool has_further =
-      windows_of_former(membership).count() != heap.windows(heap.context).count();
+      windows_of_former(session).count() != heap.windows(heap.context).count();
   return strays + (has_further ? 1 : 0);
 }
 
@@ -89,14 +89,14 @@ Result<std::shared_ptr<UntypedPublisher>> UntypedPublisher::create(const Endpoin
   request.layout_hash = publisher->type_.layout_hash();
   request.qos = to_abi(qos);
   request.uses_shared_allocator = code.uses_shared_allocator;
-  request.lineage = name.lineage;
-  request.says_lineage_later = name.says_lineage_later;
+  request.persistent_id = name.persistent_id;
+  request.announces_persistent_id_later = name.announces_persistent_id_later;
   auto endpoint = Context::instance().create_publisher(request, code.end);
   if (!endpoint) return tl::unexpected<Failure>(endpoint.error());
   publisher->endpoint_ = std::move(*endpoint);
   pin_object_of(code.end.code);
   if (options.events()) {
-    publisher->endpoint_->events().wake_for(options.events(), publisher->runner_->sleeper());
+    publisher->endpoint_->events().wake_for(options.events(), publisher->runner_->wait_set());
     publisher->source_ = std::make_shared<PublisherSource>(publisher->endpoint_, options.events());
     publisher->runner_->callbacks().add(publisher->source_);
   }
@@ -170,14 +170,14 @@ std::size_t UntypedPublisher::subscription_count() const noexcept {
   return endpoint_ != nullptr ? endpoint_->subscription_count() : 0;
 }
 
-std::uint64_t UntypedPublisher::lineage() const noexcept {
-  return endpoint_ != nullptr ? endpoint_->lineage() : 0;
+std::uint64_t UntypedPublisher::persistent_id() const noexcept {
+  return endpoint_ != nullptr ? endpoint_->persistent_id() : 0;
 }
-void UntypedPublisher::say_lineage() noexcept {
-  if (endpoint_ != nullptr) endpoint_->say_lineage();
+void UntypedPublisher::announce_persistent_id() noexcept {
+  if (endpoint_ != nullptr) endpoint_->announce_persistent_id();
 }
-std::vector<std::uint64_t> UntypedPublisher::reader_lineages() const {
-  return endpoint_ != nullptr ? endpoint_->reader_lineages() : std::vector<std::uint64_t>();
+std::vector<std::uint64_t> UntypedPublisher::reader_persistent_ids() const {
+  return endpoint_ != nullptr ? endpoint_->reader_persistent_ids() : std::vector<std::uint64_t>();
 }
 void UntypedPublisher::tell(std::shared_ptr<Watch> watch) noexcept {
   if (endpoint_ != nullptr) endpoint_->events().tell(std::move(watch));

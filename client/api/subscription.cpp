@@ -50,7 +50,7 @@ namespace detail {
 WindowSet windows_of(const Block* block) noexcept {
   if (block == nullptr || block->end != end_block) return {};
   const auto& received = static_cast<const ReceivedBlock*>(block)->received;
-  return received.link->peer().heap().group_of(received.taken.address);
+  return received.link->peer().heap().window_set_of(received.taken.address);
 }
 
 WindowSet windows_of_another(const void* object) noexcept {
@@ -58,7 +58,7 @@ WindowSet windows_of_another(const void* object) noexcept {
   AddressUsers& users = AddressUsers::instance();
   // In a forked child its lock may be held for ever.
   if (!users.may_be_of_another(address) || is_forked_child()) return {};
-  return users.group_of_another(address);
+  return users.window_set_of_another(address);
 }
 
 }  // namespace detail
@@ -158,17 +158,17 @@ Result<std::shared_ptr<UntypedSubscription>> UntypedSubscription::create(
   const Result<bool> off = is_switched_off();
   if (!off) return tl::unexpected<Failure>(off.error());
   if (*off) return subscription;
-  std::shared_ptr<Sleeper> sleeper;
+  std::shared_ptr<WaitSet> wait_set;
   if (callback || options.events()) {
     auto runner = Runner::of_node(name.node);
     if (!runner) return tl::unexpected<Failure>(runner.error());
     subscription->runner_ = std::move(*runner);
-    sleeper = subscription->runner_->sleeper();
+    wait_set = subscription->runner_->wait_set();
   }
   if (!callback) {
-    auto idle = Context::instance().idle_sleeper();
+    auto idle = Context::instance().idle_wait_set();
     if (!idle) return tl::unexpected<Failure>(idle.error());
-    sleeper = std::move(*idle);
+    wait_set = std::move(*idle);
   }
   EndpointRequest request;
   request.topic = name.topic;
@@ -179,14 +179,14 @@ Result<std::shared_ptr<UntypedSubscription>> UntypedSubscription::create(
   request.quota = options.hold_quota();
   request.quota_or_less = !options.is_hold_quota_set();
   request.depth_per_publisher = options.is_depth_per_publisher();
-  request.lineage = name.lineage;
+  request.persistent_id = name.persistent_id;
   request.message_bytes = type.message_bytes();
   request.message_alignment = type.message_alignment();
-  auto endpoint = Context::instance().create_subscription(request, std::move(sleeper));
+  auto endpoint = Context::instance().create_subscription(request, std::move(wait_set));
   if (!endpoint) return tl::unexpected<Failure>(endpoint.error());
   subscription->endpoint_ = std::move(*endpoint);
   if (subscription->runner_ != nullptr) {
-    subscription->endpoint_->events().wake_for(options.events(), subscription->runner_->sleeper());
+    subscription->endpoint_->events().wake_for(options.events(), subscription->runner_->wait_set());
     subscription->source_ = std::make_shared<SubscriptionSource>(
         subscription->endpoint_, std::move(callback), options.events());
     subscription->runner_->callbacks().add(subscription->source_);
@@ -218,14 +218,14 @@ std::size_t UntypedSubscription::publisher_count() const noexcept {
 std::uint64_t UntypedSubscription::callback_exception_count() const noexcept {
   return source_ != nullptr ? source_->exception_count.load(std::memory_order_relaxed) : 0;
 }
-std::uint64_t UntypedSubscription::lineage() const noexcept {
-  return endpoint_ != nullptr ? endpoint_->identity().lineage : 0;
+std::uint64_t UntypedSubscription::persistent_id() const noexcept {
+  return endpoint_ != nullptr ? endpoint_->identity().persistent_id : 0;
 }
 std::vector<UntypedSubscription::Writer> UntypedSubscription::writers() const {
   std::vector<Writer> all;
   if (endpoint_ != nullptr)
-    endpoint_->for_each_writer([&](std::uint64_t lineage, bool is_gone) {
-      all.push_back({lineage, is_gone});
+    endpoint_->for_each_writer([&](std::uint64_t persistent_id, bool is_gone) {
+      all.push_back({persistent_id, is_gone});
     });
   return all;
 }

@@ -21,16 +21,16 @@ class Departure {
   /// It does not: it was somebody else who refused to hear of it. To be said again.
   void forgotten() noexcept {
     known_.store(false, std::memory_order_release);
-    is_said_ = false;
+    is_reported_ = false;
   }
   /// Is it to be said now?
-  bool is_due() const noexcept { return is_wanted() && !is_known() && !is_said_; }
+  bool is_due() const noexcept { return is_wanted() && !is_known() && !is_reported_; }
   /// The connection has it.
-  void said() noexcept { is_said_ = true; }
+  void reported() noexcept { is_reported_ = true; }
 
  private:
   std::atomic<bool> wanted_{false}, known_{false};
-  bool is_said_ = false;
+  bool is_reported_ = false;
 };
 
 }  // namespace agnocast

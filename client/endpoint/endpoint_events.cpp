@@ -62,64 +62,64 @@ void EndpointEvents::moved() noexcept {
   if (watch_ != nullptr) watch_->notify();
 }
 
-MatchedInfo EndpointEvents::matched_since(Counts& told) const noexcept {
-  const std::uint64_t gained = now_.matched - told.matched;
-  const std::uint64_t ceased = now_.ceased - told.ceased;
-  told.matched = now_.matched;
-  told.ceased = now_.ceased;
+MatchedInfo EndpointEvents::matched_since(Counts& notified) const noexcept {
+  const std::uint64_t gained = now_.matched - notified.matched;
+  const std::uint64_t ceased = now_.ceased - notified.ceased;
+  notified.matched = now_.matched;
+  notified.ceased = now_.ceased;
   return {now_.matched, gained, now_.matched - now_.ceased,
           static_cast<std::int32_t>(static_cast<std::int64_t>(gained - ceased))};
 }
 
-IncompatibleQosInfo EndpointEvents::qos_since(Counts& told) const noexcept {
-  const std::uint64_t change = now_.qos - std::exchange(told.qos, now_.qos);
+IncompatibleQosInfo EndpointEvents::qos_since(Counts& notified) const noexcept {
+  const std::uint64_t change = now_.qos - std::exchange(notified.qos, now_.qos);
   return {static_cast<std::int32_t>(now_.qos), static_cast<std::int32_t>(change), last_policy_};
 }
 
-IncompatibleTypeInfo EndpointEvents::types_since(Counts& told) const noexcept {
-  const std::uint64_t change = now_.types - std::exchange(told.types, now_.types);
+IncompatibleTypeInfo EndpointEvents::types_since(Counts& notified) const noexcept {
+  const std::uint64_t change = now_.types - std::exchange(notified.types, now_.types);
   return {static_cast<std::int32_t>(now_.types), static_cast<std::int32_t>(change)};
 }
 
-HeapCollisionInfo EndpointEvents::collisions_since(Counts& told) const noexcept {
+HeapCollisionInfo EndpointEvents::collisions_since(Counts& notified) const noexcept {
   HeapCollisionInfo info = last_collision_;
   info.total_count = static_cast<std::int32_t>(now_.collisions);
   info.total_count_change =
-      static_cast<std::int32_t>(now_.collisions - std::exchange(told.collisions, now_.collisions));
+      static_cast<std::int32_t>(now_.collisions - std::exchange(notified.collisions, now_.collisions));
   return info;
 }
 
 MatchedInfo EndpointEvents::matched_status() noexcept {
   if (is_forked_child()) return {};
   const std::lock_guard lock(mutex_);
-  return matched_since(told_by_status_);
+  return matched_since(notified_by_status_);
 }
 
 IncompatibleQosInfo EndpointEvents::incompatible_qos_status() noexcept {
   if (is_forked_child()) return {};
   const std::lock_guard lock(mutex_);
-  return qos_since(told_by_status_);
+  return qos_since(notified_by_status_);
 }
 
 IncompatibleTypeInfo EndpointEvents::incompatible_type_status() noexcept {
   if (is_forked_child()) return {};
   const std::lock_guard lock(mutex_);
-  return types_since(told_by_status_);
+  return types_since(notified_by_status_);
 }
 
 HeapCollisionInfo EndpointEvents::heap_collision_status() noexcept {
   if (is_forked_child()) return {};
   const std::lock_guard lock(mutex_);
-  return collisions_since(told_by_status_);
+  return collisions_since(notified_by_status_);
 }
 
 void EndpointEvents::wake_for(const detail::EventCallbacks& callbacks,
-                              std::shared_ptr<Sleeper> sleeper) noexcept {
+                              std::shared_ptr<WaitSet> wait_set) noexcept {
   const std::lock_guard lock(mutex_);
   wanted_ = {callbacks.matched != nullptr,           callbacks.incompatible_qos != nullptr,
              callbacks.incompatible_type != nullptr, callbacks.connection != nullptr,
              callbacks.heap_collision != nullptr,    callbacks.drained != nullptr};
-  sleeper_ = std::move(sleeper);
+  wait_set_ = std::move(wait_set);
   changed();
 }
 
@@ -130,17 +130,17 @@ void EndpointEvents::tell(std::shared_ptr<Watch> watch) noexcept {
 
 bool EndpointEvents::look_for_pending() const noexcept {
   return (wanted_.matched && matched_changed()) ||
-         (wanted_.qos && now_.qos != told_by_callback_.qos) ||
-         (wanted_.types && now_.types != told_by_callback_.types) ||
-         (wanted_.connections && now_.connections != told_by_callback_.connections) ||
-         (wanted_.collisions && now_.collisions != told_by_callback_.collisions) ||
-         (wanted_.drained && now_.drained != told_by_callback_.drained);
+         (wanted_.qos && now_.qos != notified_by_callback_.qos) ||
+         (wanted_.types && now_.types != notified_by_callback_.types) ||
+         (wanted_.connections && now_.connections != notified_by_callback_.connections) ||
+         (wanted_.collisions && now_.collisions != notified_by_callback_.collisions) ||
+         (wanted_.drained && now_.drained != notified_by_callback_.drained);
 }
 
 void EndpointEvents::changed() noexcept {
   const bool pending = look_for_pending();
   pending_.store(pending, std::memory_order_release);
-  if (pending && sleeper_ != nullptr) sleeper_->wake();
+  if (pending && wait_set_ != nullptr) wait_set_->wake();
 }
 
 bool EndpointEvents::run_one(const detail::EventCallbacks& callbacks) {
@@ -153,19 +153,19 @@ bool EndpointEvents::run_one(const detail::EventCallbacks& callbacks) {
     return true;
   };
   if (wanted_.matched && matched_changed())
-    return run(callbacks.matched, matched_since(told_by_callback_));
-  if (wanted_.qos && now_.qos != told_by_callback_.qos)
-    return run(callbacks.incompatible_qos, qos_since(told_by_callback_));
-  if (wanted_.types && now_.types != told_by_callback_.types)
-    return run(callbacks.incompatible_type, types_since(told_by_callback_));
-  if (wanted_.connections && now_.connections != told_by_callback_.connections) {
-    told_by_callback_.connections = now_.connections;
+    return run(callbacks.matched, matched_since(notified_by_callback_));
+  if (wanted_.qos && now_.qos != notified_by_callback_.qos)
+    return run(callbacks.incompatible_qos, qos_since(notified_by_callback_));
+  if (wanted_.types && now_.types != notified_by_callback_.types)
+    return run(callbacks.incompatible_type, types_since(notified_by_callback_));
+  if (wanted_.connections && now_.connections != notified_by_callback_.connections) {
+    notified_by_callback_.connections = now_.connections;
     return run(callbacks.connection, ConnectionInfo(connection_));
   }
-  if (wanted_.collisions && now_.collisions != told_by_callback_.collisions)
-    return run(callbacks.heap_collision, collisions_since(told_by_callback_));
-  if (wanted_.drained && now_.drained != told_by_callback_.drained) {
-    told_by_callback_.drained = now_.drained;
+  if (wanted_.collisions && now_.collisions != notified_by_callback_.collisions)
+    return run(callbacks.heap_collision, collisions_since(notified_by_callback_));
+  if (wanted_.drained && now_.drained != notified_by_callback_.drained) {
+    notified_by_callback_.drained = now_.drained;
     return run([&](bool) { callbacks.drained(); }, true);
   }
   return false;

@@ -11,7 +11,7 @@
 #pragma once
 
 #include <agnocast/events.hpp>
-#include <client/process/sleeper.hpp>
+#include <client/process/wait_set.hpp>
 #include <client/process/watch.hpp>
 
 #include <atomic>
@@ -37,7 +37,7 @@ class EndpointEvents {
   void heap_collision(const char* text) noexcept;
   /// What was unread of a publisher that is gone is lost: a take has found nothing to deliver. Any thread.
   void drained() noexcept;
-  /// What it has matched in a newer membership counts from now on; that was told before.
+  /// What it has matched in a newer session counts from now on; that was told before.
   void moved() noexcept;
 
   // --- any thread
@@ -47,7 +47,7 @@ class EndpointEvents {
   IncompatibleTypeInfo incompatible_type_status() noexcept;
   HeapCollisionInfo heap_collision_status() noexcept;
   /// From now on a change for which there is a callback ends the sleep of whoever runs them.
-  void wake_for(const detail::EventCallbacks& callbacks, std::shared_ptr<Sleeper> sleeper) noexcept;
+  void wake_for(const detail::EventCallbacks& callbacks, std::shared_ptr<WaitSet> wait_set) noexcept;
   /// From now on it is told when what is matched has changed.
   void tell(std::shared_ptr<Watch> watch) noexcept;
 
@@ -67,18 +67,18 @@ class EndpointEvents {
     std::uint64_t collisions = 0;
     std::uint64_t drained = 0;
   };
-  MatchedInfo matched_since(Counts& told) const noexcept;
-  IncompatibleQosInfo qos_since(Counts& told) const noexcept;
-  IncompatibleTypeInfo types_since(Counts& told) const noexcept;
-  HeapCollisionInfo collisions_since(Counts& told) const noexcept;
+  MatchedInfo matched_since(Counts& notified) const noexcept;
+  IncompatibleQosInfo qos_since(Counts& notified) const noexcept;
+  IncompatibleTypeInfo types_since(Counts& notified) const noexcept;
+  HeapCollisionInfo collisions_since(Counts& notified) const noexcept;
   void changed() noexcept;
   bool matched_changed() const noexcept {
-    return now_.matched != told_by_callback_.matched || now_.ceased != told_by_callback_.ceased;
+    return now_.matched != notified_by_callback_.matched || now_.ceased != notified_by_callback_.ceased;
   }
   bool look_for_pending() const noexcept;
 
   mutable std::mutex mutex_;
-  Counts now_, told_by_status_, told_by_callback_;
+  Counts now_, notified_by_status_, notified_by_callback_;
   QosPolicyKind last_policy_ = QosPolicyKind::invalid;
   ConnectionInfo connection_;
   HeapCollisionInfo last_collision_;
@@ -87,7 +87,7 @@ class EndpointEvents {
     bool matched = false, qos = false, types = false, connections = false, collisions = false,
          drained = false;
   } wanted_;
-  std::shared_ptr<Sleeper> sleeper_;
+  std::shared_ptr<WaitSet> wait_set_;
   std::shared_ptr<Watch> watch_;
 };
 

@@ -117,9 +117,9 @@ bool EndpointTable::is_attached(std::uint32_t topic, std::uint64_t subscription,
   });
 }
 
-void EndpointTable::wake_sleepers() const noexcept {
+void EndpointTable::wake_wait_sets() const noexcept {
   const std::lock_guard lock(mutex_);
-  for (const auto& [key, subscription] : subscriptions_) subscription->sleeper().wake();
+  for (const auto& [key, subscription] : subscriptions_) subscription->wait_set().wake();
 }
 
 void EndpointTable::revoke() const noexcept {
@@ -152,7 +152,7 @@ void EndpointTable::collect_subscriptions(const Unlinked& unlinked, const Draine
       continue;
     }
     const std::uint64_t generation = subscription->identity().generation;
-    // First its sleeper comes back: whoever sees the place free may count on it.
+    // First its wait set comes back: whoever sees the place free may count on it.
     it = subscriptions_.erase(it);
     AGNOCAST_CRASH_POINT(C_erased);
     drained(key, generation);

@@ -6,7 +6,7 @@
 // and is taken out only there. So a reference that the control thread has found stays good until it takes the endpoint
 // out itself. Any thread may look.
 //
-// The mutex is not held while a publisher passes: passes destroy messages, and destructors are user code. Subscriptions
+// The mutex is not held while a publisher scans: scans destroy messages, and destructors are user code. Subscriptions
 // run no user code, so the control thread may go over them under it.
 #pragma once
 
@@ -67,8 +67,8 @@ class EndpointTable {
     const std::lock_guard lock(mutex_);
     for (const auto& [key, subscription] : subscriptions_) work(key, subscription);
   }
-  /// Sleepers look around: something is there that rings nobody.
-  void wake_sleepers() const noexcept;
+  /// Wait sets look around: something is there that rings nobody.
+  void wake_wait_sets() const noexcept;
   /// The session was revoked: nobody is matched any more.
   void revoke() const noexcept;
   /// There is no daemon any more that could say more of the session.

@@ -100,7 +100,7 @@ Result<void> PeerTable::add_window_of(Known& known, const PeerHeap::Announced& w
     added = heap.add_without_file(window);
   }
   // A taker may have found a message there already and left it.
-  if (heap.window_count() != before) endpoints_.wake_sleepers();
+  if (heap.window_count() != before) endpoints_.wake_wait_sets();
   return added;
 }
 

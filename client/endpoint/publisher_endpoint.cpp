@@ -28,22 +28,22 @@ PublisherEndpoint::PublisherEndpoint(const Identity& identity)
       events_(identity.events != nullptr ? identity.events : std::make_shared<EndpointEvents>()) {
   doomed_.reserve(abi::slot_count_max);
   // Ahead of everything: who sees a message or a link of it sees this.
-  if (!identity_.says_lineage_later)
-    identity_.core.words.lineage().store(identity_.lineage, std::memory_order_relaxed);
+  if (!identity_.announces_persistent_id_later)
+    identity_.core.words.persistent_id().store(identity_.persistent_id, std::memory_order_relaxed);
 }
 
-void PublisherEndpoint::say_lineage() noexcept {
+void PublisherEndpoint::announce_persistent_id() noexcept {
   const std::lock_guard lock(mutex_);
-  if (!moved_) identity_.core.words.lineage().store(identity_.lineage, std::memory_order_relaxed);
+  if (!moved_) identity_.core.words.persistent_id().store(identity_.persistent_id, std::memory_order_relaxed);
 }
 
 dataplane::PublishOutcome PublisherEndpoint::publish(void* message, std::uint64_t object_bytes,
                                                      std::uint64_t message_bytes) noexcept {
   dataplane::PublishOutcome outcome = dataplane::PublishOutcome::no_slot;
-  std::shared_ptr<PublisherEndpoint> heir;
+  std::shared_ptr<PublisherEndpoint> successor;
   with_queue([&](Work& work) {
     if (moved_) [[unlikely]] {
-      heir = heir_;
+      successor = successor_;
       return;
     }
     // What no borrow has destroyed since. Many at once, when a reader that lagged has caught up: the rest
@@ -56,8 +56,8 @@ dataplane::PublishOutcome PublisherEndpoint::publish(void* message, std::uint64_
         {reinterpret_cast<std::uint64_t>(message), object_bytes, monotonic_ns(), message_bytes},
         work);
   });
-  if (heir != nullptr) [[unlikely]]
-    return heir->publish(message, object_bytes, message_bytes);
+  if (successor != nullptr) [[unlikely]]
+    return successor->publish(message, object_bytes, message_bytes);
   if (outcome == dataplane::PublishOutcome::no_slot)
     count(offsetof(abi::PublisherEndpoint, refused_no_slot), 1);
   if (outcome == dataplane::PublishOutcome::would_block)
@@ -79,13 +79,13 @@ void PublisherEndpoint::lacked_room() noexcept {
 bool PublisherEndpoint::has_more_room() noexcept {
   bool some = false;
   // What others add to it meanwhile is theirs to destroy.
-  constexpr std::size_t turns_max = abi::slot_count_max / destroy_at_once_max + 1;
+  constexpr std::size_t attempts_max = abi::slot_count_max / destroy_at_once_max + 1;
   bool is_done = false;
-  for (std::size_t turn = 0; turn < turns_max && !is_done; ++turn) {
+  for (std::size_t attempt = 0; attempt < attempts_max && !is_done; ++attempt) {
     with_queue([&](Work& work) {
-      if (turn == 0 && core_ != nullptr) {
-        core_->pass(work);
-        core_->pass(work);
+      if (attempt == 0 && core_ != nullptr) {
+        core_->scan(work);
+        core_->scan(work);
       }
       work.destroy_doomed();
       some = some || work.destroy_count != 0;
@@ -96,13 +96,13 @@ bool PublisherEndpoint::has_more_room() noexcept {
 }
 
 void PublisherEndpoint::count(std::size_t counter, std::uint64_t more) noexcept {
-  std::shared_ptr<PublisherEndpoint> heir;
+  std::shared_ptr<PublisherEndpoint> successor;
   {
     const std::lock_guard lock(mutex_);
     if (!moved_) identity_.core.words.counter(counter).fetch_add(more, std::memory_order_relaxed);
-    heir = heir_;
+    successor = successor_;
   }
-  if (heir != nullptr) heir->count(counter, more);
+  if (successor != nullptr) successor->count(counter, more);
 }
 void PublisherEndpoint::count_adopted(std::uint64_t bytes) noexcept {
   count(offsetof(abi::PublisherEndpoint, adopted_messages), 1);
@@ -112,7 +112,7 @@ void PublisherEndpoint::count_heap_exhausted() noexcept {
   count(offsetof(abi::PublisherEndpoint, refused_heap_exhausted), 1);
 }
 
-std::size_t PublisherEndpoint::executor_of(const Peer& peer, std::uint64_t executor, Bell bell) {
+std::size_t PublisherEndpoint::executor_of(const Peer& peer, std::uint64_t executor, PeerDoorbell doorbell) {
   std::size_t free_place = executors_.size();
   for (std::size_t i = 0; i < executors_.size(); ++i) {
     Executor& known = executors_[i];
@@ -121,20 +121,20 @@ std::size_t PublisherEndpoint::executor_of(const Peer& peer, std::uint64_t execu
     } else if (known.client == peer.client() && known.client_generation == peer.generation() &&
                known.executor == executor) {
       ++known.users;
-      if (bell.doorbell) std::swap(known.bell, bell);
+      if (doorbell.sender) std::swap(known.doorbell, doorbell);
       return i;
     }
   }
   if (free_place == executors_.size()) executors_.emplace_back();
-  executors_[free_place] = {peer.client(), peer.generation(), executor, 1, std::move(bell), 0,
+  executors_[free_place] = {peer.client(), peer.generation(), executor, 1, std::move(doorbell), 0,
                             peer.region()};
   return free_place;
 }
 
 bool PublisherEndpoint::attach(const Subscription& subscription, std::shared_ptr<Peer> peer,
-                               Bell bell) {
+                               PeerDoorbell doorbell) {
   if (is_attached(subscription.index, subscription.generation)) {
-    replace_bell(subscription, std::move(bell));
+    replace_doorbell(subscription, std::move(doorbell));
     return false;
   }
   {
@@ -144,28 +144,28 @@ bool PublisherEndpoint::attach(const Subscription& subscription, std::shared_ptr
   }
   in_control_thread([&](Work& work) {
     AGNOCAST_CRASH_POINT(C_attach);
-    const std::size_t executor = executor_of(*peer, subscription.executor, std::move(bell));
+    const std::size_t executor = executor_of(*peer, subscription.executor, std::move(doorbell));
     core_->attach(subscription.index, subscription.generation, peer->region(), subscription.extent,
                   armed_offset(subscription.executor), executor, work);
     core_->limit_holds(subscription.index, subscription.quota);
     attached_.push_back({subscription.index, subscription.generation, subscription.extent, executor,
                          std::move(peer), subscription.owner});
-    core_->pass(work);
+    core_->scan(work);
   });
   note_links();
   return true;
 }
 
 // The one that was here may be mute, or lead to a receiver that is no more.
-void PublisherEndpoint::replace_bell(const Subscription& subscription, Bell bell) noexcept {
-  if (!bell.doorbell) return;
+void PublisherEndpoint::replace_doorbell(const Subscription& subscription, PeerDoorbell doorbell) noexcept {
+  if (!doorbell.sender) return;
   const std::lock_guard lock(mutex_);
   for (const Attached& attached : attached_) {
     if (attached.index != subscription.index || attached.generation != subscription.generation)
       continue;
-    std::swap(executors_[attached.executor].bell, bell);
+    std::swap(executors_[attached.executor].doorbell, doorbell);
     // What was published since it fell asleep has rung the former one.
-    executors_[attached.executor].bell.doorbell.ring();
+    executors_[attached.executor].doorbell.sender.ring();
     return;
   }
 }
@@ -202,7 +202,7 @@ void PublisherEndpoint::note_links() noexcept {
 }
 
 void PublisherEndpoint::detach(std::uint64_t index, std::uint64_t generation) noexcept {
-  std::shared_ptr<Peer> let_go;
+  std::shared_ptr<Peer> to_unmap;
   Match match = Match::ended;
   in_control_thread([&](Work& work) {
     const auto found =
@@ -210,11 +210,11 @@ void PublisherEndpoint::detach(std::uint64_t index, std::uint64_t generation) no
           return attached.index == index && attached.generation == generation;
         });
     if (found == attached_.end()) return;
-    core_->pass(work);  // learns that it is over while its line can still be read
+    core_->scan(work);  // learns that it is over while its line can still be read
     AGNOCAST_CRASH_POINT(C_detach);
     core_->detach(index, generation);
     if (--executors_[found->executor].users == 0) executors_[found->executor] = {};
-    let_go = std::move(found->peer);
+    to_unmap = std::move(found->peer);
     match = found->match;
     if (moved_ && match == Match::awaited) match = Match::ended;
     attached_.erase(found);
@@ -235,33 +235,33 @@ void PublisherEndpoint::revoke() noexcept {
   for (; matched > 0; --matched) events_->ceased();
 }
 
-std::vector<PublisherEndpoint::Member> PublisherEndpoint::detach_all() {
-  std::vector<Attached> let_go;
-  std::vector<Member> members;
+std::vector<PublisherEndpoint::EndpointId> PublisherEndpoint::detach_all() {
+  std::vector<Attached> to_unmap;
+  std::vector<EndpointId> endpoints;
   const std::lock_guard lock(mutex_);
-  members.reserve(attached_.size());
+  endpoints.reserve(attached_.size());
   for (const Attached& attached : attached_) {
     core_->detach(attached.index, attached.generation);
-    members.push_back({attached.index, attached.generation});
+    endpoints.push_back({attached.index, attached.generation});
   }
-  let_go.swap(attached_);
+  to_unmap.swap(attached_);
   executors_.clear();
-  return members;
+  return endpoints;
 }
 
 void PublisherEndpoint::run_errands() noexcept {
   note_links();
   in_control_thread([&](Work& work) {
-    for (Executor& sleeper : executors_) {
-      const std::uint64_t owed = std::exchange(sleeper.owed, 0);
-      if (owed == 0 || sleeper.users == 0) continue;
+    for (Executor& wait_set : executors_) {
+      const std::uint64_t owed = std::exchange(wait_set.owed, 0);
+      if (owed == 0 || wait_set.users == 0) continue;
       AGNOCAST_CRASH_POINT(C_errand_ring);
       // Another generation: it was awake meanwhile and has looked for itself.
-      if (SharedMemory::word(sleeper.region, armed_offset(sleeper.executor))
+      if (SharedMemory::word(wait_set.region, armed_offset(wait_set.executor))
               .load(std::memory_order_relaxed) == owed)
-        sleeper.bell.doorbell.ring();
+        wait_set.doorbell.sender.ring();
     }
-    core_->pass(work);
+    core_->scan(work);
     work.destroy_doomed();
     // More next time: destructors may be slow, others wait.
     work.wake_control = work.may_destroy && !doomed_.empty();
@@ -279,27 +279,27 @@ bool PublisherEndpoint::is_over() const noexcept {
 std::uint64_t PublisherEndpoint::allocated_count() const noexcept {
   const std::lock_guard lock(mutex_);
   return (core_ != nullptr ? core_->allocated_count() : 0) +
-         (heir_ != nullptr ? heir_->allocated_count() : 0);
+         (successor_ != nullptr ? successor_->allocated_count() : 0);
 }
 std::size_t PublisherEndpoint::subscription_count() const noexcept {
   if (!is_served()) return 0;
-  std::shared_ptr<PublisherEndpoint> heir;
+  std::shared_ptr<PublisherEndpoint> successor;
   {
     const std::lock_guard lock(mutex_);
     if (!moved_) return linked_count();
-    heir = heir_;
+    successor = successor_;
   }
-  return heir != nullptr ? heir->subscription_count() : 0;
+  return successor != nullptr ? successor->subscription_count() : 0;
 }
-std::vector<std::uint64_t> PublisherEndpoint::reader_lineages() const {
+std::vector<std::uint64_t> PublisherEndpoint::reader_persistent_ids() const {
   if (!is_served()) return {};
-  std::shared_ptr<PublisherEndpoint> heir;
+  std::shared_ptr<PublisherEndpoint> successor;
   {
     const std::lock_guard lock(mutex_);
-    heir = heir_;
-    if (moved_ && heir == nullptr) return {};
+    successor = successor_;
+    if (moved_ && successor == nullptr) return {};
   }
-  return heir != nullptr ? heir->reader_lineages() : linked_lineages(false);
+  return successor != nullptr ? successor->reader_persistent_ids() : linked_persistent_ids(false);
 }
 std::size_t PublisherEndpoint::linked_count() const noexcept {
   return static_cast<std::size_t>(
@@ -313,19 +313,19 @@ bool PublisherEndpoint::awaits_link() const noexcept {
 }
 
 void PublisherEndpoint::destroy(void* message) noexcept {
-  if (!TwiceOwned::instance().let_go(message)) identity_.end_message(message);
+  if (!TwiceOwned::instance().release(message)) identity_.end_message(message);
 }
 
 // --- after the daemon's store was lost
 
-bool PublisherEndpoint::move_to(const std::shared_ptr<PublisherEndpoint>& heir) noexcept {
+bool PublisherEndpoint::move_to(const std::shared_ptr<PublisherEndpoint>& successor) noexcept {
   bool moves = false;
   in_control_thread([&](Work& work) {
     if (moved_) return;
     moves = true;
     const auto& words = identity_.core.words;
-    // Behind the last commit, ahead of the first one of the heir: who sees it sees the whole queue, and
-    // who sees anything of the heir sees it.
+    // Behind the last commit, ahead of the first one of the successor: who sees it sees the whole queue, and
+    // who sees anything of the successor sees it.
     words.intent_op().store(abi::intent_moved, std::memory_order_release);
     AGNOCAST_CRASH_POINT(C_move);
     const std::uint64_t head = core_->head_sequence();
@@ -339,20 +339,20 @@ bool PublisherEndpoint::move_to(const std::shared_ptr<PublisherEndpoint>& heir) 
           words.slot_id(slot).load(std::memory_order_relaxed) != sequence)
         continue;
       AGNOCAST_CRASH_POINT(C_inherit);
-      heir->inherit({words.slot_address(slot).load(std::memory_order_relaxed),
+      successor->inherit({words.slot_address(slot).load(std::memory_order_relaxed),
                      words.slot_size(slot).load(std::memory_order_relaxed),
                      words.slot_stamp(slot).load(std::memory_order_relaxed)});
     }
     AGNOCAST_CRASH_POINT(C_move);
     moved_ = true;
-    heir_ = heir;
+    successor_ = successor;
     AGNOCAST_CRASH_POINT(C_move);
     core_->keep_no_history();
     AGNOCAST_CRASH_POINT(C_moved);
-    core_->pass(work);
+    core_->scan(work);
   });
   if (moves) {
-    revoke();  // its subscriptions are the heir's now
+    revoke();  // its subscriptions are the successor's now
     events_->moved();
   }
   return moves;
@@ -377,23 +377,23 @@ void PublisherEndpoint::inherit(const dataplane::Entry& entry) noexcept {
     if (outcome == dataplane::PublishOutcome::published) return;
     inherited.store(before, std::memory_order_relaxed);
   });
-  if (outcome != dataplane::PublishOutcome::published) TwiceOwned::instance().let_go(message);
+  if (outcome != dataplane::PublishOutcome::published) TwiceOwned::instance().release(message);
 }
 
-void PublisherEndpoint::redirect_to(const std::shared_ptr<PublisherEndpoint>& heir) noexcept {
+void PublisherEndpoint::redirect_to(const std::shared_ptr<PublisherEndpoint>& successor) noexcept {
   const std::lock_guard lock(mutex_);
   AGNOCAST_CRASH_POINT(C_redirect);
-  if (moved_ && heir.get() != this) heir_ = heir;
+  if (moved_ && successor.get() != this) successor_ = successor;
 }
 
 std::shared_ptr<PublisherEndpoint> PublisherEndpoint::present(
     const std::shared_ptr<PublisherEndpoint>& self) const {
-  std::shared_ptr<PublisherEndpoint> heir;
+  std::shared_ptr<PublisherEndpoint> successor;
   {
     const std::lock_guard lock(mutex_);
-    heir = heir_;
+    successor = successor_;
   }
-  return heir != nullptr ? heir->present(heir) : self;
+  return successor != nullptr ? successor->present(successor) : self;
 }
 
 void PublisherEndpoint::abandon() noexcept {
@@ -402,7 +402,7 @@ void PublisherEndpoint::abandon() noexcept {
   moved_ = true;
 }
 
-std::vector<std::uint64_t> PublisherEndpoint::linked_lineages(bool living) const {
+std::vector<std::uint64_t> PublisherEndpoint::linked_persistent_ids(bool living) const {
   std::vector<std::uint64_t> all;
   const std::lock_guard lock(mutex_);
   for (const Attached& attached : attached_) {
@@ -416,33 +416,33 @@ std::vector<std::uint64_t> PublisherEndpoint::linked_lineages(bool living) const
     }
     all.push_back(
         region::SubscriptionWords<SharedMemory>{attached.peer->region(), attached.extent}
-            .lineage()
+            .persistent_id()
             .load(std::memory_order_relaxed));
   }
   std::sort(all.begin(), all.end());
   return all;
 }
 
-bool PublisherEndpoint::is_succeeded_by(const PublisherEndpoint& heir) const {
-  const std::vector<std::uint64_t> here = linked_lineages(true),
-                                   there = heir.linked_lineages(false);
+bool PublisherEndpoint::is_succeeded_by(const PublisherEndpoint& successor) const {
+  const std::vector<std::uint64_t> here = linked_persistent_ids(true),
+                                   there = successor.linked_persistent_ids(false);
   return std::includes(there.begin(), there.end(), here.begin(), here.end());
 }
 
 void PublisherEndpoint::bury_dead() {
-  std::vector<Member> dead;
+  std::vector<EndpointId> dead;
   {
     const std::lock_guard lock(mutex_);
     for (const Attached& attached : attached_) {
       if (!attached.peer->is_alive()) dead.push_back({attached.index, attached.generation});
     }
   }
-  for (const Member& member : dead) {
+  for (const EndpointId& endpoint : dead) {
     {
       const std::lock_guard lock(mutex_);
-      core_->bury(member.index, member.generation);
+      core_->bury(endpoint.index, endpoint.generation);
     }
-    detach(member.index, member.generation);
+    detach(endpoint.index, endpoint.generation);
   }
 }
 
@@ -458,9 +458,9 @@ bool PublisherEndpoint::is_finished() noexcept {
 }
 
 void PublisherEndpoint::finish() noexcept {
-  std::vector<Attached> let_go;  // after the lock
+  std::vector<Attached> to_unmap;  // after the lock
   const std::lock_guard lock(mutex_);
-  let_go.swap(attached_);
+  to_unmap.swap(attached_);
   executors_.clear();
   moved_ = true;
   core_.reset();

@@ -23,16 +23,16 @@ void PublisherEndpoint::list_foreign_readers(std::vector<Reader>& readers) const
 }
 
 std::uint64_t PublisherEndpoint::kept_bytes(
-    std::span<const Core::MemberId> readers) const noexcept {
+    std::span<const Core::EndpointId> readers) const noexcept {
   const std::lock_guard lock(mutex_);
   return core_ != nullptr ? core_->kept_bytes(readers) : 0;
 }
 
-void PublisherEndpoint::withdraw(const Core::MemberId& reader) noexcept {
+void PublisherEndpoint::withdraw(const Core::EndpointId& reader) noexcept {
   in_control_thread([&](Work& work) {
     if (core_ == nullptr) return;
     if (core_->withdraw(reader.index, reader.generation, abi::Withdrawal::over_share))
-      core_->pass(work);
+      core_->scan(work);
   });
 }
 
@@ -44,13 +44,13 @@ void PublisherEndpoint::note_unmapped(const Member& member, PeerOwner owner, boo
   watched.owner = owner;
   in_control_thread([&](Work& work) {
     if (core_ == nullptr || moved_) return;
-    core_->pass(work);  // from here on it counts
+    core_->scan(work);  // from here on it counts
     if (is_out && core_->withdraw(member.index, member.generation, abi::Withdrawal::not_attached))
-      core_->pass(work);
+      core_->scan(work);
   });
 }
 
-/// A member as one look sees it.
+/// An endpoint as one look sees it.
 struct PublisherEndpoint::Seen {
   Member id;
   bool is_mapped;
@@ -135,10 +135,10 @@ void PublisherEndpoint::look_at(const Seen& reader, Watched& member, const Look&
     } else if (!core_->is_disregarded(index) && look.now - member.since >= ReaderShares::patience) {
       core_->disregard(index, generation);
     }
-    core_->pass(work);
+    core_->scan(work);
     if (why == member.why) return;
     is_news = true;
-    bytes = core_->kept_bytes(std::array{Core::MemberId{index, generation}});
+    bytes = core_->kept_bytes(std::array{Core::EndpointId{index, generation}});
     member.why = why;
     member.since = look.now;
   });

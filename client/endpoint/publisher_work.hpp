@@ -15,7 +15,7 @@
 
 namespace agnocast {
 
-/// What one turn with the queue leaves to do outside the mutex.
+/// What one call on the queue leaves to do outside the mutex.
 struct PublisherEndpoint::Work {
   Work(PublisherEndpoint& of, bool destroys) noexcept : endpoint(of), may_destroy(destroys) {}
 
@@ -36,17 +36,17 @@ struct PublisherEndpoint::Work {
     total.store(total.load(std::memory_order_relaxed) + entry.bytes, std::memory_order_relaxed);
   }
   void ring(std::uint64_t executor, std::uint64_t armed) noexcept {
-    Executor& sleeper = endpoint.executors_[executor];
-    if (!sleeper.bell.doorbell) return;
+    Executor& wait_set = endpoint.executors_[executor];
+    if (!wait_set.doorbell.sender) return;
     if (rung++ < ring_at_once_max) {
-      sleeper.bell.doorbell.ring();
+      wait_set.doorbell.sender.ring();
     } else {
-      sleeper.owed = armed;
+      wait_set.owed = armed;
       wake_control = true;
     }
   }
   /// The control thread does, as it is woken anyway; but it destroys nothing any more once exit has begun.
-  bool passes_soon() const noexcept { return wake_control && !exit_has_begun(); }
+  bool scans_soon() const noexcept { return wake_control && !exit_has_begun(); }
   void freed(std::uint64_t, std::uint64_t address) noexcept {
     if (!may_destroy) return;
     void* const message = reinterpret_cast<void*>(address);
@@ -61,7 +61,7 @@ struct PublisherEndpoint::Work {
       endpoint.has_doomed_.store(true, std::memory_order_relaxed);
     }
   }
-  /// What an earlier turn had no room for.
+  /// What an earlier call had no room for.
   void destroy_doomed() noexcept {
     if (!may_destroy) return;
     auto& doomed = endpoint.doomed_;
@@ -78,7 +78,7 @@ inline void PublisherEndpoint::turn(Do work, Work& left) noexcept {
     const std::lock_guard lock(mutex_);
     work(left);
   }
-  if (left.wake_control) identity_.wake_control();  // first: sleepers do not wait for destructors
+  if (left.wake_control) identity_.wake_control();  // first: wait sets do not wait for destructors
 }
 
 inline void PublisherEndpoint::destroy_all(const Work& left) noexcept {

@@ -24,13 +24,13 @@ Link::~Link() {
 }
 
 SubscriptionEndpoint::SubscriptionEndpoint(const Identity& identity,
-                                           std::shared_ptr<Sleeper> sleeper)
+                                           std::shared_ptr<WaitSet> wait_set)
     : self_(identity),
-      sleeper_(std::move(sleeper)),
+      wait_set_(std::move(wait_set)),
       events_(identity.events != nullptr ? identity.events : std::make_shared<EndpointEvents>()) {
   // Before any link: publishers that see one see this.
-  region::SubscriptionWords<SharedMemory>{self_.region, self_.extent}.lineage().store(
-      self_.lineage, std::memory_order_relaxed);
+  region::SubscriptionWords<SharedMemory>{self_.region, self_.extent}.persistent_id().store(
+      self_.persistent_id, std::memory_order_relaxed);
 }
 
 bool SubscriptionEndpoint::add_publisher(const Publisher& publisher, std::shared_ptr<Peer> peer) {
@@ -40,7 +40,7 @@ bool SubscriptionEndpoint::add_publisher(const Publisher& publisher, std::shared
   Book& book = books_[publisher.index];
   const Book::Action action = book.on_announce(publisher.generation);
   if (action == Book::Action::nothing) {
-    sleeper_->wake();  // a message may have waited for a window that came with the announcement
+    wait_set_->wake();  // a message may have waited for a window that came with the announcement
     return true;
   }
   // The line is another link's: rule RU excludes that.
@@ -57,7 +57,7 @@ bool SubscriptionEndpoint::add_publisher(const Publisher& publisher, std::shared
                                       self_.message_alignment,
                                       self_.index};
   auto link =
-      std::make_shared<Link>(identity, std::move(peer), sleeper_,
+      std::make_shared<Link>(identity, std::move(peer), wait_set_,
                              std::min(self_.quota, publisher.quota), self_.wake_control);
   links_.reserve(links_.size() + 1);
   AGNOCAST_CRASH_POINT(C_link);
@@ -66,7 +66,7 @@ bool SubscriptionEndpoint::add_publisher(const Publisher& publisher, std::shared
   links_.push_back(std::move(link));
   book.linked(publisher.generation);
   events_->gained();
-  sleeper_->wake();  // what was committed before the link existed could not ring for it
+  wait_set_->wake();  // what was committed before the link existed could not ring for it
   return true;
 }
 
@@ -86,7 +86,7 @@ void SubscriptionEndpoint::orphan(std::uint64_t publisher, std::uint64_t generat
   // Publishers that come and go must not pile up behind a subscription that nobody looks at: beyond
   // its depth it owes nothing to those that are gone.
   drop_beyond_depth();
-  sleeper_->wake();
+  wait_set_->wake();
 }
 
 void SubscriptionEndpoint::revoke() noexcept {
@@ -196,10 +196,10 @@ void SubscriptionEndpoint::note_losses(Link& link) noexcept {
 
 // A process that was stopped while it was revoked may come here before its control thread has read
 // of it; publishers keep nothing for it any more.
-inline bool SubscriptionEndpoint::is_member() const noexcept {
+inline bool SubscriptionEndpoint::takes_part() const noexcept {
   return self_.topic.subscription(self_.index, offsetof(abi::SubscriptionEntry, word))
              .load(std::memory_order_acquire) ==
-         abi::pack_member(self_.generation, abi::MemberState::active);
+         abi::pack_board_word(self_.generation, abi::BoardState::active);
 }
 
 bool SubscriptionEndpoint::take(Receiver& receiver) noexcept {
@@ -211,7 +211,7 @@ bool SubscriptionEndpoint::take(Receiver& receiver) noexcept {
 }
 
 inline bool SubscriptionEndpoint::may_take() const noexcept {
-  return !closed_ && !has_finished_ && is_member();
+  return !closed_ && !has_finished_ && takes_part();
 }
 
 /// False at the quota, and until a missing window is there: asking again would only turn in circles.
@@ -356,7 +356,7 @@ std::size_t SubscriptionEndpoint::publisher_count() const noexcept {
   });
 }
 
-/// A queue of the same publisher is in a newer membership: while publishers move, one may be in two.
+/// A queue of the same publisher is in a newer session: while publishers move, one may be in two.
 bool SubscriptionEndpoint::has_next(const Link& link, std::size_t age) const noexcept {
   for (std::size_t i = age + 1; i <= successors_.size(); ++i) {
     const auto& links = in_age(i).links_;
@@ -383,7 +383,7 @@ void SubscriptionEndpoint::for_each_writer(
   with_successors_locked([&] {
     for (std::size_t age = 0; age <= successors_.size(); ++age) {
       for (const auto& link : in_age(age).links_) {
-        if (!link->ceased_ || link->core_.has_news()) see(link->lineage(), link->ceased_);
+        if (!link->ceased_ || link->core_.has_news()) see(link->persistent_id(), link->ceased_);
       }
     }
   });
@@ -399,7 +399,7 @@ auto SubscriptionEndpoint::with_successors_locked(Do work, std::size_t locked) c
   return with_successors_locked(work, locked + 1);
 }
 
-/// A queue of the same publisher was here in an older membership, with what goes along as history: it
+/// A queue of the same publisher was here in an older session, with what goes along as history: it
 /// is, or was, read to its end. One that its publisher never moved to had nothing.
 bool SubscriptionEndpoint::has_former(const Link& link, std::size_t age) const noexcept {
   const Link::Origin origin = link.origin();
@@ -491,7 +491,7 @@ void SubscriptionEndpoint::be_alone() noexcept {
       for (const auto& link : links_) link->core_.stand_aside();
     }
   }
-  sleeper_->wake();
+  wait_set_->wake();
 }
 
 void SubscriptionEndpoint::expect_successor() {
@@ -508,12 +508,12 @@ bool SubscriptionEndpoint::add_successor(const std::shared_ptr<SubscriptionEndpo
   }
   AGNOCAST_CRASH_POINT(C_succeeded);
   be_succeeded();
-  sleeper_->wake();  // what it got meanwhile rang for nobody who knew it
+  wait_set_->wake();  // what it got meanwhile rang for nobody who knew it
   events_->moved();
   return true;
 }
 
-std::shared_ptr<SubscriptionEndpoint> SubscriptionEndpoint::in_membership(
+std::shared_ptr<SubscriptionEndpoint> SubscriptionEndpoint::in_session(
     const Context* context, const std::shared_ptr<SubscriptionEndpoint>& self) const {
   if (self_.context == context) return self;
   const std::lock_guard lock(mutex_);
@@ -560,7 +560,7 @@ void SubscriptionEndpoint::collect_alone() {
       at = links_.erase(at);
     }
   }
-  if (found) sleeper_->wake();
+  if (found) wait_set_->wake();
 }
 
 bool SubscriptionEndpoint::is_finished() const noexcept {

@@ -21,7 +21,7 @@
 #include <client/endpoint/endpoint_events.hpp>
 #include <client/endpoint/peer.hpp>
 #include <client/process/forked_child.hpp>
-#include <client/process/sleeper.hpp>
+#include <client/process/wait_set.hpp>
 #include <client/process/steps.hpp>
 #include <dataplane/subscription_core.hpp>
 #include <journal/announce_set.hpp>
@@ -43,12 +43,12 @@ namespace agnocast {
 class Link {
  public:
   using Core = dataplane::LinkCore<SharedMemory>;
-  Link(const Core::Identity& identity, std::shared_ptr<Peer> peer, std::shared_ptr<Sleeper> sleeper,
+  Link(const Core::Identity& identity, std::shared_ptr<Peer> peer, std::shared_ptr<WaitSet> wait_set,
        std::uint64_t quota, std::function<void()> wake_control)
       : core_(identity),
         identity_(identity),
         peer_(std::move(peer)),
-        sleeper_(std::move(sleeper)),
+        wait_set_(std::move(wait_set)),
         quota_(quota),
         wake_control_(std::move(wake_control)) {
     if (keeps_history())
@@ -64,8 +64,8 @@ class Link {
   std::uint64_t generation() const noexcept { return identity_.generation; }
   std::uint64_t first_sequence() const noexcept { return identity_.first_sequence; }
   /// 0: the publisher has not said it yet.
-  std::uint64_t lineage() const noexcept {
-    return identity_.publisher.lineage().load(std::memory_order_relaxed);
+  std::uint64_t persistent_id() const noexcept {
+    return identity_.publisher.persistent_id().load(std::memory_order_relaxed);
   }
   Peer& peer() const noexcept { return *peer_; }
   /// Messages of this publisher that may be held at once.
@@ -77,7 +77,7 @@ class Link {
   bool release(std::uint64_t slot) noexcept {
     core_.release(slot);
     const std::uint64_t before = held_.fetch_sub(1, std::memory_order_acq_rel);
-    if (before == quota_) sleeper_->wake();  // it may take again: what is unread rings nobody
+    if (before == quota_) wait_set_->wake();  // it may take again: what is unread rings nobody
     return before == 1 && closing_.load(std::memory_order_acquire);
   }
   /// For whoever releases and is told so. Any thread.
@@ -108,15 +108,15 @@ class Link {
 
  private:
   friend class SubscriptionEndpoint;
-  /// The queues by which one publisher is in several memberships have one lineage, and one heap, which
+  /// The queues by which one publisher is in several sessions have one persistent endpoint id, and one heap, which
   /// it brings along and nobody else has.
   struct Origin {
-    std::uint64_t lineage;
+    std::uint64_t persistent_id;
     std::uint64_t heap;  // address
     friend bool operator==(const Origin&, const Origin&) = default;
   };
-  Origin origin() const noexcept { return {lineage(), peer_->heap().first_address()}; }
-  /// Its publisher adds nothing here any more, because it does in a newer membership.
+  Origin origin() const noexcept { return {persistent_id(), peer_->heap().first_address()}; }
+  /// Its publisher adds nothing here any more, because it does in a newer session.
   bool has_moved() const noexcept {
     // acquire; pairs with the store behind the last commit of PublisherEndpoint::move_to.
     return identity_.publisher.intent_op().load(std::memory_order_acquire) == abi::intent_moved;
@@ -125,7 +125,7 @@ class Link {
   Core core_;
   Core::Identity identity_;
   std::shared_ptr<Peer> peer_;
-  std::shared_ptr<Sleeper> sleeper_;
+  std::shared_ptr<WaitSet> wait_set_;
   std::uint64_t quota_;
   std::function<void()> wake_control_;
   std::uint64_t windows_seen_ = 0;  // when take() was tried last
@@ -199,10 +199,10 @@ class SubscriptionEndpoint {
     bool depth_per_publisher = false;
     std::uint64_t message_bytes = 0;  // sizeof the message object; 0 = any
     std::uint64_t message_alignment = 1;
-    std::function<void()> wake_control = {};      // of the membership; any thread
+    std::function<void()> wake_control = {};      // of the session; any thread
     std::shared_ptr<EndpointEvents> events = {};  // of the endpoint that this one continues
-    Context* context = nullptr;                   // its membership
-    std::uint64_t lineage = 0;
+    Context* context = nullptr;                   // its session
+    std::uint64_t persistent_id = 0;
   };
   struct Publisher {
     std::uint64_t index;
@@ -214,13 +214,13 @@ class SubscriptionEndpoint {
     std::uint64_t quota;  // messages of it that may be held at once
   };
 
-  SubscriptionEndpoint(const Identity& identity, std::shared_ptr<Sleeper> sleeper);
+  SubscriptionEndpoint(const Identity& identity, std::shared_ptr<WaitSet> wait_set);
   SubscriptionEndpoint(const SubscriptionEndpoint&) = delete;
   SubscriptionEndpoint& operator=(const SubscriptionEndpoint&) = delete;
 
   const Identity& identity() const noexcept { return self_; }
-  const Sleeper& sleeper() const noexcept { return *sleeper_; }
-  const std::shared_ptr<Sleeper>& shared_sleeper() const noexcept { return sleeper_; }
+  const WaitSet& wait_set() const noexcept { return *wait_set_; }
+  const std::shared_ptr<WaitSet>& shared_wait_set() const noexcept { return wait_set_; }
   Context* context() const noexcept { return self_.context; }
 
   // --- control thread
@@ -232,7 +232,7 @@ class SubscriptionEndpoint {
   /// The daemon says that this publisher is gone: what it committed is still delivered, unless it is
   /// to be given up. Then what is unread is lost.
   void orphan(std::uint64_t publisher, std::uint64_t generation, bool give_up) noexcept;
-  /// The membership of the process was revoked: nobody is matched any more.
+  /// The session of the process was revoked: nobody is matched any more.
   void revoke() noexcept;
   /// Links that are over and of which nothing is held: unlinked here; the caller tells the daemon.
   std::vector<std::shared_ptr<Link>> collect_unlinked();
@@ -259,24 +259,24 @@ class SubscriptionEndpoint {
   std::size_t publisher_count() const noexcept;
   /// Those that are gone and still have something here count as well.
   std::size_t link_count() const noexcept;
-  /// `see(lineage, is_gone)` for those that are not gone, and those that are and have something unread.
+  /// `see(persistent_id, is_gone)` for those that are not gone, and those that are and have something unread.
   void for_each_writer(const std::function<void(std::uint64_t, bool)>& see) const;
   const std::shared_ptr<EndpointEvents>& shared_events() const noexcept { return events_; }
   EndpointEvents& events() noexcept { return *events_; }
   Departure& departure() noexcept { return departure_; }
 
   // --- after the daemon's store was lost: docs/decisions/0006. The endpoint that the user has stays,
-  // and takes from its successors in newer memberships what it does not find here any more.
+  // and takes from its successors in newer sessions what it does not find here any more.
 
-  /// There is no daemon that could say more of this membership.
+  /// There is no daemon that could say more of this session.
   void be_alone() noexcept;
   /// Room for one more, so that none is lost that was created. Throws bad_alloc.
   void expect_successor();
-  /// One of a newer membership. What a publisher has moved there comes after what it left here. False
+  /// One of a newer session. What a publisher has moved there comes after what it left here. False
   /// when this is closed.
   bool add_successor(const std::shared_ptr<SubscriptionEndpoint>& successor);
-  /// The endpoint of that membership: this one, or a successor; null: there is none.
-  std::shared_ptr<SubscriptionEndpoint> in_membership(
+  /// The endpoint of that session: this one, or a successor; null: there is none.
+  std::shared_ptr<SubscriptionEndpoint> in_session(
       const Context* context, const std::shared_ptr<SubscriptionEndpoint>& self) const;
   std::size_t successor_count() const noexcept;
   /// The one of the given number, oldest first; null: there are not so many.
@@ -286,7 +286,7 @@ class SubscriptionEndpoint {
   void collect_alone();
   /// It is closed or succeeded, and has no link any more.
   bool is_finished() const noexcept;
-  /// Touches nothing of its membership any more.
+  /// Touches nothing of its session any more.
   void finish() noexcept;
   /// Said of a successor, before add_successor().
   void continues(const std::shared_ptr<SubscriptionEndpoint>& first) noexcept { first_ = first; }
@@ -317,7 +317,7 @@ class SubscriptionEndpoint {
   void see_next(Link& link) const noexcept;
   bool has_news_here() const noexcept;
   bool has_news_in_order() const noexcept;
-  // Memberships by age: 0 is this one, its successors follow.
+  // Sessions by age: 0 is this one, its successors follow.
   template <class Do>
   auto with_successors_locked(Do work, std::size_t locked = 0) const -> decltype(work());
   SubscriptionEndpoint& in_age(std::size_t age) noexcept {
@@ -331,14 +331,14 @@ class SubscriptionEndpoint {
   void absorb(SubscriptionEndpoint& successor) noexcept;
   bool has_former(const Link& link, std::size_t age) const noexcept;
   bool has_next(const Link& link, std::size_t age) const noexcept;
-  bool is_member() const noexcept;
+  bool takes_part() const noexcept;
   using Book = journal::AnnouncementBook<SharedMemory>;
   void drop_beyond_depth() noexcept;
   void note_losses(Link& link) noexcept;
   const std::shared_ptr<Link>* oldest() const noexcept;
 
   Identity self_;
-  std::shared_ptr<Sleeper> sleeper_;
+  std::shared_ptr<WaitSet> wait_set_;
   mutable std::mutex mutex_;
   std::vector<std::shared_ptr<Link>> links_;
   std::vector<Book> books_;        // by publisher index, as far as any was announced

@@ -2,7 +2,7 @@
 //
 // TwiceOwned: messages that lie in two queues of this process. When a publisher moves to a new daemon,
 // the history that it keeps for late joiners goes along, while readers may still hold it by the former
-// queue. Whichever lets go last destroys the message.
+// queue. Whichever releases it last destroys the message.
 #pragma once
 
 #include <base/immortal.hpp>
@@ -23,8 +23,8 @@ class TwiceOwned {
     ++others_[message];
     count_.store(others_.size(), std::memory_order_release);
   }
-  /// A queue lets go of it. True: another one still has it.
-  bool let_go(void* message) noexcept {
+  /// A queue releases it. True: another one still has it.
+  bool release(void* message) noexcept {
     if (count_.load(std::memory_order_acquire) == 0) return false;
     const std::lock_guard lock(mutex_);
     const auto found = others_.find(message);

@@ -134,13 +134,13 @@ void Executor::spin() {
 
 void Executor::spin_some(std::chrono::nanoseconds max_duration) {
   const Spinning spinning(*state_);
-  if (!state_->core->take_cancel()) state_->core->run_turn(bound_of(max_duration));
+  if (!state_->core->take_cancel()) state_->core->run_cycle(bound_of(max_duration));
 }
 
 void Executor::spin_all(std::chrono::nanoseconds max_duration) {
   const Spinning spinning(*state_);
   const Clock::time_point deadline = bound_of(max_duration);
-  while (!state_->core->take_cancel() && state_->core->run_turn(deadline) != 0) {
+  while (!state_->core->take_cancel() && state_->core->run_cycle(deadline) != 0) {
   }
 }
 
@@ -182,7 +182,7 @@ std::size_t Executor::dispatch() {
   const Ending ending{*state_->core};
   state_->core->sleep(std::chrono::milliseconds(0));
   if (state_->core->take_cancel()) return 0;
-  return state_->core->run_turn(Clock::time_point::max());
+  return state_->core->run_cycle(Clock::time_point::max());
 }
 
 }  // namespace agnocast

@@ -54,10 +54,10 @@ Result<void> ExecutorCore::adopt(std::shared_ptr<NodeCallbacks> node) {
   {
     const std::lock_guard lock(mutex_);
     const std::uint64_t tag = ++last_tag_;
-    hosted_.reserve(hosted_.size() + 1);
-    if (Result<void> added = node->sleeper()->add_to(epoll_.get(), eventfd_tag, tag); !added)
+    assigned_.reserve(assigned_.size() + 1);
+    if (Result<void> added = node->wait_set()->add_to(epoll_.get(), eventfd_tag, tag); !added)
       return added;
-    hosted_.push_back({node, tag});
+    assigned_.push_back({node, tag});
   }
   node->hand_to(this);
   return {};
@@ -76,35 +76,35 @@ void ExecutorCore::cancel() noexcept {
   wake();
 }
 
-void ExecutorCore::begin_turn() {
+void ExecutorCore::begin_cycle() {
   next_ = 0;
   const std::lock_guard lock(mutex_);
-  if (is_turn_current()) [[likely]]
+  if (is_cycle_current()) [[likely]]
     return;
-  turn_is_listed_ = false;  // in case memory runs out half way
-  turn_.clear();
-  for (Hosted& hosted : hosted_) {
+  cycle_is_listed_ = false;  // in case memory runs out half way
+  cycle_.clear();
+  for (Assigned& assigned : assigned_) {
     listed_.clear();
-    hosted.listed = hosted.node->list(this, listed_);
-    for (auto& source : listed_) turn_.push_back({hosted.node, std::move(source)});
+    assigned.listed = assigned.node->list(this, listed_);
+    for (auto& source : listed_) cycle_.push_back({assigned.node, std::move(source)});
   }
-  turn_is_listed_ = true;
+  cycle_is_listed_ = true;
 }
 
-bool ExecutorCore::is_turn_current() const noexcept {
-  return turn_is_listed_ && std::all_of(hosted_.begin(), hosted_.end(), [](const Hosted& hosted) {
-           return hosted.node->list_changes() == hosted.listed;
+bool ExecutorCore::is_cycle_current() const noexcept {
+  return cycle_is_listed_ && std::all_of(assigned_.begin(), assigned_.end(), [](const Assigned& assigned) {
+           return assigned.node->list_changes() == assigned.listed;
          });
 }
 
-bool ExecutorCore::run_one_of_turn() {
-  while (next_ < turn_.size()) {
-    const Turn& entry = turn_[next_++];
+bool ExecutorCore::run_one_of_cycle() {
+  while (next_ < cycle_.size()) {
+    const Cycle& entry = cycle_[next_++];
     const auto node = entry.node.lock();
     const auto source = entry.source.lock();
     if (node == nullptr || source == nullptr) continue;
     // A single source is asked by taking: it rarely has nothing, and then that only costs more.
-    if (turn_.size() > 1 && !source->has_work()) continue;
+    if (cycle_.size() > 1 && !source->has_work()) continue;
     if (!node->run(this, *source)) continue;
     // The callback may have forked, and returned in the child.
     if (Result<void> refused = refuse_forked_child(); !refused) throw Error(refused.error());
@@ -114,18 +114,18 @@ bool ExecutorCore::run_one_of_turn() {
 }
 
 bool ExecutorCore::run_next() {
-  if (run_one_of_turn()) return true;
-  begin_turn();
-  return run_one_of_turn();
+  if (run_one_of_cycle()) return true;
+  begin_cycle();
+  return run_one_of_cycle();
 }
 
-std::size_t ExecutorCore::run_turn(Clock::time_point deadline) {
+std::size_t ExecutorCore::run_cycle(Clock::time_point deadline) {
   std::size_t count = 0;
   const auto is_over = [&] { return is_cancelled() || Clock::now() >= deadline; };
-  while (!is_over() && run_one_of_turn()) ++count;
+  while (!is_over() && run_one_of_cycle()) ++count;
   if (count != 0 || is_over()) return count;
-  begin_turn();
-  while (run_one_of_turn()) {
+  begin_cycle();
+  while (run_one_of_cycle()) {
     ++count;
     if (is_over()) break;
   }
@@ -134,18 +134,18 @@ std::size_t ExecutorCore::run_turn(Clock::time_point deadline) {
 
 bool ExecutorCore::has_work() const noexcept {
   const std::lock_guard lock(mutex_);
-  return std::any_of(hosted_.begin(), hosted_.end(),
-                     [this](const Hosted& hosted) { return hosted.node->has_work(this); });
+  return std::any_of(assigned_.begin(), assigned_.end(),
+                     [this](const Assigned& assigned) { return assigned.node->has_work(this); });
 }
 
 bool ExecutorCore::prepare() noexcept {
   const std::lock_guard lock(mutex_);
   drain_rung();
-  const bool work = std::any_of(hosted_.begin(), hosted_.end(), [this](const Hosted& hosted) {
-    return hosted.node->arm_or_find_work(this);
+  const bool work = std::any_of(assigned_.begin(), assigned_.end(), [this](const Assigned& assigned) {
+    return assigned.node->arm_or_find_work(this);
   });
   if (!work) return false;
-  for (const Hosted& hosted : hosted_) hosted.node->disarm(this);
+  for (const Assigned& assigned : assigned_) assigned.node->disarm(this);
   return true;
 }
 
@@ -153,9 +153,9 @@ void ExecutorCore::sleep(std::optional<std::chrono::milliseconds> timeout) noexc
   epoll_event events[events_max];
   const int count = wait(epoll_.get(), events, timeout ? static_cast<int>(timeout->count()) : -1);
   const std::lock_guard lock(mutex_);
-  for (const Hosted& hosted : hosted_) hosted.node->disarm(this);
+  for (const Assigned& assigned : assigned_) assigned.node->disarm(this);
   // Under the lock that is held anyway. An unfinished cycle continues where it was.
-  if (next_ >= turn_.size() && is_turn_current()) next_ = 0;
+  if (next_ >= cycle_.size() && is_cycle_current()) next_ = 0;
   for (int i = 0; i < count; ++i) {
     const std::uint64_t tag = events[i].data.u64;
     if (tag == eventfd_tag) continue;
@@ -163,9 +163,9 @@ void ExecutorCore::sleep(std::optional<std::chrono::milliseconds> timeout) noexc
       tick_.wind_up();
       continue;
     }
-    const auto found = std::find_if(hosted_.begin(), hosted_.end(),
-                                    [&](const Hosted& hosted) { return hosted.tag == tag; });
-    if (found != hosted_.end()) found->has_rung = true;
+    const auto found = std::find_if(assigned_.begin(), assigned_.end(),
+                                    [&](const Assigned& assigned) { return assigned.tag == tag; });
+    if (found != assigned_.end()) found->has_rung = true;
   }
 }
 
@@ -175,8 +175,8 @@ void ExecutorCore::end_dispatch() noexcept {
 }
 
 void ExecutorCore::drain_rung() noexcept {
-  for (Hosted& hosted : hosted_) {
-    if (std::exchange(hosted.has_rung, false)) hosted.node->drain(this);
+  for (Assigned& assigned : assigned_) {
+    if (std::exchange(assigned.has_rung, false)) assigned.node->drain(this);
   }
 }
 

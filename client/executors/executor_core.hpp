@@ -48,11 +48,11 @@ class ExecutorCore {
   [[nodiscard]] Result<void> adopt(std::shared_ptr<NodeCallbacks> node);
   /// Releases its doorbells; the caller gives it another executor, or ends it.
   void drop(const NodeCallbacks& node) noexcept {
-    drop_if([&](const NodeCallbacks& hosted) { return &hosted == &node; });
+    drop_if([&](const NodeCallbacks& assigned) { return &assigned == &node; });
   }
   /// The same for all of this name (one that is about to end may be among them).
   void drop(const std::string& node) noexcept {
-    drop_if([&](const NodeCallbacks& hosted) { return hosted.node() == node; });
+    drop_if([&](const NodeCallbacks& assigned) { return assigned.node() == node; });
   }
 
   /// Ends a sleep. Any thread, any signal handler.
@@ -73,7 +73,7 @@ class ExecutorCore {
   bool run_next();
   /// Runs the rest of this cycle, or a whole new one if nothing is left of it; stops at
   /// `deadline` or a cancel. Returns the number of callbacks. Throws what they throw.
-  std::size_t run_turn(Clock::time_point deadline);
+  std::size_t run_cycle(Clock::time_point deadline);
   bool has_work() const noexcept;
   /// Drains rung doorbells, arms, then checks: returns true, and leaves nothing armed, if there
   /// is work.
@@ -85,14 +85,14 @@ class ExecutorCore {
   void end_dispatch() noexcept;
 
  private:
-  struct Hosted {
+  struct Assigned {
     std::shared_ptr<NodeCallbacks> node;
     std::uint64_t tag;  // of its datagram doorbell in the epoll set
     // Drain its datagram doorbell before the next sleep, but after the callback that it rang for.
     bool has_rung = false;
-    std::uint64_t listed = 0;  // its list_changes() when turn_ was made; 0: not in the list
+    std::uint64_t listed = 0;  // its list_changes() when cycle_ was made; 0: not in the list
   };
-  struct Turn {
+  struct Cycle {
     std::weak_ptr<NodeCallbacks> node;
     std::weak_ptr<CallbackSource> source;
   };
@@ -102,28 +102,28 @@ class ExecutorCore {
   template <class Condition>
   void drop_if(Condition condition) noexcept {
     const std::lock_guard lock(mutex_);
-    turn_is_listed_ = false;
-    std::erase_if(hosted_, [&](const Hosted& hosted) {
-      if (!condition(*hosted.node)) return false;
-      hosted.node->sleeper()->remove_from(epoll_.get());
+    cycle_is_listed_ = false;
+    std::erase_if(assigned_, [&](const Assigned& assigned) {
+      if (!condition(*assigned.node)) return false;
+      assigned.node->wait_set()->remove_from(epoll_.get());
       return true;
     });
   }
-  void begin_turn();
-  bool is_turn_current() const noexcept;  // under the mutex, like the next
+  void begin_cycle();
+  bool is_cycle_current() const noexcept;  // under the mutex, like the next
   void drain_rung() noexcept;
-  bool run_one_of_turn();
+  bool run_one_of_cycle();
 
   UniqueFd epoll_, wake_;
   SleepTick tick_;
   std::atomic<bool> cancelled_{false};
   static_assert(std::atomic<bool>::is_always_lock_free, "cancel() is for signal handlers");
   mutable std::mutex mutex_;
-  std::vector<Hosted> hosted_;
+  std::vector<Assigned> assigned_;
   std::uint64_t last_tag_ = 0;
-  bool turn_is_listed_ = false;  // current, unless a node reports changes
+  bool cycle_is_listed_ = false;  // current, unless a node reports changes
 
-  std::vector<Turn> turn_;
+  std::vector<Cycle> cycle_;
   std::size_t next_ = 0;
   std::vector<std::weak_ptr<CallbackSource>> listed_;  // kept for its capacity
 };

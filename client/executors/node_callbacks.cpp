@@ -17,7 +17,7 @@ void NodeCallbacks::add(std::shared_ptr<CallbackSource> source) {
     sources_.push_back(std::move(source));
     count_change();
   }
-  sleeper_->wake();
+  wait_set_->wake();
 }
 
 void NodeCallbacks::remove(CallbackSource& source, std::shared_ptr<const void> runner) noexcept {
@@ -55,104 +55,104 @@ bool NodeCallbacks::wait_for_end(const CallbackSource& source,
   return has_ended;
 }
 
-void NodeCallbacks::hand_to(Host host) noexcept {
+void NodeCallbacks::hand_to(ExecutorId executor) noexcept {
   {
     const std::lock_guard lock(mutex_);
-    if (armed_) sleeper_->disarm();
+    if (armed_) wait_set_->disarm();
     armed_ = false;
-    host_ = host;
+    executor_ = executor;
     count_change();
-    host_changed_.notify_all();
+    executor_changed_.notify_all();
   }
-  sleeper_->wake();  // the sleeping thread must check whether it is still the executor
+  wait_set_->wake();  // the sleeping thread must check whether it is still the executor
 }
 
-bool NodeCallbacks::await(Host host) noexcept {
+bool NodeCallbacks::await(ExecutorId executor) noexcept {
   std::unique_lock lock(mutex_);
-  const auto has_changed = [&] { return stopped_ || host_ == host; };
+  const auto has_changed = [&] { return stopped_ || executor_ == executor; };
   if (has_changed()) return !stopped_;
   shed_signals();
-  host_changed_.wait(lock, has_changed);
+  executor_changed_.wait(lock, has_changed);
   return !stopped_;
 }
 
 void NodeCallbacks::stop() noexcept {
   {
     const std::lock_guard lock(mutex_);
-    if (armed_) sleeper_->disarm();  // the next user of the wait set begins awake
+    if (armed_) wait_set_->disarm();  // the next user of the wait set begins awake
     armed_ = false;
     stopped_ = true;
-    host_changed_.notify_all();
+    executor_changed_.notify_all();
   }
-  sleeper_->wake();
+  wait_set_->wake();
 }
 
-std::uint64_t NodeCallbacks::list(Host host,
+std::uint64_t NodeCallbacks::list(ExecutorId executor,
                                   std::vector<std::weak_ptr<CallbackSource>>& sources) const {
   const std::lock_guard lock(mutex_);
-  if (host_ == host) sources.insert(sources.end(), sources_.begin(), sources_.end());
+  if (executor_ == executor) sources.insert(sources.end(), sources_.begin(), sources_.end());
   return list_changes();
 }
 
-bool NodeCallbacks::has_work(Host host) const noexcept {
+bool NodeCallbacks::has_work(ExecutorId executor) const noexcept {
   const std::lock_guard lock(mutex_);
-  return has_work_here(host);
+  return has_work_here(executor);
 }
 
-bool NodeCallbacks::has_work_here(Host host) const noexcept {
-  return host_ == host && running_ == nullptr && !stopped_ &&
+bool NodeCallbacks::has_work_here(ExecutorId executor) const noexcept {
+  return executor_ == executor && running_ == nullptr && !stopped_ &&
          std::any_of(sources_.begin(), sources_.end(),
                      [](const auto& source) { return source->has_work(); });
 }
 
 struct NodeCallbacks::Ending {
   NodeCallbacks& node;
-  Host host;
+  ExecutorId executor;
   ~Ending() {
     if (is_forked_child()) return;       // the lock may belong to the parent
-    std::shared_ptr<const void> let_go;  // after unlocking: its destructor takes locks
+    std::shared_ptr<const void> to_release;  // after unlocking: its destructor takes locks
     const std::lock_guard lock(node.mutex_);
-    let_go.swap(node.until_end_);
+    to_release.swap(node.until_end_);
     node.running_ = nullptr;
     node.running_thread_ = {};
     if (node.waiters_ != 0) CallbackWaits::instance().end_of(&node);
     node.callback_ended_.notify_all();
-    if (node.host_ != host) node.sleeper_->wake();  // the new executor has seen nothing meanwhile
+    if (node.executor_ != executor) node.wait_set_->wake();  // the new executor has seen nothing meanwhile
   }
 };
 
-bool NodeCallbacks::run(Host host, CallbackSource& source) {
+bool NodeCallbacks::run(ExecutorId executor, CallbackSource& source) {
   {
     const std::lock_guard lock(mutex_);
-    if (host_ != host || running_ != nullptr || source.removed_ || stopped_) return false;
+    if (executor_ != executor || running_ != nullptr || source.removed_ || stopped_) return false;
     running_ = &source;
     running_thread_ = std::this_thread::get_id();
   }
-  const Ending ending{*this, host};
+  const Ending ending{*this, executor};
   return source.run_one();
 }
 
-bool NodeCallbacks::arm_or_find_work(Host host) noexcept {
+bool NodeCallbacks::arm_or_find_work(ExecutorId executor) noexcept {
   const std::lock_guard lock(mutex_);
-  if (host_ != host || stopped_) return false;
-  sleeper_->arm();
-  armed_ = !has_work_here(host);
-  if (!armed_) sleeper_->disarm();
+  if (executor_ != executor || stopped_) return false;
+  wait_set_->arm();
+  armed_ = !has_work_here(executor);
+  if (!armed_) wait_set_->disarm();
   return !armed_;
 }
 
-void NodeCallbacks::disarm(Host host) noexcept {
+void NodeCallbacks::disarm(ExecutorId executor) noexcept {
   const std::lock_guard lock(mutex_);
-  if (host_ != host || !armed_) return;
-  sleeper_->disarm();
+  if (executor_ != executor || !armed_) return;
+  wait_set_->disarm();
   armed_ = false;
 }
 
-void NodeCallbacks::drain(Host host) noexcept {
-  sleeper_->drain();
+void NodeCallbacks::drain(ExecutorId executor) noexcept {
+  wait_set_->drain();
   // The previous executor may have drained a ring that was for the new one.
   const std::lock_guard lock(mutex_);
-  if (host_ != host) sleeper_->wake();
+  if (executor_ != executor) wait_set_->wake();
 }
 
 }  // namespace agnocast

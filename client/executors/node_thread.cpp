@@ -28,18 +28,18 @@ constexpr std::uint64_t eventfd_tag = 0, datagram_tag = 1, tick_tag = 2;
 
 /// The sources of a node in the last cycle. Weak: a destroyed source frees the objects of its
 /// callback at once.
-struct Turn {
+struct Cycle {
   std::vector<std::weak_ptr<CallbackSource>> sources;
   std::uint64_t listed = 0;  // list_changes(); 0: never
 };
 
-void run_turn(NodeCallbacks& node, NodeCallbacks::Host self, Turn& turn, bool& any) {
-  if (node.list_changes() != turn.listed) {
-    turn.sources.clear();
-    turn.listed = 0;  // in case memory runs out
-    turn.listed = node.list(self, turn.sources);
+void run_cycle(NodeCallbacks& node, NodeCallbacks::ExecutorId self, Cycle& cycle, bool& any) {
+  if (node.list_changes() != cycle.listed) {
+    cycle.sources.clear();
+    cycle.listed = 0;  // in case memory runs out
+    cycle.listed = node.list(self, cycle.sources);
   }
-  for (const auto& listed : turn.sources) {
+  for (const auto& listed : cycle.sources) {
     const UserCode code;  // destroyed after the source, which may own the callback
     if (!code.may_run()) return;
     const auto source = listed.lock();
@@ -82,7 +82,7 @@ Result<std::shared_ptr<NodeThread>> NodeThread::start(std::shared_ptr<NodeCallba
   if (!epoll) return fail(Errc::os_failure, "preparing a callback thread", errno);
   auto tick = SleepTick::in(epoll.get(), tick_tag);
   if (!tick) return tl::unexpected<Failure>(tick.error());
-  if (Result<void> added = node->sleeper()->add_to(epoll.get(), eventfd_tag, datagram_tag); !added)
+  if (Result<void> added = node->wait_set()->add_to(epoll.get(), eventfd_tag, datagram_tag); !added)
     return tl::unexpected<Failure>(added.error());
   const auto made =
       std::make_shared<NodeThread>(std::move(node), std::move(epoll), std::move(*tick));
@@ -94,7 +94,7 @@ Result<std::shared_ptr<NodeThread>> NodeThread::start(std::shared_ptr<NodeCallba
 
 NodeThread::~NodeThread() {
   // Its number may soon belong to another file.
-  if (!is_forked_child()) node_->sleeper()->remove_from(epoll_.get());
+  if (!is_forked_child()) node_->wait_set()->remove_from(epoll_.get());
 }
 
 /// Call it under the mutex.
@@ -162,14 +162,14 @@ void NodeThread::abandon() noexcept { new std::thread(std::move(thread_)); }
 
 void NodeThread::serve() {
   NodeCallbacks& node = *node_;
-  const NodeCallbacks::Host self = &node;
+  const NodeCallbacks::ExecutorId self = &node;
   node.disarm(self);  // the previous thread may have been cancelled in its sleep
-  Turn turn;
+  Cycle cycle;
   bool has_rung = false;  // the datagram doorbell: drain it before the next sleep
   while (node.await(self)) {
     try {
       bool any = false;
-      run_turn(node, self, turn, any);
+      run_cycle(node, self, cycle, any);
       if (is_forked_child()) return;  // a callback has forked, and has returned in the child
       if (exit_has_begun()) return;   // for good: unread messages stay unread
       if (LibraryThread::is_over()) return;

@@ -35,7 +35,7 @@ Places& places() {
 
 }  // namespace
 
-Result<void> Runner::host_by_thread() {
+Result<void> Runner::run_by_thread() {
   if (thread_ == nullptr) {
     auto started = NodeThread::start(callbacks_);
     if (!started) return tl::unexpected<Failure>(started.error());
@@ -55,17 +55,17 @@ Result<std::shared_ptr<Runner>> Runner::of_node(const std::string& node) {
   Place& place = all.by_node[node];
   runner = place.runner.lock();
   if (runner != nullptr) return runner;
-  auto sleeper = Context::instance().create_sleeper();
-  if (!sleeper) {
+  auto wait_set = Context::instance().create_wait_set();
+  if (!wait_set) {
     all.forget_if_unused(node);
-    return tl::unexpected<Failure>(sleeper.error());
+    return tl::unexpected<Failure>(wait_set.error());
   }
-  made.reset(new Runner(std::make_shared<NodeCallbacks>(node, std::move(*sleeper))));
+  made.reset(new Runner(std::make_shared<NodeCallbacks>(node, std::move(*wait_set))));
   runner = std::move(made);
-  if (Result<void> hosted = place.executor != nullptr ? place.executor->adopt(runner->callbacks_)
-                                                      : runner->host_by_thread();
-      !hosted)
-    return tl::unexpected<Failure>(hosted.error());
+  if (Result<void> assigned = place.executor != nullptr ? place.executor->adopt(runner->callbacks_)
+                                                      : runner->run_by_thread();
+      !assigned)
+    return tl::unexpected<Failure>(assigned.error());
   place.runner = runner;
   return runner;
 }
@@ -118,7 +118,7 @@ Result<void> Runner::release(const std::string& node, ExecutorCore& executor) {
     all.by_node.erase(place);
     return {};
   }
-  return runner->host_by_thread();
+  return runner->run_by_thread();
 }
 
 void Runner::release_all(ExecutorCore& executor) noexcept {

@@ -33,7 +33,7 @@ class Runner {
   Runner& operator=(const Runner&) = delete;
 
   NodeCallbacks& callbacks() const noexcept { return *callbacks_; }
-  const std::shared_ptr<Sleeper>& sleeper() const noexcept { return callbacks_->sleeper(); }
+  const std::shared_ptr<WaitSet>& wait_set() const noexcept { return callbacks_->wait_set(); }
 
   /// Makes `executor` run the callbacks of this node, present and future ones. Errors:
   /// invalid_argument (an executor has it already), os_failure.
@@ -47,7 +47,7 @@ class Runner {
  private:
   explicit Runner(std::shared_ptr<NodeCallbacks> callbacks) noexcept
       : callbacks_(std::move(callbacks)) {}
-  Result<void> host_by_thread();
+  Result<void> run_by_thread();
 
   // Both shared with the thread: the last subscription may be destroyed inside its own callback.
   const std::shared_ptr<NodeCallbacks> callbacks_;

@@ -21,7 +21,7 @@ AddressUsers::File AddressUsers::file_of(int fd) noexcept {
 }
 
 bool AddressUsers::enter(std::uint64_t base, std::uint64_t bytes, const File& file,
-                         std::uint64_t group) noexcept {
+                         std::uint64_t window_set) noexcept {
   const std::lock_guard lock(mutex_);
   for (Range& range : ranges_) {
     if (range.base >= base + bytes || base >= range.base + range.bytes) continue;
@@ -30,11 +30,11 @@ bool AddressUsers::enter(std::uint64_t base, std::uint64_t bytes, const File& fi
     return true;
   }
   try {
-    ranges_.push_back({base, bytes, file, group, 1, 0});
+    ranges_.push_back({base, bytes, file, window_set, 1, 0});
   } catch (const std::bad_alloc&) {
     return false;
   }
-  if (group == own) return true;
+  if (window_set == own) return true;
   lowest_.store(std::min(lowest_.load(std::memory_order_relaxed), base), std::memory_order_relaxed);
   highest_.store(std::max(highest_.load(std::memory_order_relaxed), base + bytes),
                  std::memory_order_relaxed);
@@ -48,15 +48,15 @@ void AddressUsers::mapped(std::uint64_t base, std::uint64_t bytes) noexcept {
   }
 }
 
-WindowSet AddressUsers::group_of_another(std::uint64_t address) noexcept {
+WindowSet AddressUsers::window_set_of_another(std::uint64_t address) noexcept {
   const std::lock_guard lock(mutex_);
   const auto found = std::find_if(ranges_.begin(), ranges_.end(), [&](const Range& range) {
     return address - range.base < range.bytes;
   });
   WindowSet all;
-  if (found == ranges_.end() || found->group == own) return all;
+  if (found == ranges_.end() || found->window_set == own) return all;
   for (const Range& range : ranges_) {
-    if (range.group == found->group)
+    if (range.window_set == found->window_set)
       static_cast<void>(all.add(range.base, range.base + range.mapped));
   }
   return all;

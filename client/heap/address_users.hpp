@@ -33,11 +33,11 @@ class AddressUsers {
   static AddressUsers& instance() noexcept;
 
   static constexpr std::uint64_t own = 0;
-  /// Adds a user of [base, base + bytes). `group`: base of the first window of the window set,
+  /// Adds a user of [base, base + bytes). `window_set`: base of the first window of the window set,
   /// for another process's window; or `own`. Returns false if a part is occupied by something
   /// else, or there is no memory to record it.
   [[nodiscard]] bool enter(std::uint64_t base, std::uint64_t bytes, const File& file,
-                           std::uint64_t group) noexcept;
+                           std::uint64_t window_set) noexcept;
   /// Records that `bytes` of it are mapped now, from its base.
   void mapped(std::uint64_t base, std::uint64_t bytes) noexcept;
   /// Removes a user. After the last one, the reservation replaces the mappings.
@@ -50,14 +50,14 @@ class AddressUsers {
   }
   /// Returns the mapped part of the window set of `address`; empty if that is in no window of
   /// another process.
-  WindowSet group_of_another(std::uint64_t address) noexcept;
+  WindowSet window_set_of_another(std::uint64_t address) noexcept;
 
  private:
   struct Range {
     std::uint64_t base;
     std::uint64_t bytes;
     File file;
-    std::uint64_t group;
+    std::uint64_t window_set;
     std::uint64_t users;
     std::uint64_t mapped;
   };

@@ -54,10 +54,10 @@ Result<void> PeerHeap::append(const Announced& window, UniqueFd fd, DescriptorSh
       window.base + window.length < window.base) {
     return fail(Errc::invalid_argument, "a heap window with impossible numbers");
   }
-  const std::uint64_t group =
+  const std::uint64_t window_set =
       window.first == window.number ? window.base : windows_[window.first].base;
   if (fd && !AddressUsers::instance().enter(window.base, window.length,
-                                            AddressUsers::file_of(fd.get()), group)) {
+                                            AddressUsers::file_of(fd.get()), window_set)) {
     fd.reset();
     is_blocked = true;
   }
@@ -122,7 +122,7 @@ std::uint64_t PeerHeap::open() noexcept {
   return count;
 }
 
-WindowSet PeerHeap::group_of(std::uint64_t address) const noexcept {
+WindowSet PeerHeap::window_set_of(std::uint64_t address) const noexcept {
   const std::uint64_t count = window_count();
   std::uint64_t found = 0;
   while (found < count && address - windows_[found].base >= windows_[found].length) ++found;
@@ -148,8 +148,8 @@ region::Place PeerHeap::place_of(std::uint64_t address, std::uint64_t size, std:
   std::uint64_t found = 0;
   while (found < count && address - windows_[found].base >= windows_[found].length) ++found;
   // The message, or memory that it points to, may be in the next window.
-  const bool group_may_grow = found == count || windows_[found].first == windows_[count - 1].first;
-  if (group_may_grow && others != Unannounced::ignored && shows(count))
+  const bool window_set_may_grow = found == count || windows_[found].first == windows_[count - 1].first;
+  if (window_set_may_grow && others != Unannounced::ignored && shows(count))
     return others == Unannounced::awaited ? Place::awaited : Place::unreachable;
   if (found == count) return Place::outside;
   const Window& window = windows_[found];

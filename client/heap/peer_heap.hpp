@@ -85,7 +85,7 @@ class PeerHeap {
                             Unannounced others, Range* open = nullptr) const noexcept;
   /// Returns the memory that may contain the message at `address` with everything it owns: the
   /// open parts of its window set. Empty if the address is in no window.
-  WindowSet group_of(std::uint64_t address) const noexcept;
+  WindowSet window_set_of(std::uint64_t address) const noexcept;
   /// Returns the base of the first window; 0: there is none.
   std::uint64_t first_address() const noexcept {
     return window_count() != 0 ? windows_[0].base : 0;

@@ -1,6 +1,6 @@
 // SPDX-License-Identifier: Apache-2.0
 //
-// ControlWake: what wakes the control thread of one membership. Shared by everything that may have
+// ControlWake: what wakes the control thread of one session. Shared by everything that may have
 // something for it to do, so that a late wake finds a descriptor that is still its own.
 #pragma once
 

@@ -49,7 +49,7 @@ class ClientCore {
   const EndpointName& service() const noexcept { return service_; }
   UntypedPublisher& requests() const noexcept { return *requests_; }
   const std::shared_ptr<Watch>& watch() const noexcept { return watch_; }
-  std::uint64_t id() const noexcept { return requests_->lineage(); }
+  std::uint64_t id() const noexcept { return requests_->persistent_id(); }
   void have(std::shared_ptr<UntypedPublisher> requests) noexcept {
     requests_ = std::move(requests);
     requests_->tell(watch_);
@@ -180,12 +180,12 @@ class ClientCore {
 
   Servers servers_of(const UntypedSubscription& replies) const {
     Servers found;
-    const std::vector<std::uint64_t> readers = requests_->reader_lineages();
+    const std::vector<std::uint64_t> readers = requests_->reader_persistent_ids();
     for (const UntypedSubscription::Writer& writer : replies.writers()) {
-      found.has_unnamed = found.has_unnamed || writer.lineage == 0;
-      if (!writer.is_gone && writer.lineage != 0 &&
-          std::binary_search(readers.begin(), readers.end(), writer.lineage))
-        found.ready.push_back(writer.lineage);
+      found.has_unnamed = found.has_unnamed || writer.persistent_id == 0;
+      if (!writer.is_gone && writer.persistent_id != 0 &&
+          std::binary_search(readers.begin(), readers.end(), writer.persistent_id))
+        found.ready.push_back(writer.persistent_id);
     }
     return found;
   }
@@ -202,7 +202,7 @@ class ClientCore {
     const std::vector<UntypedSubscription::Writer> there = replies->writers();
     const auto may_answer = [&](std::uint64_t server) {
       return std::any_of(there.begin(), there.end(),
-                         [&](const auto& writer) { return writer.lineage == server; });
+                         [&](const auto& writer) { return writer.persistent_id == server; });
     };
     for (auto at = pending_.begin(); at != pending_.end();) {
       const auto& servers = at->second.servers;

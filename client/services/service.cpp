@@ -93,8 +93,8 @@ class ServiceCore {
     std::vector<std::uint64_t> present, missing;
     for (const UntypedSubscription::Writer& writer : requests->writers()) {
       if (writer.is_gone) continue;
-      if (writer.lineage == 0) is_complete = false;
-      present.push_back(writer.lineage);
+      if (writer.persistent_id == 0) is_complete = false;
+      present.push_back(writer.persistent_id);
     }
     const auto is_gone = [&](const auto& entry) {
       return std::find(present.begin(), present.end(), entry.first) == present.end();
@@ -159,7 +159,7 @@ class ServiceCore {
   bool meet(std::uint64_t client, const UntypedSubscription& requests) {
     const ActingFor creator(signals_);
     const auto made = UntypedPublisher::create(
-        {reply_topic(service_.topic, client), service_.node, requests.lineage(), true}, response_,
+        {reply_topic(service_.topic, client), service_.node, requests.persistent_id(), true}, response_,
         qos_, {}, code_);
     {
       const std::lock_guard lock(mutex_);
@@ -175,7 +175,7 @@ class ServiceCore {
       refusals_.erase(client);
       publishers_.emplace(client, *made);
     }
-    (*made)->say_lineage();
+    (*made)->announce_persistent_id();
     return true;
   }
   static bool is_there(std::uint64_t client, const UntypedSubscription& requests) noexcept {
@@ -183,7 +183,7 @@ class ServiceCore {
     try {
       const auto writers = requests.writers();
       return std::any_of(writers.begin(), writers.end(), [&](const auto& writer) {
-        return writer.lineage == client && !writer.is_gone;
+        return writer.persistent_id == client && !writer.is_gone;
       });
     } catch (const std::bad_alloc&) {
       return true;  // unknown: the caller tries again

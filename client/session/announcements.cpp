@@ -42,14 +42,14 @@ namespace {
 
 /// Mute if there is none: nobody has its receiver any more, the daemon or this process had no descriptor for it, or the
 /// owner has no share left.
-PublisherEndpoint::Bell bell_among(std::span<UniqueFd> fds, std::size_t before, std::uint32_t count,
+PublisherEndpoint::PeerDoorbell doorbell_among(std::span<UniqueFd> fds, std::size_t before, std::uint32_t count,
                                    DescriptorShare::Owner owner) {
   if (count == 0 || count > 2 || fds.size() < before + count) return {};
   auto counted = DescriptorShare::instance().take(owner, count);
   if (!counted) return {};
-  const auto bells = fds.subspan(before, count);
-  return {count == 1 ? Doorbell(std::move(bells[0]))
-                     : Doorbell(std::move(bells[1]), std::move(bells[0])),
+  const auto doorbells = fds.subspan(before, count);
+  return {count == 1 ? Doorbell(std::move(doorbells[0]))
+                     : Doorbell(std::move(doorbells[1]), std::move(doorbells[0])),
           std::move(counted)};
 }
 
@@ -104,7 +104,7 @@ bool Announcements::attach_subscription(const wire::Announcement& announcement,
   const bool is_new = publisher->attach(
       {announcement.index, announcement.generation, announcement.extent, announcement.executor,
        owner, announcement.quota},
-      peer, bell_among(packet.packet.fds(), used, announcement.doorbell_count, peer->owner()));
+      peer, doorbell_among(packet.packet.fds(), used, announcement.doorbell_count, peer->owner()));
   if (is_new && readers_.shares().is_out(owner, now))
     publisher->withdraw({announcement.index, announcement.generation});
   return true;

@@ -17,7 +17,7 @@ void Collector::collect(Connection& connection) {
   collect_peers(connection);
 }
 
-void Collector::pass() {
+void Collector::scan() {
   for (const auto& publisher : endpoints_.publishers()) publisher->run_errands();
 }
 
@@ -26,13 +26,13 @@ void Collector::collect_publishers(Connection& connection) {
     publisher->run_errands();
     if (!publisher->is_over()) continue;
     AGNOCAST_CRASH_POINT(C_publisher_over);
-    const auto members = publisher->detach_all();
+    const auto endpoints = publisher->detach_all();
     const auto& identity = publisher->identity();
     const std::uint32_t topic = publisher->topic_index();
     endpoints_.erase(*publisher);
     AGNOCAST_CRASH_POINT(C_erased);
     // Another publisher of ours on this topic may be attached to some of them, and not to others.
-    for (const auto& [index, generation] : members) {
+    for (const auto& [index, generation] : endpoints) {
       if (!endpoints_.is_attached(topic, index, generation))
         say_unlinked(connection, Kind::subscription, topic, index, generation);
     }

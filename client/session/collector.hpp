@@ -1,6 +1,6 @@
 // SPDX-License-Identifier: Apache-2.0
 //
-// Collector: what is over of one session, at each turn of the control thread: passes are made, publishers that nobody
+// Collector: what is over of one session, at each turn of the control thread: scans are made, publishers that nobody
 // reads any more, subscriptions that have no link any more, and processes that nobody uses are taken out of their tables;
 // the daemon is told afterwards, never before (rule RU).
 #pragma once
@@ -19,8 +19,8 @@ class Collector {
 
   /// Allocates.
   void collect(Connection& connection);
-  /// The passes alone.
-  void pass();
+  /// The scans alone.
+  void scan();
   /// The same of a session whose daemon will not come back: nobody says who is gone, and nobody is told.
   void collect_alone();
   /// Nothing of the session is used any more but its executor places.

@@ -1,7 +1,7 @@
 // SPDX-License-Identifier: Apache-2.0
 //
-// Context: what a process asks for once it is a member: its heap, sleepers and endpoints, and their end.
-// How it becomes a member: joining.cpp; coming back: rejoining.cpp; what it is told: control_thread.cpp.
+// Context: what a process asks for once it has a session: its heap, wait sets and endpoints, and their end.
+// How it gets a session: joining.cpp; coming back: rejoining.cpp; what it is told: control_thread.cpp.
 
 #include <client/session/context.hpp>
 
@@ -59,7 +59,7 @@ ConnectionState Context::state() const noexcept {
 }
 
 ConnectionState connection_state() noexcept { return Context::instance().state(); }
-Errc island_reason() noexcept { return Context::instance().island_reason(); }
+Errc orphan_reason() noexcept { return Context::instance().orphan_reason(); }
 
 Result<void> Context::set_heap_scope(HeapScope scope) noexcept {
   if (Result<void> refused = refuse_forked_child(); !refused) return refused;
@@ -80,7 +80,7 @@ auto Context::in_present(Work work) -> decltype(work(instance())) {
 
 /// Also in those to come. Otherwise it is not there.
 template <class Endpoint, class... More>
-void Context::in_all_memberships(const std::shared_ptr<Endpoint>& endpoint, const More&... more) {
+void Context::in_all_sessions(const std::shared_ptr<Endpoint>& endpoint, const More&... more) {
   try {
     Reregistration::instance().add(endpoint, more...);
   } catch (const std::bad_alloc&) {
@@ -92,45 +92,45 @@ void Context::in_all_memberships(const std::shared_ptr<Endpoint>& endpoint, cons
 Result<std::shared_ptr<PublisherEndpoint>> Context::create_publisher(
     const EndpointRequest& request, const detail::MessageEnd& end_message) {
   auto made = in_present([&](Context& present) {
-    return present.make_publisher(request, end_message, {request.lineage, nullptr});
+    return present.make_publisher(request, end_message, {request.persistent_id, nullptr});
   });
-  if (made) in_all_memberships(*made, request, end_message);
+  if (made) in_all_sessions(*made, request, end_message);
   return made;
 }
 
 Result<std::shared_ptr<SubscriptionEndpoint>> Context::create_subscription(
-    const EndpointRequest& request, std::shared_ptr<Sleeper> sleeper) {
+    const EndpointRequest& request, std::shared_ptr<WaitSet> wait_set) {
   auto made = in_present([&](Context& present) {
-    return present.make_subscription(request, sleeper, {request.lineage, nullptr});
+    return present.make_subscription(request, wait_set, {request.persistent_id, nullptr});
   });
-  if (made) in_all_memberships(*made, request);
+  if (made) in_all_sessions(*made, request);
   return made;
 }
 
-Result<std::shared_ptr<Sleeper>> Context::create_sleeper() {
-  auto sleeper = Sleeper::make();
-  if (!sleeper) return sleeper;
-  Result<void> made = in_present([&](Context& present) { return present.make_place(**sleeper); });
+Result<std::shared_ptr<WaitSet>> Context::create_wait_set() {
+  auto wait_set = WaitSet::make();
+  if (!wait_set) return wait_set;
+  Result<void> made = in_present([&](Context& present) { return present.make_place(**wait_set); });
   if (!made) return tl::unexpected<Failure>(made.error());
-  Reregistration::instance().add(*sleeper);
-  return sleeper;
+  Reregistration::instance().add(*wait_set);
+  return wait_set;
 }
 
-Result<std::shared_ptr<Sleeper>> Context::idle_sleeper() {
+Result<std::shared_ptr<WaitSet>> Context::idle_wait_set() {
   if (Result<void> refused = refuse_forked_child(); !refused)
     return tl::unexpected<Failure>(refused.error());
   struct Idle {
     std::mutex making;
-    std::shared_ptr<Sleeper> sleeper;
+    std::shared_ptr<WaitSet> wait_set;
   };
   static Idle* const idle = new Idle;  // immortal, as the context
   const std::lock_guard lock(idle->making);
-  if (idle->sleeper == nullptr) {
-    auto made = create_sleeper();
+  if (idle->wait_set == nullptr) {
+    auto made = create_wait_set();
     if (!made) return made;
-    idle->sleeper = std::move(*made);
+    idle->wait_set = std::move(*made);
   }
-  return idle->sleeper;
+  return idle->wait_set;
 }
 
 Result<void> Context::open_heap_for(bool uses_shared_allocator) {
@@ -155,20 +155,20 @@ Result<std::shared_ptr<PublisherEndpoint>> Context::make_publisher(
 }
 
 Result<std::shared_ptr<SubscriptionEndpoint>> Context::make_subscription(
-    const EndpointRequest& request, const std::shared_ptr<Sleeper>& sleeper,
+    const EndpointRequest& request, const std::shared_ptr<WaitSet>& wait_set,
     const Continued& continued) {
   if (Result<void> connected = connect(); !connected)
     return tl::unexpected<Failure>(connected.error());
-  // The sleeper may be older than this membership.
-  if (Result<void> place = make_place(*sleeper); !place)
+  // The wait set may be older than this session.
+  if (Result<void> place = make_place(*wait_set); !place)
     return tl::unexpected<Failure>(place.error());
-  return creations_.make_subscription(request, sleeper, continued);
+  return creations_.make_subscription(request, wait_set, continued);
 }
 
-Result<void> Context::make_place(Sleeper& sleeper) {
+Result<void> Context::make_place(WaitSet& wait_set) {
   if (Result<void> connected = connect(); !connected) return connected;
   return places_.give(
-      sleeper, this,
+      wait_set, this,
       [this]() -> Result<void> {
         if (!state_.is_alone()) return {};
         return fail(Errc::started_anew, "agnocastd has lost what it knew");
@@ -197,7 +197,7 @@ void Context::let_leave(SubscriptionEndpoint& subscription,
   wait_for(subscription.departure(), end);
 }
 
-// In each membership that it is in.
+// In each session that it is in.
 void Context::destroy(const std::shared_ptr<PublisherEndpoint>& publisher,
                       Reconnection::Clock::time_point end) noexcept {
   if (!is_connected()) return;

@@ -1,11 +1,11 @@
 // SPDX-License-Identifier: Apache-2.0
 //
-// Context: a membership of this process, for those who create and destroy endpoints: what they see of its parts. Made by
+// Context: a session of this process, for those who create and destroy endpoints: what they see of its parts. Made by
 // the first endpoint, never destroyed (messages in statics stay valid), dead in a forked child.
 //
 // Usually there is one. When the daemon's store was lost, another one begins beside it, and becomes
 // the present one (reregistration.hpp); the former lives on by itself until nothing of it is used, and
-// then lets go of all it has mapped. How far one has come: SessionState.
+// then unmaps all it has mapped. How far one has come: SessionState.
 //
 //   part             what it has                                          who uses it
 //   Registration     the connection, the arena, board and own region      all threads
@@ -29,7 +29,7 @@
 #include <client/endpoint/publisher_endpoint.hpp>
 #include <client/endpoint/subscription_endpoint.hpp>
 #include <client/heap/heap.hpp>
-#include <client/process/sleeper.hpp>
+#include <client/process/wait_set.hpp>
 #include <client/session/connection.hpp>
 #include <client/session/control_thread.hpp>
 #include <client/session/creations.hpp>
@@ -68,7 +68,7 @@ class Context {
   /// layout_mismatch, store_damaged, arena_occupied, lock_limit, address_limit, permission_denied,
   /// access_denied, descriptors_withheld, quota_exceeded,
   /// limit_reached, shut_down (forked child, exit handlers), invalid_argument (ROS_DOMAIN_ID), os_failure,
-  /// started_anew and revoked (an island), and what is named. While a new membership begins they wait
+  /// started_anew and revoked (an orphaned session), and what is named. While a new session begins they wait
   /// for it, as for a daemon that is away.
 
   /// Errors also: hook_missing, hook_ineffective, type_mismatch, invalid_name, depth_refused.
@@ -76,14 +76,14 @@ class Context {
       const EndpointRequest& request, const detail::MessageEnd& end_message);
   /// Errors also: type_mismatch, invalid_name, depth_refused.
   [[nodiscard]] Result<std::shared_ptr<SubscriptionEndpoint>> create_subscription(
-      const EndpointRequest& request, std::shared_ptr<Sleeper> sleeper);
+      const EndpointRequest& request, std::shared_ptr<WaitSet> wait_set);
   /// What a publisher needs besides its place with the daemon: for whoever will make one later, and
   /// lends messages before. Errors also: hook_missing, hook_ineffective.
   [[nodiscard]] Result<void> prepare_to_publish(bool uses_shared_allocator);
   /// At most executor_count_max at a time; one that nobody uses any more is given out again.
-  [[nodiscard]] Result<std::shared_ptr<Sleeper>> create_sleeper();
+  [[nodiscard]] Result<std::shared_ptr<WaitSet>> create_wait_set();
   /// For subscriptions that are only asked: it never arms, so nobody rings it. One for the process.
-  [[nodiscard]] Result<std::shared_ptr<Sleeper>> idle_sleeper();
+  [[nodiscard]] Result<std::shared_ptr<WaitSet>> idle_wait_set();
 
   /// The endpoint publishes no more; messages that somebody still reads stay until they are
   /// released. Returns when the daemon knows; while it is away, at once; while it does not answer,
@@ -103,13 +103,13 @@ class Context {
   /// The heap is full: every message that nobody needs any more is destroyed, of every publisher. False:
   /// there was none. User threads, without locks of theirs that a destructor wants.
   bool has_more_room() noexcept;
-  /// Of a former membership: how many of the heap's windows its daemon has told others of. Readers in
+  /// Of a previous session: how many of the heap's windows its daemon has told others of. Readers in
   /// it have these and no more.
   std::uint64_t announced_windows() const noexcept { return heap_.growth().window_count(); }
   /// False in a forked child, and before the first endpoint.
   bool is_connected() const noexcept;
   ConnectionState state() const noexcept;
-  Errc island_reason() const noexcept { return state_.reason(); }
+  Errc orphan_reason() const noexcept { return state_.reason(); }
   void wake_control() noexcept {
     if (registration_.wake() != nullptr) (*registration_.wake())();
   }
@@ -117,26 +117,26 @@ class Context {
  private:
   friend class Reregistration;
 
-  /// Ends a membership that has not become the present one.
+  /// Ends a session that has not become the present one.
   struct Drop {
     void operator()(Context* context) const noexcept;
   };
 
   Context() = default;
   static Context& first() noexcept;
-  /// Does `work` with the present membership, and once more with the next one if it is lost.
+  /// Does `work` with the current session, and once more with the next one if it is lost.
   template <class Work>
   static auto in_present(Work work) -> decltype(work(instance()));
   template <class Endpoint, class... More>
-  void in_all_memberships(const std::shared_ptr<Endpoint>& endpoint, const More&... more);
+  void in_all_sessions(const std::shared_ptr<Endpoint>& endpoint, const More&... more);
   Result<void> open_heap_for(bool uses_shared_allocator);
   Result<std::shared_ptr<PublisherEndpoint>> make_publisher(const EndpointRequest& request,
                                                             const detail::MessageEnd& end_message,
                                                             const Continued& continued);
   Result<std::shared_ptr<SubscriptionEndpoint>> make_subscription(
-      const EndpointRequest& request, const std::shared_ptr<Sleeper>& sleeper,
+      const EndpointRequest& request, const std::shared_ptr<WaitSet>& wait_set,
       const Continued& continued);
-  Result<void> make_place(Sleeper& sleeper);
+  Result<void> make_place(WaitSet& wait_set);
   void let_leave(PublisherEndpoint& publisher,
                  Reconnection::Clock::time_point end = for_ever) noexcept;
   void let_leave(SubscriptionEndpoint& subscription,
@@ -154,7 +154,7 @@ class Context {
   bool has_thread_ = false;
   mutable std::mutex connecting_;
   Registration registration_;
-  ExecutorPlaces places_;  // ahead of the endpoints, whose sleepers give them back
+  ExecutorPlaces places_;  // ahead of the endpoints, whose wait sets give them back
   EndpointTable endpoints_;
   PeerTable peers_{endpoints_};
   OwnHeap heap_{peers_};

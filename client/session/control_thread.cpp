@@ -27,9 +27,9 @@ namespace {
 
 // Looks at a socket that the daemon has not read empty.
 constexpr int output_look_ms = 10;
-// Before the next turn when there is no memory.
+// Before the next attempt when there is no memory.
 constexpr int memory_pause_ms = 10;
-// For one announcement of a subscription: its region and two bells.
+// For one announcement of a subscription: its region and two doorbells.
 constexpr unsigned announced_descriptors = 3;
 
 }  // namespace
@@ -57,11 +57,11 @@ Result<void> ControlThread::watch(int fd) noexcept {
 void ControlThread::serve() noexcept {
   for (;;) {
     try {
-      serve_once(passes_due_ms());
+      serve_once(scan_due_ms());
       if (state_.is_dropped()) return;
       LibraryThread::look_for_users();
       if (LibraryThread::is_over()) return serve_nobody();
-      if (is_former() && collector_.is_unused() && let_go_of_everything()) return;
+      if (is_former() && collector_.is_unused() && unmap_everything()) return;
     } catch (const std::bad_alloc&) {
       // A packet may be half done. After a new connection the daemon says again what counts.
       lose_connection();
@@ -74,11 +74,11 @@ void ControlThread::serve() noexcept {
 void ControlThread::serve_nobody() noexcept {
   registration_.connection().refuse(
       {Errc::shut_down, 0, "the last thread of this process has ended"});
-  tell_state(ConnectionState::island);
+  tell_state(ConnectionState::orphaned);
 }
 
 // In how many milliseconds somebody must look at the publishers again.
-int ControlThread::passes_due_ms() {
+int ControlThread::scan_due_ms() {
   const auto all = endpoints_.publishers();
   const bool reclaimable = std::any_of(
       all.begin(), all.end(), [](const auto& publisher) { return publisher->has_reclaimable(); });
@@ -132,10 +132,10 @@ void ControlThread::look_for_descriptors(bool now) noexcept {
   descriptors_looked_ = time;
   if (!lost_kept() || descriptors_lost_) return;
   descriptors_lost_ = true;
-  become_island(
+  become_orphaned(
       {Errc::os_failure, EBADF, "this process has closed descriptors that agnocast has opened"});
   LibraryThread::end_sleeps();
-  endpoints_.wake_sleepers();
+  endpoints_.wake_wait_sets();
 }
 
 void ControlThread::read_connection() {
@@ -154,8 +154,8 @@ void ControlThread::read_connection() {
   }
 }
 
-/// Members that are mute, or not mapped, because there were too many get bells and are mapped when others have left.
-void ControlThread::look_for_bells() noexcept {
+/// Endpoints that are mute, or not mapped, because there were too many get doorbells and are mapped when others have left.
+void ControlThread::look_for_doorbells() noexcept {
   const auto now = Reannouncement::Clock::now();
   if (reconnection_.state() != Reconnection::State::connected || !reannouncement_.may_look(now))
     return;
@@ -182,7 +182,7 @@ void ControlThread::handle(Incoming& packet) {
       {Opcode::revoked, &ControlThread::on_revoked},
       {Opcode::own, &ControlThread::on_own},
       {Opcode::region, &ControlThread::on_region},
-      {Opcode::bells_renewed, &ControlThread::on_bells_renewed},
+      {Opcode::doorbells_renewed, &ControlThread::on_doorbells_renewed},
   };
   AGNOCAST_CRASH_POINT(C_packet);
   if (announcements_.handle(registration_.connection(), packet)) return;
@@ -194,17 +194,17 @@ void ControlThread::handle(Incoming& packet) {
 }
 
 // One that belongs to nobody in this moment stays without: its next user is heard by its own looks.
-void ControlThread::on_bells_renewed(Incoming& packet) {
-  wire::BellsRenewed renewed{};
+void ControlThread::on_doorbells_renewed(Incoming& packet) {
+  wire::DoorbellsRenewed renewed{};
   if (!packet.read(renewed) || packet.packet.descriptor_count != 2) return;
   const auto fds = packet.packet.fds();
-  DoorbellReceiver bells(std::move(fds[0]), std::move(fds[1]));  // afterwards the former ones
-  for (const auto& sleeper : Reregistration::instance().sleepers()) {
-    if (sleeper->index_in(context_) != renewed.executor) continue;
-    sleeper->renew(context_, bells);
+  DoorbellReceiver doorbells(std::move(fds[0]), std::move(fds[1]));  // afterwards the former ones
+  for (const auto& wait_set : Reregistration::instance().wait_sets()) {
+    if (wait_set->index_in(context_) != renewed.executor) continue;
+    wait_set->renew(context_, doorbells);
     return;
   }
-  places_.renew(renewed.executor, bells);
+  places_.renew(renewed.executor, doorbells);
 }
 
 void ControlThread::run_errands() {
@@ -215,19 +215,19 @@ void ControlThread::run_errands() {
     state_.give_reason(Errc::ok);
     tell_state(ConnectionState::connected);
   }
-  look_for_bells();
+  look_for_doorbells();
   departures_.say(registration_.connection(), registration_.wake());
   readers_.look(endpoints_, heap_, registration_.connection());
   collector_.collect(registration_.connection());
-  departures_.see_strangers_off(registration_.connection(), registration_.wake(),
+  departures_.end_unclaimed(registration_.connection(), registration_.wake(),
                                 registration_.board());
   heap_.ask_for_window(registration_.connection(), registration_.region_base());
 }
 
-// --- a membership whose daemon will not come back: nobody says who is gone, so this thread looks
+// --- a session whose daemon will not come back: nobody says who is gone, so this thread looks
 
 void ControlThread::run_former_errands() {
-  collector_.pass();
+  collector_.scan();
   const auto now = std::chrono::steady_clock::now();
   if (now - former_looked_ < std::chrono::milliseconds{PassTimer::alone_ms}) return;
   former_looked_ = now;
@@ -235,15 +235,15 @@ void ControlThread::run_former_errands() {
   collector_.collect_alone();
 }
 
-// Nobody has anything of it any more but sleepers, and those let go here.
-bool ControlThread::let_go_of_everything() {
+// Nobody has anything of it any more but wait sets, and those released here.
+bool ControlThread::unmap_everything() {
   Reregistration::instance().release_places(*context_);
   if (!places_.end()) return false;  // in a moment
   AGNOCAST_CRASH_POINT(C_former_end);
   Heap::leave_region(registration_.region_base());
   AGNOCAST_CRASH_POINT(C_former_end);
-  departures_.forget_strangers();
-  registration_.let_go();
+  departures_.forget_unclaimed();
+  registration_.unmap_all();
   AGNOCAST_CRASH_POINT(C_former_end);
   epoll_.reset();
   ControlWake::give_back(registration_.wake());

@@ -63,10 +63,10 @@ class ControlThread {
 
   // --- any thread, of a session that is alone
 
-  /// It is an island for this reason now.
+  /// It is an orphaned session for this reason now.
   void tell_reason(Errc reason) noexcept;
   /// The same, and no further attempt will help.
-  void stay_island(const Failure& why) noexcept;
+  void stay_orphaned(const Failure& why) noexcept;
 
  private:
   struct Handler;
@@ -74,14 +74,14 @@ class ControlThread {
   void serve_nobody() noexcept;
   void serve_once(int timeout_ms);
   void look_for_descriptors(bool now) noexcept;
-  int passes_due_ms();
+  int scan_due_ms();
   void read_connection();
-  void look_for_bells() noexcept;
+  void look_for_doorbells() noexcept;
   void run_errands();
   Result<void> watch(int fd) noexcept;
 
   void handle(Incoming& packet);
-  void on_bells_renewed(Incoming& packet);
+  void on_doorbells_renewed(Incoming& packet);
   void on_rejoined(Incoming& packet);
   void on_refused(Incoming& packet);
   void on_revoked(Incoming& packet);
@@ -92,13 +92,13 @@ class ControlThread {
   void reconnect();
   Result<void> introduce_again();
   void lose_connection() noexcept;
-  void become_island(const Failure& why) noexcept;
+  void become_orphaned(const Failure& why) noexcept;
   void tell_state(ConnectionState state) noexcept;
 
   // a former session
   bool is_former() const noexcept;
   void run_former_errands();
-  bool let_go_of_everything();
+  bool unmap_everything();
 
   Context* const context_;
   SessionState& state_;

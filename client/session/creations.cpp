@@ -31,10 +31,10 @@ Result<wire::CreateEndpoint> describe(const EndpointRequest& request,
 
 }  // namespace
 
-/// Of one that continues none: nobody else has the same, in whatever membership.
-std::uint64_t Creations::lineage_of(const Continued& continued, const wire::EndpointCreated& made,
+/// Of one that continues none: nobody else has the same, in whatever session.
+std::uint64_t Creations::persistent_id_of(const Continued& continued, const wire::EndpointCreated& made,
                                     Kind kind) const noexcept {
-  std::uint64_t sum = continued.lineage;
+  std::uint64_t sum = continued.persistent_id;
   if (sum == 0) {
     for (const std::uint64_t part :
          {registration_.incarnation(), registration_.client().first, std::uint64_t{made.topic},
@@ -71,11 +71,11 @@ Result<std::shared_ptr<PublisherEndpoint>> Creations::make_publisher(
             made.first_sequence,
             request.qos,
             made.slot_count,
-            PublisherEndpoint::lazy_limit};
+            PublisherEndpoint::deferred_limit};
         publisher = std::make_shared<PublisherEndpoint>(PublisherEndpoint::Identity{
             core, made.topic, end_message, registration_.waker(), continued.events, session_,
-            lineage_of(continued, made, Kind::publisher),
-            request.says_lineage_later && continued.events == nullptr, make_room, request.signals});
+            persistent_id_of(continued, made, Kind::publisher),
+            request.announces_persistent_id_later && continued.events == nullptr, make_room, request.signals});
         endpoints_.add(publisher);
         return {};
       },
@@ -85,9 +85,9 @@ Result<std::shared_ptr<PublisherEndpoint>> Creations::make_publisher(
 }
 
 Result<std::shared_ptr<SubscriptionEndpoint>> Creations::make_subscription(
-    const EndpointRequest& request, const std::shared_ptr<Sleeper>& sleeper,
+    const EndpointRequest& request, const std::shared_ptr<WaitSet>& wait_set,
     const Continued& continued) {
-  const Result<wire::CreateEndpoint> body = describe(request, *sleeper->index_in(session_));
+  const Result<wire::CreateEndpoint> body = describe(request, *wait_set->index_in(session_));
   if (!body) return tl::unexpected<Failure>(body.error());
   std::shared_ptr<SubscriptionEndpoint> subscription;
   Result<void> created = registration_.connection().request(
@@ -117,8 +117,8 @@ Result<std::shared_ptr<SubscriptionEndpoint>> Creations::make_subscription(
                 registration_.waker(),
                 continued.events,
                 session_,
-                lineage_of(continued, made, Kind::subscription)},
-            sleeper);
+                persistent_id_of(continued, made, Kind::subscription)},
+            wait_set);
         endpoints_.add(subscription);
         return {};
       },
@@ -127,11 +127,11 @@ Result<std::shared_ptr<SubscriptionEndpoint>> Creations::make_subscription(
   return subscription;
 }
 
-Result<std::unique_ptr<Sleeper::Place>> Creations::open_executor(std::uint64_t executor,
+Result<std::unique_ptr<WaitSet::Place>> Creations::open_executor(std::uint64_t executor,
                                                                  bool again) {
   wire::ExecutorRequest request{};
   request.executor = executor;
-  std::unique_ptr<Sleeper::Place> place;
+  std::unique_ptr<WaitSet::Place> place;
   Result<void> opened = registration_.connection().request(
       Opcode::open_executor, request,
       [&](Incoming& packet) -> Result<void> {
@@ -142,7 +142,7 @@ Result<std::unique_ptr<Sleeper::Place>> Creations::open_executor(std::uint64_t e
           return read;
         const auto fds = packet.packet.fds();
         AGNOCAST_CRASH_POINT(C_sleeper);
-        place = std::make_unique<Sleeper::Place>(
+        place = std::make_unique<WaitSet::Place>(
             registration_.region_base(), executor,
             DoorbellReceiver(std::move(fds[0]), std::move(fds[1])));
         return {};
@@ -156,7 +156,7 @@ Result<std::unique_ptr<Sleeper::Place>> Creations::open_executor(std::uint64_t e
 Result<void> Creations::adopt_late(Kind kind, Incoming& packet) {
   wire::EndpointCreated made{};
   if (packet.read(made))
-    departures_.adopt_stranger(kind, {made.topic, made.index}, made.generation, false);
+    departures_.adopt_unclaimed(kind, {made.topic, made.index}, made.generation, false);
   return {};
 }
 

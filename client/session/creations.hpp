@@ -4,7 +4,7 @@
 // waits for the answer; what it means is done in the control thread, so an endpoint is in its table before the daemon can
 // announce anything to it.
 //
-// An answer that comes when nobody waits any more is an endpoint that only the daemon knows: a stranger (Departures).
+// An answer that comes when nobody waits any more is an endpoint that only the daemon knows: unclaimed (Departures).
 #pragma once
 
 #include <agnocast/message_type.hpp>
@@ -36,17 +36,17 @@ class Creations {
   [[nodiscard]] Result<std::shared_ptr<PublisherEndpoint>> make_publisher(
       const EndpointRequest& request, const detail::MessageEnd& end_message,
       const Continued& continued, bool (*make_room)() noexcept);
-  /// The sleeper has a place in this session. Errors: those of Context::create_subscription.
+  /// The wait set has a place in this session. Errors: those of Context::create_subscription.
   [[nodiscard]] Result<std::shared_ptr<SubscriptionEndpoint>> make_subscription(
-      const EndpointRequest& request, const std::shared_ptr<Sleeper>& sleeper,
+      const EndpointRequest& request, const std::shared_ptr<WaitSet>& wait_set,
       const Continued& continued);
   /// The doorbells of an executor, with its sleep word. `again`: the daemon may have opened it before.
-  [[nodiscard]] Result<std::unique_ptr<Sleeper::Place>> open_executor(std::uint64_t executor,
+  [[nodiscard]] Result<std::unique_ptr<WaitSet::Place>> open_executor(std::uint64_t executor,
                                                                       bool again);
 
  private:
   using Kind = abi::wire::Kind;
-  std::uint64_t lineage_of(const Continued& continued, const abi::wire::EndpointCreated& made,
+  std::uint64_t persistent_id_of(const Continued& continued, const abi::wire::EndpointCreated& made,
                            Kind kind) const noexcept;
   Result<void> adopt_late(Kind kind, Incoming& packet);
 

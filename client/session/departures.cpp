@@ -21,7 +21,7 @@ bool is_freed(SparseRegion& board, const Departures::Key& key, std::uint64_t gen
   const std::uint64_t word = region::TopicWords<SharedMemory>{board.base(), topic}
                                  .publisher(key.second, offsetof(abi::PublisherEntry, word))
                                  .load(std::memory_order_acquire);
-  return abi::generation_of(word) != generation || abi::state_of(word) == abi::MemberState::free;
+  return abi::generation_of(word) != generation || abi::state_of(word) == abi::BoardState::free;
 }
 
 }  // namespace
@@ -70,34 +70,34 @@ void Departures::say(Connection& connection, const std::shared_ptr<const Control
   });
 }
 
-void Departures::adopt_stranger(Kind kind, const Key& key, std::uint64_t generation,
+void Departures::adopt_unclaimed(Kind kind, const Key& key, std::uint64_t generation,
                                 bool has_left) {
-  const auto found = strangers_.find({kind, key});
-  std::shared_ptr<Stranger> stranger = found != strangers_.end() ? found->second : nullptr;
-  if (stranger == nullptr || stranger->generation != generation) {
-    stranger = std::make_shared<Stranger>(generation);
-    strangers_.insert_or_assign({kind, key}, stranger);
+  const auto found = unclaimed_.find({kind, key});
+  std::shared_ptr<UnclaimedEndpoint> unclaimed = found != unclaimed_.end() ? found->second : nullptr;
+  if (unclaimed == nullptr || unclaimed->generation != generation) {
+    unclaimed = std::make_shared<UnclaimedEndpoint>(generation);
+    unclaimed_.insert_or_assign({kind, key}, unclaimed);
   }
-  stranger->departure.want();
-  if (has_left) stranger->departure.known();
+  unclaimed->departure.want();
+  if (has_left) unclaimed->departure.known();
 }
 
-void Departures::see_strangers_off(Connection& connection,
+void Departures::end_unclaimed(Connection& connection,
                                    const std::shared_ptr<const ControlWake>& wake,
                                    SparseRegion& board) {
   if (!connection.is_open()) return;
-  for (auto at = strangers_.begin(); at != strangers_.end();) {
+  for (auto at = unclaimed_.begin(); at != unclaimed_.end();) {
     const auto& [kind, key] = at->first;
-    const std::shared_ptr<Stranger>& stranger = at->second;
-    const wire::Reference who = reference(kind, key.first, key.second, stranger->generation);
-    say_one(connection, wake, stranger->departure, who, stranger);
-    if (!stranger->departure.is_known() ||
-        (kind == Kind::publisher && !is_freed(board, key, stranger->generation))) {
+    const std::shared_ptr<UnclaimedEndpoint>& unclaimed = at->second;
+    const wire::Reference who = reference(kind, key.first, key.second, unclaimed->generation);
+    say_one(connection, wake, unclaimed->departure, who, unclaimed);
+    if (!unclaimed->departure.is_known() ||
+        (kind == Kind::publisher && !is_freed(board, key, unclaimed->generation))) {
       ++at;
       continue;
     }
     connection.post(Opcode::drained, who, true);
-    at = strangers_.erase(at);
+    at = unclaimed_.erase(at);
   }
 }
 

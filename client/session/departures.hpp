@@ -4,7 +4,7 @@
 //
 //   wanted (any thread) ──say(), in the control thread──▶ said ──answer──▶ known ──▶ whoever waits goes on
 //
-// Strangers are endpoints of this process that only the daemon knows about: nobody waits for their creation any more, or
+// Unclaimed are endpoints of this process that only the daemon knows about: nobody waits for their creation any more, or
 // they were over here while the daemon was away. Nobody else was ever given such an endpoint, so nothing of it is held or
 // published: it is drained as soon as the daemon has let it leave.
 #pragma once
@@ -48,15 +48,15 @@ class Departures {
   /// Says what is wanted and was not said. `wake`: of the control thread.
   void say(Connection& connection, const std::shared_ptr<const ControlWake>& wake);
   /// The daemon knows of an endpoint that is not here.
-  void adopt_stranger(Kind kind, const Key& key, std::uint64_t generation, bool has_left);
+  void adopt_unclaimed(Kind kind, const Key& key, std::uint64_t generation, bool has_left);
   /// While the connection is open. `board`: says whom everybody else has let go of.
-  void see_strangers_off(Connection& connection, const std::shared_ptr<const ControlWake>& wake,
+  void end_unclaimed(Connection& connection, const std::shared_ptr<const ControlWake>& wake,
                          SparseRegion& board);
-  void forget_strangers() noexcept { strangers_.clear(); }
+  void forget_unclaimed() noexcept { unclaimed_.clear(); }
 
  private:
-  struct Stranger {
-    explicit Stranger(std::uint64_t known_generation) noexcept : generation(known_generation) {}
+  struct UnclaimedEndpoint {
+    explicit UnclaimedEndpoint(std::uint64_t known_generation) noexcept : generation(known_generation) {}
     std::uint64_t generation;
     Departure departure;
   };
@@ -67,7 +67,7 @@ class Departures {
   EndpointTable& endpoints_;
   std::mutex mutex_;
   std::condition_variable known_;
-  std::map<std::pair<Kind, Key>, std::shared_ptr<Stranger>> strangers_;
+  std::map<std::pair<Kind, Key>, std::shared_ptr<UnclaimedEndpoint>> unclaimed_;
 };
 
 }  // namespace agnocast

@@ -27,14 +27,14 @@ struct EndpointRequest {
   bool uses_shared_allocator = false;
   std::uint64_t message_bytes = 0;  // sizeof the message object; 0 = any
   std::uint64_t message_alignment = 1;
-  std::uint64_t lineage = 0;        // 0: one of its own
-  bool says_lineage_later = false;  // publishers: see EndpointName
+  std::uint64_t persistent_id = 0;        // 0: one of its own
+  bool announces_persistent_id_later = false;  // publishers: see EndpointName
   SignalMask signals;               // for destructors of messages
 };
 
-/// What an endpoint of a further membership has from the one that it continues.
+/// What an endpoint of a new session has from the one that it continues.
 struct Continued {
-  std::uint64_t lineage = 0;  // 0: it continues none
+  std::uint64_t persistent_id = 0;  // 0: it continues none
   std::shared_ptr<EndpointEvents> events;
 };
 

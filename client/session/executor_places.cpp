@@ -9,8 +9,8 @@
 
 namespace agnocast {
 
-std::shared_ptr<Sleeper::Place> ExecutorPlaces::lend(std::unique_ptr<Sleeper::Place> place) {
-  return {place.release(), [this](Sleeper::Place* returned) noexcept {
+std::shared_ptr<WaitSet::Place> ExecutorPlaces::lend(std::unique_ptr<WaitSet::Place> place) {
+  return {place.release(), [this](WaitSet::Place* returned) noexcept {
             if (is_forked_child()) return;
             const std::lock_guard lock(mutex_);
             unused_.emplace_back(returned);  // within its capacity
@@ -42,15 +42,15 @@ Result<ExecutorPlaces::Next> ExecutorPlaces::next() {
   return next;
 }
 
-Result<void> ExecutorPlaces::give(Sleeper& sleeper, Sleeper::Membership session,
+Result<void> ExecutorPlaces::give(WaitSet& wait_set, WaitSet::Session session,
                                   const Permit& permit, const Open& open) {
   const std::lock_guard giving(giving_);
-  if (sleeper.index_in(session)) return {};
+  if (wait_set.index_in(session)) return {};
   if (Result<void> permitted = permit(); !permitted) return permitted;
   Result<Next> found = next();
   if (!found) return tl::unexpected<Failure>(found.error());
-  if (found->place != nullptr) return sleeper.add(session, lend(std::move(found->place)));
-  Result<std::unique_ptr<Sleeper::Place>> opened = open(found->executor, found->again);
+  if (found->place != nullptr) return wait_set.add(session, lend(std::move(found->place)));
+  Result<std::unique_ptr<WaitSet::Place>> opened = open(found->executor, found->again);
   {
     const std::lock_guard lock(mutex_);
     if (opened) {
@@ -61,13 +61,13 @@ Result<void> ExecutorPlaces::give(Sleeper& sleeper, Sleeper::Membership session,
     }
   }
   if (!opened) return tl::unexpected<Failure>(opened.error());
-  return sleeper.add(session, lend(std::move(*opened)));
+  return wait_set.add(session, lend(std::move(*opened)));
 }
 
-void ExecutorPlaces::renew(std::uint64_t executor, DoorbellReceiver& bells) noexcept {
+void ExecutorPlaces::renew(std::uint64_t executor, DoorbellReceiver& doorbells) noexcept {
   const std::lock_guard lock(mutex_);
   for (const auto& place : unused_) {
-    if (place->index == executor) return std::swap(place->bells, bells);
+    if (place->index == executor) return std::swap(place->doorbells, doorbells);
   }
 }
 

@@ -3,7 +3,7 @@
 // ExecutorPlaces: the places of executors that this process has in one session: a sleep word in its client region and
 // the doorbells that ring for it, by number.
 //
-//   never asked for ──▶ lent to a sleeper ◀──▶ unused, with its doorbells
+//   never asked for ──▶ lent to a wait set ◀──▶ unused, with its doorbells
 //          └── refused, or no answer in time ──▶ failed: asked for once more before a new number is
 //
 // A place goes back here, not away: it stays the process's, with its doorbells, and its sleep word goes on counting. It
@@ -12,7 +12,7 @@
 
 #include <agnocast/result.hpp>
 #include <base/doorbell.hpp>
-#include <client/process/sleeper.hpp>
+#include <client/process/wait_set.hpp>
 
 #include <cstdint>
 #include <functional>
@@ -26,39 +26,39 @@ class ExecutorPlaces {
  public:
   /// Asks the daemon for the doorbells of an executor. `again`: for an earlier request the daemon may have opened it.
   using Open =
-      std::function<Result<std::unique_ptr<Sleeper::Place>>(std::uint64_t executor, bool again)>;
+      std::function<Result<std::unique_ptr<WaitSet::Place>>(std::uint64_t executor, bool again)>;
   /// Whether the session has a daemon that could open one.
   using Permit = std::function<Result<void>()>;
 
   // --- any thread
 
-  /// The sleeper has a place here afterwards, known to it by this session. Nothing happens if it has. `permit` is asked
+  /// The wait set has a place here afterwards, known to it by this session. Nothing happens if it has. `permit` is asked
   /// ahead of everything, while nobody else gets a place. Errors: limit_reached, those of `permit` and `open`, os_failure.
-  [[nodiscard]] Result<void> give(Sleeper& sleeper, Sleeper::Membership session,
+  [[nodiscard]] Result<void> give(WaitSet& wait_set, WaitSet::Session session,
                                   const Permit& permit, const Open& open);
 
   // --- control thread
 
-  /// Other doorbells for an unused place; those that it had are in `bells` afterwards.
-  void renew(std::uint64_t executor, DoorbellReceiver& bells) noexcept;
+  /// Other doorbells for an unused place; those that it had are in `doorbells` afterwards.
+  void renew(std::uint64_t executor, DoorbellReceiver& doorbells) noexcept;
   /// Ends the unused ones, for good. Returns false, and does nothing, while any is lent.
   bool end() noexcept;
 
  private:
   /// The next one to give: unused, or its number and whether it was asked for before.
   struct Next {
-    std::unique_ptr<Sleeper::Place> place;
+    std::unique_ptr<WaitSet::Place> place;
     std::uint64_t executor = 0;
     bool again = false;
   };
   Result<Next> next();
-  std::shared_ptr<Sleeper::Place> lend(std::unique_ptr<Sleeper::Place> place);
+  std::shared_ptr<WaitSet::Place> lend(std::unique_ptr<WaitSet::Place> place);
 
-  std::mutex giving_;  // one at a time, so that a sleeper has one place here
+  std::mutex giving_;  // one at a time, so that a wait set has one place here
   std::mutex mutex_;   // innermost
   std::uint64_t next_number_ = 0;
   std::uint64_t lent_ = 0;
-  std::vector<std::unique_ptr<Sleeper::Place>> unused_;
+  std::vector<std::unique_ptr<WaitSet::Place>> unused_;
   std::vector<std::uint64_t> failed_;  // whose doorbells never came
 };
 

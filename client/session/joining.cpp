@@ -1,6 +1,6 @@
 // SPDX-License-Identifier: Apache-2.0
 //
-// Joining: how a process becomes a member. docs/control-plane.md, "Connection and identity".
+// Joining: how a process gets a session. docs/control-plane.md, "Connection and identity".
 //
 //   connect → hello → welcome: reserve the arena, map board and region (Registration) → the control thread begins
 //
@@ -81,7 +81,7 @@ Result<void> Context::become_known() {
 Result<void> Context::start_control_thread() {
   if (Result<void> prepared = control_.prepare(); !prepared) return prepared;
   registration_.connection().open();
-  // A further membership is told of when the endpoints are in it.
+  // A new session is told of when the endpoints are in it.
   if (state_.is_beginning()) return start_thread();
   const ConnectionState before = state_.set(ConnectionState::connected);
   Result<void> started = start_thread();

@@ -82,7 +82,7 @@ void OwnHeap::continue_from(OwnHeap& former) {
 Result<void> OwnHeap::bring(Connection& connection, std::byte* client_region) {
   if (!is_open()) return {};
   if (!Heap::follow(client_region))
-    return fail(Errc::limit_reached, "too many former memberships are still in use");
+    return fail(Errc::limit_reached, "too many previous sessions are still in use");
   for (std::uint64_t i = 0; i < Heap::window_count(); ++i) {
     const Heap::Window window = Heap::window(i);
     wire::BringWindow body{};

@@ -2,8 +2,8 @@
 //
 // PassTimer: how long the control thread may sleep before somebody must look at the publishers again. Pure.
 //
-// Passes over an idle publisher come soon after the last publish, then ever more rarely (docs/protocol.md, who runs a
-// pass). A subscription that has not linked yet is looked for sooner: usually it links within a millisecond, and nobody
+// Scans of an idle publisher come soon after the last publish, then ever more rarely (docs/protocol.md, who runs a
+// scan). A subscription that has not linked yet is looked for sooner: usually it links within a millisecond, and nobody
 // rings when it has. A session without a daemon is looked at at one pace: nobody says who is gone.
 #pragma once
 
@@ -17,7 +17,7 @@ class PassTimer {
   static constexpr int link_first_ms = 1;
   static constexpr int alone_ms = 20;
 
-  /// What there is to wait for: a message that a pass may free, a subscription that has not linked.
+  /// What there is to wait for: a message that a scan may free, a subscription that has not linked.
   int next_ms(bool reclaimable, bool awaits_link, bool is_alone) noexcept {
     if (!reclaimable) {
       pause_ = last_ms;

@@ -23,7 +23,7 @@ constexpr std::uint64_t memory_divisor = 4;
 /// What one user's readers keep of one publisher's messages, and which of them.
 struct KeptOfPublisher {
   std::shared_ptr<PublisherEndpoint> publisher;
-  std::vector<PublisherEndpoint::Core::MemberId> readers;
+  std::vector<PublisherEndpoint::Core::EndpointId> readers;
   std::uint64_t bytes;
 };
 
@@ -37,8 +37,8 @@ Kept kept_by_others(const std::vector<std::shared_ptr<PublisherEndpoint>>& publi
   std::vector<PublisherEndpoint::Reader> readers;
   for (const auto& publisher : publishers) {
     publisher->list_foreign_readers(readers);
-    std::map<std::uint32_t, std::vector<PublisherEndpoint::Core::MemberId>> by_user;
-    std::vector<PublisherEndpoint::Core::MemberId> all;
+    std::map<std::uint32_t, std::vector<PublisherEndpoint::Core::EndpointId>> by_user;
+    std::vector<PublisherEndpoint::Core::EndpointId> all;
     for (const auto& reader : readers) {
       by_user[reader.uid].push_back(reader.id);
       all.push_back(reader.id);
@@ -57,7 +57,7 @@ void withdraw_largest(const std::vector<KeptOfPublisher>& kept, std::uint64_t sh
   struct One {
     std::uint64_t bytes;
     PublisherEndpoint* publisher;
-    PublisherEndpoint::Core::MemberId reader;
+    PublisherEndpoint::Core::EndpointId reader;
   };
   std::vector<One> all;
   for (const KeptOfPublisher& part : kept) {

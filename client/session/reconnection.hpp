@@ -3,7 +3,7 @@
 // Reconnection: when to try to reach the daemon again. Pure; time is told.
 //
 //   connected ──end──▶ waiting ──due──▶ rejoining ──▶ connected
-//                         ▲───────end──────┘├──refused──▶ island (for good)
+//                         ▲───────end──────┘├──refused──▶ orphaned (for good)
 //                         └──────later──────┘
 //
 // Some refusals are mended by an administrator: it is asked again, seldom, and `is_refused` meanwhile.
@@ -29,7 +29,7 @@ constexpr bool is_mended_by_people(Errc code) noexcept {
 
 class Reconnection {
  public:
-  enum class State : std::uint8_t { connected, waiting, rejoining, island };
+  enum class State : std::uint8_t { connected, waiting, rejoining, orphaned };
   using Clock = std::chrono::steady_clock;
   static constexpr std::chrono::milliseconds pause_first{1}, pause_last{250}, lasting{100},
       pause_refused{5'000};
@@ -42,7 +42,7 @@ class Reconnection {
   }
 
   void ended(Clock::time_point now) noexcept {
-    if (state_ == State::island) return;
+    if (state_ == State::orphaned) return;
     if (state_ == State::connected && now - since_ >= lasting) pause_ = pause_first;
     next_try_ = now + (is_refused_ ? pause_refused : pause_);
     pause_ = std::min(pause_ * 2, pause_last);
@@ -54,7 +54,7 @@ class Reconnection {
     is_refused_ = false;
     state_ = State::connected;
   }
-  void refused() noexcept { state_ = State::island; }
+  void refused() noexcept { state_ = State::orphaned; }
   void refused_until_mended(Clock::time_point now) noexcept {
     is_refused_ = true;
     ended(now);

@@ -202,7 +202,7 @@ void Registration::say_blocked() {
   }
 }
 
-void Registration::let_go() noexcept {
+void Registration::unmap_all() noexcept {
   region_ = {};
   board_ = {};
   arena_.reset();

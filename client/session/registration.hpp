@@ -8,10 +8,10 @@
 //   continue_from() ─────┘
 //
 //   registered ──the connection ends──▶ say_rejoin() ──the daemon knows it──▶ registered, over another connection
-//              └──the daemon's store is lost, nobody uses it──▶ let_go()
+//              └──the daemon's store is lost, nobody uses it──▶ unmap_all()
 //
 // Made by the thread that connects; from then on the control thread's, but for the connection and for what is mapped,
-// which stays where it is until let_go().
+// which stays where it is until unmap_all().
 #pragma once
 
 #include <agnocast/abi/wire.hpp>
@@ -77,7 +77,7 @@ class Registration {
   [[nodiscard]] Result<void> say_rejoin();
   /// Ahead of all requests on a connection: what the daemon gives must not lie there.
   void say_blocked();
-  void let_go() noexcept;
+  void unmap_all() noexcept;
 
  private:
   Result<void> map_regions(const abi::wire::Welcome& welcome, std::span<UniqueFd> fds,

@@ -2,15 +2,15 @@
 //
 // Coming back: what the control thread does about a connection that has ended. docs/control-plane.md.
 //
-// Nothing in shared memory depends on the connection, so messages flow on and passes are made as
+// Nothing in shared memory depends on the connection, so messages flow on and scans are made as
 // always. The control thread tries to connect, ever more rarely, and says who it was (rejoin). If
 // the daemon knows it, requests that wait are asked again, and the daemon says what it knows: every
 // endpoint of the process (own), every announcement that it made, and the regions (region). What is
 // here already is recognised; of what is not here any more the client says again that it has left,
 // is drained, is unlinked. So nothing that either side said before needs to have arrived.
 //
-// A daemon that refuses leaves this membership an island. If the reason is that it knows nobody, the
-// process begins another membership (reregistration.hpp), and this one ends when nobody uses it.
+// A daemon that refuses leaves this session orphaned. If the reason is that it knows nobody, the
+// process begins another session (reregistration.hpp), and this one ends when nobody uses it.
 
 #include <client/process/forked_child.hpp>
 #include <client/session/control_thread.hpp>
@@ -34,16 +34,16 @@ void ControlThread::tell_state(ConnectionState state) noexcept {
 }
 
 void ControlThread::lose_connection() noexcept {
-  if (reconnection_.state() == Reconnection::State::island) return;
+  if (reconnection_.state() == Reconnection::State::orphaned) return;
   if (registration_.connection().fd() >= 0 && !has_lost_kept())
     ::epoll_ctl(epoll_.get(), EPOLL_CTL_DEL, registration_.connection().fd(), nullptr);
   registration_.connection().end();
   reconnection_.ended(Reconnection::Clock::now());
-  tell_state(reconnection_.is_refused() ? ConnectionState::island : ConnectionState::reconnecting);
+  tell_state(reconnection_.is_refused() ? ConnectionState::orphaned : ConnectionState::reconnecting);
 }
 
-void ControlThread::become_island(const Failure& why) noexcept {
-  if (reconnection_.state() == Reconnection::State::island) return;
+void ControlThread::become_orphaned(const Failure& why) noexcept {
+  if (reconnection_.state() == Reconnection::State::orphaned) return;
   lose_connection();
   if (is_mended_by_people(why.code)) {
     reconnection_.refused_until_mended(Reconnection::Clock::now());
@@ -58,7 +58,7 @@ void ControlThread::become_island(const Failure& why) noexcept {
     AGNOCAST_CRASH_POINT(C_revoked);
     endpoints_.revoke();
   }
-  tell_state(ConnectionState::island);
+  tell_state(ConnectionState::orphaned);
   if (why.code != Errc::started_anew) return;
   state_.step(SessionState::Step::lose);
   AGNOCAST_CRASH_POINT(C_alone);
@@ -67,10 +67,10 @@ void ControlThread::become_island(const Failure& why) noexcept {
 }
 
 void ControlThread::tell_reason(Errc reason) noexcept {
-  if (state_.give_reason(reason)) endpoints_.tell({ConnectionState::island, reason});
+  if (state_.give_reason(reason)) endpoints_.tell({ConnectionState::orphaned, reason});
 }
 
-void ControlThread::stay_island(const Failure& why) noexcept {
+void ControlThread::stay_orphaned(const Failure& why) noexcept {
   registration_.connection().refuse(why);
   tell_reason(why.code);
 }
@@ -78,7 +78,7 @@ void ControlThread::stay_island(const Failure& why) noexcept {
 void ControlThread::reconnect() {
   const Result<void> asked = introduce_again();
   if (asked) return;
-  if (asked.error().code == Errc::daemon_untrusted) return become_island(asked.error());
+  if (asked.error().code == Errc::daemon_untrusted) return become_orphaned(asked.error());
   lose_connection();
 }
 
@@ -111,14 +111,14 @@ void ControlThread::on_refused(Incoming& packet) {
     case Errc::layout_mismatch:
     case Errc::store_damaged:
     case Errc::permission_denied:
-      return become_island(why);
+      return become_orphaned(why);
     default:  // it has no room for one more connection now, or no descriptor
       return lose_connection();
   }
 }
 
 void ControlThread::on_revoked(Incoming& packet) {
-  become_island(failure_with(Errc::revoked, detail_of(refusal_of(packet))));
+  become_orphaned(failure_with(Errc::revoked, detail_of(refusal_of(packet))));
 }
 
 // --- what the daemon knows of this process
@@ -130,11 +130,11 @@ void ControlThread::on_own(Incoming& packet) {
   const EndpointTable::Key key{own.topic, own.index};
   Departure* const departure = endpoints_.departure_of(own.kind, key, own.generation);
   if (departure == nullptr) {
-    departures_.adopt_stranger(own.kind, key, own.generation, own.active == 0);
+    departures_.adopt_unclaimed(own.kind, key, own.generation, own.active == 0);
   } else if (own.active == 0 && departure->is_wanted()) {
     departure->known();
   } else if (own.active != 0 && departure->is_known()) {
-    departure->forgotten();  // as an island this process took every refusal for an answer to it
+    departure->forgotten();  // as an orphaned session this process took every refusal for an answer to it
   }
 }
 

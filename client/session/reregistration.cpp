@@ -76,24 +76,24 @@ void Reregistration::add(const std::shared_ptr<SubscriptionEndpoint>& subscripti
   check_added(subscription->context());
 }
 
-void Reregistration::add(const std::shared_ptr<Sleeper>& sleeper) {
+void Reregistration::add(const std::shared_ptr<WaitSet>& wait_set) {
   {
     const std::lock_guard lock(mutex_);
-    forget(sleepers_, [](const std::weak_ptr<Sleeper>& entry) { return entry.expired(); });
-    sleepers_.push_back(sleeper);
+    forget(wait_sets_, [](const std::weak_ptr<WaitSet>& entry) { return entry.expired(); });
+    wait_sets_.push_back(wait_set);
   }
-  if (!sleeper->index_in(&Context::instance())) begin();
+  if (!wait_set->index_in(&Context::instance())) begin();
 }
 
-// It may have been created in a membership that was lost before it was known here.
+// It may have been created in a session that was lost before it was known here.
 void Reregistration::check_added(const Context* context) noexcept {
   if (context != &Context::instance()) begin();
 }
 
 void Reregistration::release_places(const Context& former) noexcept {
   const std::lock_guard lock(mutex_);
-  for (const auto& entry : sleepers_) {
-    if (const auto sleeper = entry.lock()) sleeper->remove(&former);
+  for (const auto& entry : wait_sets_) {
+    if (const auto wait_set = entry.lock()) wait_set->remove(&former);
   }
 }
 
@@ -169,7 +169,7 @@ void Reregistration::run_once() {
     }
     const Failure& why = began.error();
     if (is_final(why.code) || is_refusal(why.code)) {
-      former.control_.stay_island(why);
+      former.control_.stay_orphaned(why);
       const std::lock_guard lock(mutex_);
       is_refused_ = true;
       is_hopeless_ = is_final(why.code);
@@ -217,15 +217,15 @@ template <class Which>
 void Reregistration::abandon_pending(Which which) noexcept {
   forget(pending_, [&](const Pending& entry) {
     const bool found = which(entry);
-    if (found) entry.heir->abandon();
+    if (found) entry.successor->abandon();
     return found;
   });
 }
 
-// Also what was created meanwhile in a membership that is former by now.
+// Also what was created meanwhile in a session that is former by now.
 void Reregistration::move_everything(Context& present) {
-  // An earlier turn had no memory, and may have been for another membership.
-  abandon_pending([&](const Pending& entry) { return entry.heir->context() != &present; });
+  // An earlier attempt had no memory, and may have been for another session.
+  abandon_pending([&](const Pending& entry) { return entry.successor->context() != &present; });
   auto look = std::chrono::milliseconds{1};
   auto again = std::chrono::milliseconds{1000};  // after a refusal
   for (bool first = true; !exit_has_begun() && !LibraryThread::is_over(); first = false) {
@@ -260,20 +260,20 @@ void Reregistration::move_everything(Context& present) {
   }
 }
 
-std::vector<std::shared_ptr<Sleeper>> Reregistration::sleepers() {
-  std::vector<std::shared_ptr<Sleeper>> all;
+std::vector<std::shared_ptr<WaitSet>> Reregistration::wait_sets() {
+  std::vector<std::shared_ptr<WaitSet>> all;
   const std::lock_guard lock(mutex_);
-  for (const auto& entry : sleepers_) {
-    if (auto sleeper = entry.lock()) all.push_back(std::move(sleeper));
+  for (const auto& entry : wait_sets_) {
+    if (auto wait_set = entry.lock()) all.push_back(std::move(wait_set));
   }
   return all;
 }
 
 Result<void> Reregistration::make_places(Context& present) {
   Result<void> problem;
-  for (const auto& sleeper : sleepers()) {
+  for (const auto& wait_set : wait_sets()) {
     AGNOCAST_CRASH_POINT(C_place);
-    keep_first(problem, present.make_place(*sleeper));
+    keep_first(problem, present.make_place(*wait_set));
     AGNOCAST_CRASH_POINT(C_place);
     if (is_away(problem)) break;
   }
@@ -287,7 +287,7 @@ Result<void> Reregistration::make_subscriptions(Context& present) {
     for (const Subscription& entry : subscriptions_) {
       auto endpoint = entry.endpoint.lock();
       if (endpoint != nullptr && !endpoint->is_closed() &&
-          endpoint->in_membership(&present, endpoint) == nullptr)
+          endpoint->in_session(&present, endpoint) == nullptr)
         all.emplace_back(std::move(endpoint), entry.request);
     }
   }
@@ -295,8 +295,8 @@ Result<void> Reregistration::make_subscriptions(Context& present) {
   for (const auto& [endpoint, request] : all) {
     endpoint->expect_successor();
     auto made =
-        present.make_subscription(request.get(), endpoint->shared_sleeper(),
-                                  {endpoint->identity().lineage, endpoint->shared_events()});
+        present.make_subscription(request.get(), endpoint->shared_wait_set(),
+                                  {endpoint->identity().persistent_id, endpoint->shared_events()});
     if (!made) {
       problem = tl::unexpected<Failure>(made.error());
       if (is_away(problem)) break;
@@ -328,7 +328,7 @@ Result<void> Reregistration::make_publishers(Context& present) {
       continue;
     pending_.reserve(pending_.size() + 1);  // before anything is there that must not be lost
     auto made = present.make_publisher(entry.request.get(), entry.end_message,
-                                       {publisher->lineage(), publisher->shared_events()});
+                                       {publisher->persistent_id(), publisher->shared_events()});
     if (made) {
       AGNOCAST_CRASH_POINT(C_heir);
       pending_.push_back({publisher, *made, Clock::now()});
@@ -342,15 +342,15 @@ Result<void> Reregistration::make_publishers(Context& present) {
 
 /// True when there is nothing left to do for it.
 bool Reregistration::try_to_move(Context& present, const Pending& pending) {
-  const auto& [publisher, heir, since] = pending;
+  const auto& [publisher, successor, since] = pending;
   const auto before = publisher->present(publisher);
   if (!publisher->has_ended()) {
-    if (!before->is_succeeded_by(*heir) && Clock::now() - since < move_patience) return false;
-    if (before->move_to(heir) && before != publisher) publisher->redirect_to(heir);
+    if (!before->is_succeeded_by(*successor) && Clock::now() - since < move_patience) return false;
+    if (before->move_to(successor) && before != publisher) publisher->redirect_to(successor);
     before->context()->wake_control();
   }
   if (publisher->has_ended()) AGNOCAST_CRASH_POINT(C_heir_leaves);
-  if (publisher->has_ended()) present.let_leave(*heir);  // also if that came in between
+  if (publisher->has_ended()) present.let_leave(*successor);  // also if that came in between
   return true;
 }
 

@@ -2,11 +2,11 @@
 //
 // Reregistration: what this process does when the daemon's store was lost. docs/decisions/0006.
 //
-//   the present membership is an island, its daemon will not come back
+//   the current session is orphaned, its daemon will not come back
 //     → hello to the new daemon, regions, the heap's windows are brought along  → a new present one
-//     → places of sleepers → subscriptions → publishers, each beside its former self
+//     → places of wait sets → subscriptions → publishers, each beside its former self
 //     → each publisher moves when its subscriptions are there, or after a while
-//   meanwhile the former membership goes on among those who are in it, and ends by itself
+//   meanwhile the previous session goes on among those who are in it, and ends by itself
 //
 // A thread of its own does it, because it waits for answers; it ends when everything has moved. User
 // threads never wait for it, but for creations, which wait as for a daemon that is away.
@@ -44,18 +44,18 @@ class Reregistration {
            const detail::MessageEnd& end_message);
   void add(const std::shared_ptr<SubscriptionEndpoint>& subscription,
            const EndpointRequest& request);
-  void add(const std::shared_ptr<Sleeper>& sleeper);
+  void add(const std::shared_ptr<WaitSet>& wait_set);
   /// All of this process.
-  std::vector<std::shared_ptr<Sleeper>> sleepers();
+  std::vector<std::shared_ptr<WaitSet>> wait_sets();
 
-  /// The present membership is lost. Any thread; nothing happens when it is known.
+  /// The current session is lost. Any thread; nothing happens when it is known.
   void begin() noexcept;
   /// The same where no thread is at it: one may have been refused.
   void go_on() noexcept;
-  /// Waits until `lost` is not the present membership any more; false at the deadline, or when there
+  /// Waits until `lost` is not the current session any more; false at the deadline, or when there
   /// will be no other.
   bool wait_for_next(const Context& lost, Clock::time_point deadline);
-  /// No sleeper uses a place of this membership any more.
+  /// No wait set uses a place of this session any more.
   void release_places(const Context& former) noexcept;
 
  private:
@@ -74,9 +74,9 @@ class Reregistration {
     std::weak_ptr<SubscriptionEndpoint> endpoint;
     Request request;
   };
-  /// A publisher whose heir is there and gets nothing yet.
+  /// A publisher whose successor is there and gets nothing yet.
   struct Pending {
-    std::shared_ptr<PublisherEndpoint> publisher, heir;
+    std::shared_ptr<PublisherEndpoint> publisher, successor;
     Clock::time_point since;
   };
 
@@ -98,7 +98,7 @@ class Reregistration {
   std::condition_variable changed_;
   std::vector<Publisher> publishers_;
   std::vector<Subscription> subscriptions_;
-  std::vector<std::weak_ptr<Sleeper>> sleepers_;
+  std::vector<std::weak_ptr<WaitSet>> wait_sets_;
   bool is_running_ = false, is_wanted_ = false;
   bool is_refused_ = false;                        // nobody waits for it
   bool is_hopeless_ = false;                       // nor tries

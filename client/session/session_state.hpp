@@ -31,8 +31,8 @@
 //   speaks              x           ·        ·      ·        ·       ·        x       x
 //
 // Of a session that is beginning its starter decides how it ends, also when it is lost meanwhile. Its users still know
-// it as an island, as the former session told them, so it does not speak before its endpoints are there. One that is
-// alone was an island before, whether it spoke or not, so there is nothing more to say of its connection.
+// it as an orphaned session, as the former session told them, so it does not speak before its endpoints are there. One that is
+// alone was an orphaned session before, whether it spoke or not, so there is nothing more to say of its connection.
 #pragma once
 
 #include <agnocast/connection_state.hpp>
@@ -78,10 +78,10 @@ class SessionState {
     return phase;
   }
 
-  /// Of a further session, before anybody else knows it: it is an island for the reason that the former one has.
+  /// Of a further session, before anybody else knows it: it is an orphaned session for the reason that the former one has.
   void begin_beside(const SessionState& former) noexcept {
     phase_.store(Phase::beginning, std::memory_order_relaxed);
-    connection_.store(ConnectionState::island, std::memory_order_relaxed);
+    connection_.store(ConnectionState::orphaned, std::memory_order_relaxed);
     reason_.store(former.reason(), std::memory_order_relaxed);
   }
   /// Returns whether the phase has changed.
@@ -107,7 +107,7 @@ class SessionState {
     return now == Phase::beginning || now == Phase::lost;
   }
   bool is_dropped() const noexcept { return phase() == Phase::dropped; }
-  /// An island whose daemon will not come back.
+  /// An orphaned session whose daemon will not come back.
   bool is_alone() const noexcept {
     const Phase now = phase();
     return now == Phase::alone || now == Phase::lost;
@@ -125,7 +125,7 @@ class SessionState {
   ConnectionState connection() const noexcept {
     return connection_.load(std::memory_order_acquire);
   }
-  /// Why it is an island.
+  /// Why it is an orphaned session.
   Errc reason() const noexcept { return reason_.load(std::memory_order_acquire); }
   /// Returns whether that is news that users are to hear.
   bool tell(ConnectionState connection) noexcept {

@@ -52,12 +52,12 @@ struct Route {
   std::string topic, type;
   bool is_out = true;
   std::uint64_t endpoints = 0, matched = 0, messages = 0, bytes = 0, unacknowledged = 0,
-                refused = 0, malformed = 0, lost = 0, without_source = 0, overflow = 0;
+                refused = 0, malformed = 0, lost = 0, without_remote_publisher = 0, overflow = 0;
   std::optional<std::uint64_t> last_age_ns;
   double messages_hz = 0, bytes_per_second = 0;
 
   std::uint64_t dropped() const {
-    return unacknowledged + refused + malformed + lost + without_source + overflow;
+    return unacknowledged + refused + malformed + lost + without_remote_publisher + overflow;
   }
 };
 
@@ -87,14 +87,14 @@ std::vector<Route> routes_of(const BridgeState& bridge, const Rates& rates) {
     route.messages_hz += rate->second.messages_hz;
     route.bytes_per_second += rate->second.bytes_per_second;
   }
-  for (const BridgeInlet& inlet : bridge.inlets) {
-    Route& route = route_of(inlet.topic, inlet.type, false);
-    route.matched += inlet.matched;
-    route.malformed += inlet.malformed;
-    route.without_source += inlet.without_source;
-    route.overflow += inlet.overflow;
+  for (const BridgeDdsReader& dds_reader : bridge.dds_readers) {
+    Route& route = route_of(dds_reader.topic, dds_reader.type, false);
+    route.matched += dds_reader.matched;
+    route.malformed += dds_reader.malformed;
+    route.without_remote_publisher += dds_reader.without_remote_publisher;
+    route.overflow += dds_reader.overflow;
   }
-  for (const BridgeTap& tap : bridge.taps) route_of(tap.topic, tap.type, true).lost += tap.lost;
+  for (const BridgeLocalReader& local_reader : bridge.local_readers) route_of(local_reader.topic, local_reader.type, true).lost += local_reader.lost;
   std::vector<Route> list;
   for (auto& [key, route] : routes) list.push_back(std::move(route));
   return list;
@@ -207,7 +207,7 @@ Object list_object(const std::vector<BridgeState>& bridges, const Rates& rates) 
                         {"refused", route.refused},
                         {"malformed", route.malformed},
                         {"lost", route.lost},
-                        {"without_source", route.without_source},
+                        {"without_remote_publisher", route.without_remote_publisher},
                         {"overflow", route.overflow},
                         {"last_age_ns", number_or_null(route.last_age_ns)}});
     }
@@ -319,8 +319,8 @@ std::string qos_words(const BridgeQos& qos) {
 struct About {
   const BridgeState* bridge = nullptr;
   std::vector<const BridgeEndpoint*> endpoints;
-  std::vector<const BridgeInlet*> inlets;
-  std::vector<const BridgeTap*> taps;
+  std::vector<const BridgeDdsReader*> dds_readers;
+  std::vector<const BridgeLocalReader*> local_readers;
   std::vector<const BridgeService*> services;
   std::vector<const BridgeLack*> unbridged;
 };
@@ -374,22 +374,22 @@ void print_about(const About& about, Console& console) {
                    " not acknowledged, " + std::to_string(endpoint->refused) + " refused");
     console.line("  Age: " + duration_for_people(endpoint->age_ns));
   }
-  for (const BridgeInlet* const inlet : about.inlets) {
-    console.line("\nReader in DDS: " + escaped(inlet->guid) + ", for " + list_of(inlet->nodes));
-    console.line("  Type: " + escaped(inlet->type));
-    console.line("  QoS: " + qos_words(inlet->qos));
-    console.line("  Matched: " + counted(inlet->matched, "writer") + ", " +
-                 std::to_string(inlet->incompatible) + " refused because of their QoS");
-    if (inlet->malformed + inlet->without_source + inlet->overflow != 0)
-      console.line("  Dropped: " + std::to_string(inlet->malformed) + " malformed, " +
-                   std::to_string(inlet->without_source) +
-                   " of writers without a publisher here, " + std::to_string(inlet->overflow) +
+  for (const BridgeDdsReader* const dds_reader : about.dds_readers) {
+    console.line("\nReader in DDS: " + escaped(dds_reader->guid) + ", for " + list_of(dds_reader->nodes));
+    console.line("  Type: " + escaped(dds_reader->type));
+    console.line("  QoS: " + qos_words(dds_reader->qos));
+    console.line("  Matched: " + counted(dds_reader->matched, "writer") + ", " +
+                 std::to_string(dds_reader->incompatible) + " refused because of their QoS");
+    if (dds_reader->malformed + dds_reader->without_remote_publisher + dds_reader->overflow != 0)
+      console.line("  Dropped: " + std::to_string(dds_reader->malformed) + " malformed, " +
+                   std::to_string(dds_reader->without_remote_publisher) +
+                   " of writers without a publisher here, " + std::to_string(dds_reader->overflow) +
                    " over a limit");
   }
-  for (const BridgeTap* const tap : about.taps) {
-    if (tap->lost != 0)
-      console.line("\nLost on the way to DDS: " + counted(tap->lost, "message") + " (" +
-                   qos_words(tap->qos) + "), not taken in time");
+  for (const BridgeLocalReader* const local_reader : about.local_readers) {
+    if (local_reader->lost != 0)
+      console.line("\nLost on the way to DDS: " + counted(local_reader->lost, "message") + " (" +
+                   qos_words(local_reader->qos) + "), not taken in time");
   }
   for (const BridgeService* const service : about.services) print_service(*service, console);
   for (const BridgeLack* const lack : about.unbridged)
@@ -399,7 +399,7 @@ void print_about(const About& about, Console& console) {
 }
 
 Object about_object(const About& about) {
-  Object endpoints = Object::array(), inlets = Object::array(), taps = Object::array(),
+  Object endpoints = Object::array(), dds_readers = Object::array(), local_readers = Object::array(),
          services = Object::array(), unbridged = Object::array();
   for (const BridgeEndpoint* const endpoint : about.endpoints) {
     endpoints.push_back({{"direction", way_word(endpoint->is_out)},
@@ -416,25 +416,25 @@ Object about_object(const About& about) {
                          {"age_ns", endpoint->age_ns},
                          {"last_age_ns", number_or_null(endpoint->last_age_ns)}});
   }
-  for (const BridgeInlet* const inlet : about.inlets)
-    inlets.push_back({{"type", inlet->type},
-                      {"nodes", inlet->nodes},
-                      {"guid", inlet->guid},
-                      {"qos", qos_object(inlet->qos)},
-                      {"matched", inlet->matched},
-                      {"incompatible", inlet->incompatible},
-                      {"malformed", inlet->malformed},
-                      {"without_source", inlet->without_source},
-                      {"overflow", inlet->overflow}});
-  for (const BridgeTap* const tap : about.taps)
-    taps.push_back({{"type", tap->type}, {"qos", qos_object(tap->qos)}, {"lost", tap->lost}});
+  for (const BridgeDdsReader* const dds_reader : about.dds_readers)
+    dds_readers.push_back({{"type", dds_reader->type},
+                      {"nodes", dds_reader->nodes},
+                      {"guid", dds_reader->guid},
+                      {"qos", qos_object(dds_reader->qos)},
+                      {"matched", dds_reader->matched},
+                      {"incompatible", dds_reader->incompatible},
+                      {"malformed", dds_reader->malformed},
+                      {"without_remote_publisher", dds_reader->without_remote_publisher},
+                      {"overflow", dds_reader->overflow}});
+  for (const BridgeLocalReader* const local_reader : about.local_readers)
+    local_readers.push_back({{"type", local_reader->type}, {"qos", qos_object(local_reader->qos)}, {"lost", local_reader->lost}});
   for (const BridgeService* const service : about.services)
     services.push_back(service_object(*service));
   for (const BridgeLack* const lack : about.unbridged) unbridged.push_back(lack_object(*lack));
   Object object = heading_object(*about.bridge);
   object["endpoints"] = std::move(endpoints);
-  object["inlets"] = std::move(inlets);
-  object["taps"] = std::move(taps);
+  object["dds_readers"] = std::move(dds_readers);
+  object["local_readers"] = std::move(local_readers);
   object["services"] = std::move(services);
   object["unbridged"] = std::move(unbridged);
   return object;
@@ -473,15 +473,15 @@ Outcome<void> show_bridged(const Arguments& arguments, Console& console) {
     About about{&bridge, {}, {}, {}, {}, {}};
     for (const BridgeEndpoint& endpoint : bridge.endpoints)
       if (endpoint.topic == topic) about.endpoints.push_back(&endpoint);
-    for (const BridgeInlet& inlet : bridge.inlets)
-      if (inlet.topic == topic) about.inlets.push_back(&inlet);
-    for (const BridgeTap& tap : bridge.taps)
-      if (tap.topic == topic) about.taps.push_back(&tap);
+    for (const BridgeDdsReader& dds_reader : bridge.dds_readers)
+      if (dds_reader.topic == topic) about.dds_readers.push_back(&dds_reader);
+    for (const BridgeLocalReader& local_reader : bridge.local_readers)
+      if (local_reader.topic == topic) about.local_readers.push_back(&local_reader);
     for (const BridgeService& service : bridge.services)
       if (service.service == topic) about.services.push_back(&service);
     for (const BridgeLack& lack : bridge.unbridged)
       if (lack.topic == topic) about.unbridged.push_back(&lack);
-    if (!about.endpoints.empty() || !about.inlets.empty() || !about.taps.empty() ||
+    if (!about.endpoints.empty() || !about.dds_readers.empty() || !about.local_readers.empty() ||
         !about.services.empty() || !about.unbridged.empty())
       all.push_back(std::move(about));
   }

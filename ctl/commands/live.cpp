@@ -195,7 +195,7 @@ Outcome<TopicNow> topic_now(const Arguments& arguments) {
   if (!topic) return tl::unexpected(topic.error());
   TopicNow now{(*topic)->type, (*topic)->facts.layout_hash, {}};
   for (const Endpoint& publisher : (*topic)->publishers) {
-    if (publisher.state() == abi::MemberState::active) now.publishers.push_back(publisher);
+    if (publisher.state() == abi::BoardState::active) now.publishers.push_back(publisher);
   }
   return now;
 }

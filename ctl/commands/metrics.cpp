@@ -171,7 +171,7 @@ void add_daemon(const System& system, Metrics& metrics) {
                    counters.clients_rejoined),
         std::tuple("processes_died", "Processes that ended without leaving.",
                    counters.clients_died),
-        std::tuple("processes_let_go", "Processes that left.", counters.clients_let_go),
+        std::tuple("processes_unmapped", "Processes that left.", counters.clients_unmapped),
         std::tuple("processes_revoked", "Processes whose session was revoked.",
                    counters.clients_revoked),
         std::tuple("intents_rolled_back", "Interrupted operations of dead processes, undone.",

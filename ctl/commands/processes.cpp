@@ -198,7 +198,7 @@ Outcome<void> list_processes(const Arguments& arguments, Console& console) {
 namespace {
 
 // Takes no name: several processes may share it, and a revocation cannot be undone.
-Outcome<std::vector<const Process*>> find_members(const System& system, const std::string& name) {
+Outcome<std::vector<const Process*>> find_connected(const System& system, const std::string& name) {
   if (name.find_first_not_of("0123456789.") != std::string::npos)
     return problem(Status::wrong_usage, escaped(name), "this is neither a pid nor INDEX.GENERATION",
                    "agnocast-ctl process list --all-domains");
@@ -218,7 +218,7 @@ Outcome<std::vector<const Process*>> find_members(const System& system, const st
 Outcome<void> revoke_process(const Arguments& arguments, Console& console) {
   auto look = look_at(arguments.socket);
   if (!look) return tl::unexpected(look.error());
-  const auto found = find_members(look->system, arguments.subject(0));
+  const auto found = find_connected(look->system, arguments.subject(0));
   if (!found) return tl::unexpected(found.error());
   Object list = Object::array();
   for (const Process* const process : *found) {

@@ -44,7 +44,7 @@ Object summary_of(const Service& service) {
 Object endpoints_object(const System& system, const std::vector<Endpoint>& endpoints) {
   Object list = Object::array();
   for (const Endpoint& endpoint : endpoints) {
-    if (endpoint.state() != abi::MemberState::active) continue;
+    if (endpoint.state() != abi::BoardState::active) continue;
     const Process* const process = system.process_of(endpoint);
     list.push_back({{"node_name", endpoint.node_name},
                     {"node_namespace", endpoint.node_namespace},
@@ -59,7 +59,7 @@ void print_side(const System& system, const char* heading, const std::vector<End
   console.line(heading + (": " + std::to_string(active_count(endpoints))));
   if (!verbose) return;
   for (const Endpoint& endpoint : endpoints) {
-    if (endpoint.state() == abi::MemberState::active)
+    if (endpoint.state() == abi::BoardState::active)
       console.line("  " + escaped(node_name_of(endpoint)) + ", " + process_words(system, endpoint));
   }
 }

@@ -31,7 +31,7 @@ Sums sums_of(const System& system) {
 }
 
 std::uint64_t reaped_of(const wire::DaemonCounters& counters) noexcept {
-  return counters.clients_died + counters.clients_let_go + counters.clients_revoked;
+  return counters.clients_died + counters.clients_unmapped + counters.clients_revoked;
 }
 
 std::string version_of(const wire::DumpDaemon& daemon) {
@@ -98,7 +98,7 @@ Object status_object(const System& system, const std::string& socket) {
            {{"processes_registered", counters.clients_registered},
             {"processes_reaped", reaped_of(counters)},
             {"processes_died", counters.clients_died},
-            {"processes_let_go", counters.clients_let_go},
+            {"processes_unmapped", counters.clients_unmapped},
             {"processes_revoked", counters.clients_revoked},
             {"processes_rejoined", counters.clients_rejoined},
             {"intents_rolled_back", counters.intents_rolled_back},
@@ -160,7 +160,7 @@ void print(const System& system, const std::string& socket, Console& console) {
            hexadecimal(daemon.arena_base));
   line("deaths", counted(reaped_of(counters), "process", "processes") + ": " +
                      std::to_string(counters.clients_died) + " died, " +
-                     std::to_string(counters.clients_let_go) + " left, " +
+                     std::to_string(counters.clients_unmapped) + " left, " +
                      std::to_string(counters.clients_revoked) + " revoked");
   line("intents", std::to_string(counters.intents_rolled_back) + " rolled back, " +
                       std::to_string(counters.intents_rolled_forward) + " rolled forward, " +

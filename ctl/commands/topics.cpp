@@ -54,32 +54,32 @@ void list_both_sides(const std::vector<const Topic*>& topics, const Arguments& a
 
 // --- info
 
-const char* state_word(abi::MemberState state) noexcept {
+const char* state_word(abi::BoardState state) noexcept {
   switch (state) {
-    case abi::MemberState::active:
+    case abi::BoardState::active:
       return "active";
-    case abi::MemberState::leaving:
+    case abi::BoardState::leaving:
       return "leaving";
-    case abi::MemberState::orphan:
+    case abi::BoardState::orphan:
       return "orphan";
-    case abi::MemberState::revoked:
+    case abi::BoardState::revoked:
       return "revoked";
-    case abi::MemberState::dead:
+    case abi::BoardState::dead:
       return "dead";
-    case abi::MemberState::free:
+    case abi::BoardState::free:
       break;
   }
   return "over";
 }
-const char* meaning_of(abi::MemberState state) noexcept {
+const char* meaning_of(abi::BoardState state) noexcept {
   switch (state) {
-    case abi::MemberState::orphan:
+    case abi::BoardState::orphan:
       return "orphan: has ended, its last messages are still being read";
-    case abi::MemberState::leaving:
+    case abi::BoardState::leaving:
       return "leaving: takes no more messages, still holds some";
-    case abi::MemberState::dead:
+    case abi::BoardState::dead:
       return "dead: its process has ended";
-    case abi::MemberState::free:
+    case abi::BoardState::free:
       return "over: its process is closing it";
     default:
       return state_word(state);
@@ -222,7 +222,7 @@ void print_endpoint(const System& system, const Topic& topic, const Endpoint& en
   console.line("  Liveliness lease duration: Infinite");
   if (const Process* const process = system.process_of(endpoint); process != nullptr)
     console.line("Process: " + words_of(*process));
-  if (endpoint.state() != abi::MemberState::active)
+  if (endpoint.state() != abi::BoardState::active)
     console.line(std::string("State: ") + meaning_of(endpoint.state()));
   if (endpoint.is_publisher()) {
     print_publisher_numbers(system, topic, endpoint, console);

@@ -59,7 +59,7 @@ std::vector<Exception> exceptions_of(const System& system) {
           publisher.empty() ? pair.why : pair.why + ": " + publisher);
     }
     for (const Endpoint& subscription : topic.subscriptions) {
-      if (subscription.state() == abi::MemberState::active && system.is_silent(subscription))
+      if (subscription.state() == abi::BoardState::active && system.is_silent(subscription))
         add(topic, subscription, "mute", "it has no doorbell, it finds messages only by polling");
     }
   }

@@ -50,8 +50,8 @@ struct Check {
 extern const std::span<const Check> door_checks;
 /// doctor_host.cpp: the daemon itself, its limits, and the host.
 extern const std::span<const Check> host_checks;
-/// doctor_members.cpp: the processes, and the messages between them.
-extern const std::span<const Check> member_checks;
+/// doctor_processes.cpp: the processes, and the messages between them.
+extern const std::span<const Check> process_checks;
 /// doctor_bridge.cpp: the bridges to DDS.
 extern const std::span<const Check> bridge_checks;
 /// Returns all checks, in the order in which they run.

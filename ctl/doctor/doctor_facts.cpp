@@ -302,11 +302,11 @@ void collect_processes(Facts& facts, bool is_named) {
   for (const auto& [index, process] : facts.system().processes) {
     const pid_t pid = static_cast<pid_t>(process.facts.pid);
     if (process.facts.state != wire::ProcessState::dead && is_same_process(process.facts))
-      facts.members.try_emplace(pid, look_at_process(pid));
+      facts.processes.try_emplace(pid, look_at_process(pid));
   }
   for_each_entry("/proc", [&](const std::string& name) {
     const pid_t pid = static_cast<pid_t>(number_in(name).value_or(0));
-    if (pid == 0 || pid == ::getpid() || facts.members.count(pid) != 0) return;
+    if (pid == 0 || pid == ::getpid() || facts.processes.count(pid) != 0) return;
     Running outsider;
     outsider.pid = pid;
     read_environment(outsider);

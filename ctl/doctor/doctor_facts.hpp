@@ -109,7 +109,7 @@ struct Facts {
   std::string prefix_path, units_prefix_path;  // AMENT_PREFIX_PATH of this shell and of the units
   std::uint64_t receive_buffer_max = 0;
 
-  std::map<pid_t, Running> members;  // by pid, as far as /proc shows them
+  std::map<pid_t, Running> processes;  // by pid, as far as /proc shows them
   std::vector<Running> outsiders;    // processes of this daemon without a session
   std::vector<std::optional<Rule>> rules;  // one for each of system().refusals
 

@@ -184,10 +184,10 @@ Ailments huge_pages(const Facts& facts) {
 
 Ailments mappings(const Facts& facts) {
   Ailments found;
-  for (const auto& [pid, member] : facts.members) {
-    if (!is_near(member.map_count, facts.map_count_max)) continue;
+  for (const auto& [pid, process] : facts.processes) {
+    if (!is_near(process.map_count, facts.map_count_max)) continue;
     found.push_back(
-        {"process " + std::to_string(pid) + " has " + std::to_string(member.map_count) +
+        {"process " + std::to_string(pid) + " has " + std::to_string(process.map_count) +
              " mappings of " + std::to_string(facts.map_count_max),
          {{"COUNT", std::to_string(std::max(doubled(facts.map_count_max), many_mappings))}}});
   }

@@ -209,7 +209,7 @@ class Auditor {
       for (std::uint64_t i = 0; i < std::min<std::uint64_t>(high, used.size()); ++i) {
         if (used[i]) continue;
         const std::uint64_t word = word_of(i);
-        if (abi::state_of(word) != abi::MemberState::free)
+        if (abi::state_of(word) != abi::BoardState::free)
           found(Invariant::board_free, at + kind + std::to_string(i), {word, 0, 0});
       }
     };
@@ -255,8 +255,8 @@ class Auditor {
                    std::initializer_list<std::pair<std::size_t, std::uint64_t>> fields) {
     const std::string where = name_of(topic, endpoint);
     // A free entry keeps its last generation.
-    expect(where, word(member), endpoint.facts.member, 0);
-    if (endpoint.state() == abi::MemberState::free) return;
+    expect(where, word(member), endpoint.facts.board_word, 0);
+    if (endpoint.state() == abi::BoardState::free) return;
     std::uint64_t number = 0;
     for (const auto& [offset, dumped] : fields) expect(where, word(offset), dumped, ++number);
   }
@@ -268,7 +268,7 @@ class Auditor {
   // --- a publisher
 
   void check_queue(const Topic& topic, const Endpoint& publisher) {
-    if (publisher.state() == abi::MemberState::free) return;  // its owner is closing it
+    if (publisher.state() == abi::BoardState::free) return;  // its owner is closing it
     std::byte* const region = system_.region_of(publisher);
     if (region == nullptr) return;
     const std::uint64_t slot_count = publisher.facts.slot_count;
@@ -322,8 +322,8 @@ class Auditor {
   // --- a subscription
 
   void check_links(const Topic& topic, const Endpoint& subscription) {
-    const bool counts = subscription.state() == abi::MemberState::active ||
-                        subscription.state() == abi::MemberState::leaving;
+    const bool counts = subscription.state() == abi::BoardState::active ||
+                        subscription.state() == abi::BoardState::leaving;
     std::byte* const region = system_.region_of(subscription);
     if (!counts || region == nullptr) return;
     if (is_stopped(system_.process_of(subscription)->facts)) return;

@@ -207,36 +207,36 @@ Outcome<BridgeState> parse_bridge(std::string_view text, const std::string& path
       of("refused", limit.refused);
     });
   }
-  fields.each("outlets", [&](Fields& of) {
+  fields.each("dds_writers", [&](Fields& of) {
     BridgeEndpoint& endpoint = state.endpoints.emplace_back();
     read_traffic(of, endpoint);
     of("matched", endpoint.matched);
     of("incompatible", endpoint.incompatible);
   });
-  fields.each("sources", [&](Fields& of) {
+  fields.each("remote_publishers", [&](Fields& of) {
     BridgeEndpoint& endpoint = state.endpoints.emplace_back();
     endpoint.is_out = false;
     read_traffic(of, endpoint);
   });
-  fields.each("inlets", [&](Fields& of) {
-    BridgeInlet& inlet = state.inlets.emplace_back();
-    of("topic", inlet.topic);
-    of("type", inlet.type);
-    of("guid", inlet.guid);
-    of("nodes", inlet.nodes);
-    of("qos", inlet.qos);
-    of("matched", inlet.matched);
-    of("incompatible", inlet.incompatible);
-    of("malformed", inlet.malformed);
-    if (of.has("without_source")) of("without_source", inlet.without_source);
-    if (of.has("overflow")) of("overflow", inlet.overflow);
+  fields.each("dds_readers", [&](Fields& of) {
+    BridgeDdsReader& dds_reader = state.dds_readers.emplace_back();
+    of("topic", dds_reader.topic);
+    of("type", dds_reader.type);
+    of("guid", dds_reader.guid);
+    of("nodes", dds_reader.nodes);
+    of("qos", dds_reader.qos);
+    of("matched", dds_reader.matched);
+    of("incompatible", dds_reader.incompatible);
+    of("malformed", dds_reader.malformed);
+    if (of.has("without_remote_publisher")) of("without_remote_publisher", dds_reader.without_remote_publisher);
+    if (of.has("overflow")) of("overflow", dds_reader.overflow);
   });
-  fields.each("taps", [&](Fields& of) {
-    BridgeTap& tap = state.taps.emplace_back();
-    of("topic", tap.topic);
-    of("type", tap.type);
-    of("qos", tap.qos);
-    if (of.has("lost")) of("lost", tap.lost);
+  fields.each("local_readers", [&](Fields& of) {
+    BridgeLocalReader& local_reader = state.local_readers.emplace_back();
+    of("topic", local_reader.topic);
+    of("type", local_reader.type);
+    of("qos", local_reader.qos);
+    if (of.has("lost")) of("lost", local_reader.lost);
   });
   fields.each("services", [&](Fields& of) {
     BridgeService& service = state.services.emplace_back();

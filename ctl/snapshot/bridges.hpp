@@ -35,16 +35,16 @@ struct BridgeEndpoint {
   std::optional<std::uint64_t> last_age_ns;
 };
 /// A DDS reader.
-struct BridgeInlet {
+struct BridgeDdsReader {
   std::string topic, type, guid;
   std::vector<std::string> nodes;  // of this host, with the subscriptions that it serves
   BridgeQos qos;
   std::uint64_t matched = 0, incompatible = 0;  // writers
-  std::uint64_t malformed = 0, without_source = 0;
+  std::uint64_t malformed = 0, without_remote_publisher = 0;
   std::uint64_t overflow = 0;  // payloads dropped because of a limit
 };
 /// A local reader: a subscription of the bridge to publishers of this host.
-struct BridgeTap {
+struct BridgeLocalReader {
   std::string topic, type;
   BridgeQos qos;
   std::uint64_t lost = 0;
@@ -92,8 +92,8 @@ struct BridgeState {
   };
   std::vector<Limit> limits;  // of the memory that others in DDS may make it use
   std::vector<BridgeEndpoint> endpoints;
-  std::vector<BridgeInlet> inlets;
-  std::vector<BridgeTap> taps;
+  std::vector<BridgeDdsReader> dds_readers;
+  std::vector<BridgeLocalReader> local_readers;
   std::vector<BridgeService> services;
   std::vector<BridgeLack> unbridged;
   std::vector<std::pair<std::string, std::string>> failures;  // what, why

@@ -82,7 +82,7 @@ std::string death_words(DeathReason reason) {
   switch (reason) {
     case DeathReason::died:
       return "died";
-    case DeathReason::let_go:
+    case DeathReason::unmapped:
       return "unmapped its memory and still runs";
     case DeathReason::revoked:
       return "was revoked and still runs";

@@ -32,8 +32,8 @@ const Endpoint* publisher_at(const Topic& topic, std::uint64_t index) {
 }
 
 bool takes_messages(const Endpoint& subscription) noexcept {
-  return subscription.state() == abi::MemberState::active ||
-         subscription.state() == abi::MemberState::leaving;
+  return subscription.state() == abi::BoardState::active ||
+         subscription.state() == abi::BoardState::leaving;
 }
 
 PublisherCounters counters_in(const Words& words, const Endpoint& publisher) {

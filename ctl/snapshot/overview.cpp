@@ -37,8 +37,8 @@ std::string who(const System& system, const Endpoint& endpoint) {
 }
 
 bool takes_messages(const Endpoint& subscription) noexcept {
-  return subscription.state() == abi::MemberState::active ||
-         subscription.state() == abi::MemberState::leaving;
+  return subscription.state() == abi::BoardState::active ||
+         subscription.state() == abi::BoardState::leaving;
 }
 
 /// The state of one subscription towards all publishers of its topic.
@@ -101,7 +101,7 @@ void add_subscription(const System& system, const Topic& topic, const Endpoint& 
                         time_for_people(reading.oldest_held_ns) + " ago)");
   }
   for (const Endpoint& publisher : topic.publishers) {
-    if (publisher.state() != abi::MemberState::active ||
+    if (publisher.state() != abi::BoardState::active ||
         abi::qos_match(abi::unpack_qos(publisher.facts.qos),
                        abi::unpack_qos(subscription.facts.qos)))
       continue;
@@ -163,7 +163,7 @@ std::vector<Row> Overview::look(const System& system, bool all_domains, std::uin
       // A rate that would be printed as 0.0 counts as idle.
       if (rate >= 0.05 || (!seen.rate_hz && now_ns - seen.newest_ns < fresh_ns))
         row.trouble = std::min(row.trouble, Trouble::running);
-      if (publisher.state() == abi::MemberState::orphan) {
+      if (publisher.state() == abi::BoardState::orphan) {
         row.trouble = std::min(row.trouble, Trouble::dead);
         row.notes.push_back("publisher gone, but not fully read: " + who(system, publisher));
       }

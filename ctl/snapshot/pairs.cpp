@@ -31,12 +31,12 @@ std::string sentence_of(abi::Withdrawal why) {
 }
 
 const char* end_of(const Endpoint& publisher, const Endpoint& subscription) {
-  if (publisher.state() == abi::MemberState::orphan)
+  if (publisher.state() == abi::BoardState::orphan)
     return "the publisher is gone; its unread messages are still delivered";
-  if (publisher.state() != abi::MemberState::active) return "the publisher is gone";
-  if (subscription.state() == abi::MemberState::leaving)
+  if (publisher.state() != abi::BoardState::active) return "the publisher is gone";
+  if (subscription.state() == abi::BoardState::leaving)
     return "the subscription has left and still holds messages";
-  return subscription.state() != abi::MemberState::active ? "the subscription is gone" : nullptr;
+  return subscription.state() != abi::BoardState::active ? "the subscription is gone" : nullptr;
 }
 
 Pair pair_of(const System& system, const Topic& topic, const Endpoint& publisher,

@@ -18,7 +18,7 @@ namespace agnocast::ctl {
 std::uint64_t active_count(const std::vector<Endpoint>& endpoints) {
   return static_cast<std::uint64_t>(std::count_if(
       endpoints.begin(), endpoints.end(),
-      [](const Endpoint& endpoint) { return endpoint.state() == abi::MemberState::active; }));
+      [](const Endpoint& endpoint) { return endpoint.state() == abi::BoardState::active; }));
 }
 
 std::string fully_qualified(const std::string& name) {
@@ -130,7 +130,7 @@ std::vector<Node> nodes_of(const System& system, const Arguments& arguments) {
   for (const Topic* const topic : topics_of(system, arguments)) {
     for (const auto* endpoints : {&topic->publishers, &topic->subscriptions}) {
       for (const Endpoint& endpoint : *endpoints) {
-        if (endpoint.state() != abi::MemberState::active) continue;
+        if (endpoint.state() != abi::BoardState::active) continue;
         const wire::DumpEndpoint& facts = endpoint.facts;
         Node& node = nodes[{endpoint.node_namespace, endpoint.node_name, facts.client,
                             facts.client_generation}];

@@ -49,7 +49,7 @@ struct Endpoint {
   wire::DumpEndpoint facts{};
   std::string node_name, node_namespace;
 
-  abi::MemberState state() const noexcept { return abi::state_of(facts.member); }
+  abi::BoardState state() const noexcept { return abi::state_of(facts.board_word); }
   bool is_publisher() const noexcept { return facts.kind == wire::Kind::publisher; }
 };
 

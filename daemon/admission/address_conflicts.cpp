@@ -13,10 +13,10 @@
 namespace agnocast::daemon {
 namespace {
 
-std::uint64_t group_count(const ClientRecord& owner) noexcept {
-  std::uint64_t groups = 0;
-  for (std::uint64_t w = 0; w < owner.window_count; ++w) groups += owner.window[w].first == w;
-  return groups;
+std::uint64_t window_set_count(const ClientRecord& owner) noexcept {
+  std::uint64_t window_sets = 0;
+  for (std::uint64_t w = 0; w < owner.window_count; ++w) window_sets += owner.window[w].first == w;
+  return window_sets;
 }
 
 bool in_the_way(const std::vector<Obstacles::Claim>& claims, std::uint64_t base,
@@ -32,7 +32,7 @@ std::uint64_t reserve_for(const ClientRecord& owner, std::uint32_t reader_uid) n
 }
 
 bool may_move(const ClientRecord& owner, std::uint64_t reserve) noexcept {
-  return group_count(owner) + reserve <= abi::heap_move_max;
+  return window_set_count(owner) + reserve <= abi::heap_move_max;
 }
 
 }  // namespace
@@ -145,7 +145,7 @@ std::string AddressConflicts::find_why_not_moved(ClientIndex owner, ClientIndex 
   const std::uint64_t reserve = reserve_for(record, registry_.client(reader).uid);
   const std::string what_remains = reserve != 0 ? "; the last is its own user's" : "";
   if (!may_move(record, reserve))
-    return "it has moved " + std::to_string(group_count(record) - 1) + " times" + what_remains;
+    return "it has moved " + std::to_string(window_set_count(record) - 1) + " times" + what_remains;
   if (record.window_count + reserve >= heap_.windows_per_process)
     return "[heap] windows_per_process is " + std::to_string(heap_.windows_per_process) +
            what_remains;
@@ -171,7 +171,7 @@ void AddressConflicts::look_at(const EndpointRef& publisher, const EndpointRef& 
   const std::string why_not = !found->claim->counts ? "too much is blocked by the reader's user"
                                                     : why_not_moved(owner, reader);
   const auto is_news = [&](const EndpointRef& own, const EndpointRef& its) {
-    Session* const session = post_.session_of(registry_.owner_of(own));
+    Session* const session = channel_.session_of(registry_.owner_of(own));
     return session != nullptr &&
            session->collisions().tell({own.kind, number(own.topic), own.index},
                                       {its.kind, number(its.topic), its.index},
@@ -193,8 +193,8 @@ void AddressConflicts::look_at(const EndpointRef& publisher, const EndpointRef& 
   // What a process has mapped, names of files among it, is no other user's business.
   const bool same_user = record.uid == other.uid;
   if (tells_publisher)
-    membership_.notice(publisher, Errc::arena_occupied, same_user ? whole : text);
-  if (tells_subscription) membership_.notice(subscription, Errc::arena_occupied, whole);
+    endpoint_manager_.notice(publisher, Errc::arena_occupied, same_user ? whole : text);
+  if (tells_subscription) endpoint_manager_.notice(subscription, Errc::arena_occupied, whole);
   log_for_user(log_, LogLevel::warning, other.uid, "heap collides",
                {{"topic", registry_.topic(publisher.topic).name},
                 {"publisher_pid", record.pid},
@@ -206,7 +206,7 @@ void AddressConflicts::look_at(const EndpointRef& publisher, const EndpointRef& 
   if (!why_not.empty() || !tells_publisher) return;
   auto packet = make_body<wire::MoveHeap>(wire::Opcode::move_heap);
   packet.window = record.window_count;
-  post_.send(owner, packet_of(packet), {});
+  channel_.send(owner, packet_of(packet), {});
 }
 
 void AddressConflicts::look_at_publishers_of(ClientIndex owner) {

@@ -6,11 +6,11 @@
 //   subscriber's process: |     a JIT |         |         gets what is published from then on
 //
 // Nothing that exists is moved. Both endpoints get a notice, and the owner of the heap is asked to open a
-// window that all its readers can map and to allocate from that one alone: the new window begins a group. What lies in
-// the group before is lost to that subscription; the others read it as ever. A process is asked
+// window that all its readers can map and to allocate from that one alone: the new window begins a window set. What lies in
+// the window set before is lost to that subscription; the others read it as ever. A process is asked
 // heap_move_max times at most, and only if there is such a window: then its heap stays where it is.
 // What another user claims never takes the last of anything: a move, a window and its bytes in the quota
-// remain for the owner's own user, whose claims are not lies about strangers.
+// remain for the owner's own user, whose claims are not lies about other users.
 #pragma once
 
 #include <agnocast/abi/wire.hpp>
@@ -18,7 +18,7 @@
 #include <base/peer_identity.hpp>
 #include <daemon/admission/admission.hpp>
 #include <daemon/config/config.hpp>
-#include <daemon/lifecycle/membership.hpp>
+#include <daemon/lifecycle/endpoint_manager.hpp>
 #include <daemon/state/address_plan.hpp>
 #include <daemon/state/obstacles.hpp>
 #include <daemon/state/registry.hpp>
@@ -35,15 +35,15 @@ class AddressConflicts {
  public:
   AddressConflicts(const Config::Heap& heap, const Arena& arena, const Registry& registry,
                    const Admission& admission, AddressPlan& plan, Obstacles& obstacles,
-                   Membership& membership, Post& post, Log& log) noexcept
+                   EndpointManager& endpoint_manager, ClientChannel& channel, Log& log) noexcept
       : heap_(heap),
         arena_(arena),
         registry_(registry),
         admission_(admission),
         plan_(plan),
         obstacles_(obstacles),
-        membership_(membership),
-        post_(post),
+        endpoint_manager_(endpoint_manager),
+        channel_(channel),
         log_(log) {}
 
   /// Forgets what was found out for the request before this one.
@@ -61,7 +61,7 @@ class AddressConflicts {
   void look_at_subscriptions_of(ClientIndex reader);
 
  private:
-  /// A window of the group that `owner` allocates from and `reader` cannot map.
+  /// A window of the window set that `owner` allocates from and `reader` cannot map.
   struct Collision {
     std::uint64_t window = 0;
     const Obstacles::Claim* claim = nullptr;
@@ -80,8 +80,8 @@ class AddressConflicts {
   const Admission& admission_;
   AddressPlan& plan_;
   Obstacles& obstacles_;
-  Membership& membership_;
-  Post& post_;
+  EndpointManager& endpoint_manager_;
+  ClientChannel& channel_;
   Log& log_;
   // By owner and reader; of the request that is being served.
   std::map<std::pair<std::uint32_t, std::uint32_t>, std::string> why_not_moved_;

@@ -127,7 +127,7 @@ Result<void> Admission::check_places(const ClientRecord& record, const CreateReq
                        "[quota] subscriptions_per_topic");
   const auto allowed = check_limit(used.publishers, 1, places_quota(Kind::publisher),
                                    "[quota] publishers_per_topic");
-  if (!allowed) return membership_.endings().explain_full(*known, allowed.error(), record.uid);
+  if (!allowed) return endpoint_manager_.endings().explain_full(*known, allowed.error(), record.uid);
   return {};
 }
 

@@ -3,13 +3,13 @@
 // Admission: what one user may have, and the sentence with which a request for more is refused.
 //
 // Each admit function looks at what the tables say the user has now and changes nothing. The caller
-// carries the request out afterwards, in the same turn of the loop.
+// carries the request out afterwards, in the same iteration of the loop.
 #pragma once
 
 #include <base/peer_identity.hpp>
 #include <daemon/admission/access_control.hpp>
 #include <daemon/config/config.hpp>
-#include <daemon/lifecycle/membership.hpp>
+#include <daemon/lifecycle/endpoint_manager.hpp>
 #include <daemon/state/address_plan.hpp>
 #include <daemon/state/registry.hpp>
 #include <daemon/transport/descriptor_store.hpp>
@@ -24,13 +24,13 @@ namespace agnocast::daemon {
 class Admission {
  public:
   Admission(const Config& config, const Arena& arena, const AddressPlan& plan,
-            const Registry& registry, const Membership& membership, const DescriptorStore& store,
+            const Registry& registry, const EndpointManager& endpoint_manager, const DescriptorStore& store,
             const AccessControl& access) noexcept
       : config_(config),
         arena_(arena),
         plan_(plan),
         registry_(registry),
-        membership_(membership),
+        endpoint_manager_(endpoint_manager),
         store_(store),
         access_(access) {}
 
@@ -81,7 +81,7 @@ class Admission {
   const Arena& arena_;
   const AddressPlan& plan_;
   const Registry& registry_;
-  const Membership& membership_;
+  const EndpointManager& endpoint_manager_;
   const DescriptorStore& store_;
   const AccessControl& access_;
   Exceeded exceeded_;

@@ -385,10 +385,10 @@ class Reader {
       const bool covers =
           earlier.topic == rule.topic && (!earlier.domain || earlier.domain == rule.domain);
       if (!covers) continue;
-      for (const auto& [is_said_twice, action] :
+      for (const auto& [is_given_twice, action] :
            {std::pair(earlier.publish && rule.publish, "publish"),
             std::pair(earlier.subscribe && rule.subscribe, "subscribe")}) {
-        if (!is_said_twice) continue;
+        if (!is_given_twice) continue;
         report(place, std::string("access.") + action,
                "never decides: line " + std::to_string(earlier.line) +
                    " has the same topics and comes first",

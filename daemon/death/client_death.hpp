@@ -1,6 +1,6 @@
 // SPDX-License-Identifier: Apache-2.0
 //
-// ClientDeath: the states of a client whose membership is over, from the record of its death until its place is free.
+// ClientDeath: the states of a client whose session is over, from the record of its death until its place is free.
 // A core without I/O: it reads the registry and says what the next step is; Reaping (reaper.hpp) carries it out.
 //
 //     ClientState    state            verb → function
@@ -14,7 +14,7 @@
 //       │            acknowledging    acknowledge for it what it was told of, topic by topic
 //       │                               → Registry::acknowledge_topic; then Endings::free_unused of what is there
 //       │            forgetting       forget it: it leaves the announce sets of regions, and its doorbells go
-//       │                               → Membership::forget_client, Doorbells::close_client
+//       │                               → EndpointManager::forget_client, Doorbells::close_client
 //       ▼
 //     forgotten      forgotten        free its place, when no process has its region any more
 //       │                               → Endings::free_unused_client

@@ -26,8 +26,8 @@ namespace {
 
 // Of journal::end.
 std::uint8_t whose(const Peer& peer) noexcept {
-  if (!peer.session.greeted()) return journal::end::stranger;
-  return peer.revoked ? journal::end::revoked : journal::end::member;
+  if (!peer.session.greeted()) return journal::end::unknown;
+  return peer.revoked ? journal::end::revoked : journal::end::client;
 }
 
 }  // namespace
@@ -89,7 +89,7 @@ void ClientTermination::free_revoked(ClientIndex client, DeathReason reason, std
                 {"uid", record.uid},
                 {"how", how},
                 {"was", "revoked"}});
-  membership_.run(membership_.endings().free_unused_client(client));
+  endpoint_manager_.run(endpoint_manager_.endings().free_unused_client(client));
 }
 
 void ClientTermination::reap(ClientIndex client, DeathReason reason, std::string_view how,
@@ -135,7 +135,7 @@ void ClientTermination::revoke(Peer& peer, const std::string& why) {
   };
   reaping_.begin(client, DeathReason::revoked, after);
   if (peer.session.closed()) return;
-  // What waits for it is about a membership that it does not have any more.
+  // What waits for it is about a session that it does not have any more.
   peer.session.drop_output();
   auto packet = make_body<wire::Refused>(wire::Opcode::revoked);
   packet.code = static_cast<std::uint32_t>(Errc::revoked);
@@ -162,7 +162,7 @@ void ClientTermination::look_whether_gone(Peer& peer) {
     if (found == nullptr) return;
     found->looking = false;
     if (journal::decide_end(whose(*found), false, trace == RegionTrace::none) != EndDecision::wait)
-      reap(*found, DeathReason::let_go, "process let go of its region");
+      reap(*found, DeathReason::unmapped, "process unmapped its region");
   });
 }
 

@@ -13,7 +13,7 @@
 #include <base/log.hpp>
 #include <daemon/death/reaping_queue.hpp>
 #include <daemon/death/region_look.hpp>
-#include <daemon/lifecycle/membership.hpp>
+#include <daemon/lifecycle/endpoint_manager.hpp>
 #include <daemon/state/obstacles.hpp>
 #include <daemon/state/registry.hpp>
 #include <daemon/transport/connection_table.hpp>
@@ -29,14 +29,14 @@ namespace agnocast::daemon {
 class ClientTermination {
  public:
   ClientTermination(ConnectionTable& connections, Dispatcher& dispatcher, Registry& registry,
-                    DescriptorStore& store, Obstacles& obstacles, Membership& membership,
+                    DescriptorStore& store, Obstacles& obstacles, EndpointManager& endpoint_manager,
                     ReapingQueue& reaping, RegionLook& region_look, Log& log) noexcept
       : connections_(connections),
         dispatcher_(dispatcher),
         registry_(registry),
         store_(store),
         obstacles_(obstacles),
-        membership_(membership),
+        endpoint_manager_(endpoint_manager),
         reaping_(reaping),
         region_look_(region_look),
         log_(log) {}
@@ -47,8 +47,8 @@ class ClientTermination {
   void reap(Peer& peer, journal::DeathReason reason, std::string_view how);
   /// The same of a client that has no peer.
   void reap(ClientIndex client, journal::DeathReason reason, std::string_view how,
-            std::uint64_t budget_ns = ReapingQueue::budget_ns_of_turn);
-  /// Ends the membership of a process that lives. `why` is for it and for the log.
+            std::uint64_t budget_ns = ReapingQueue::budget_ns_of_slice);
+  /// Ends the session of a process that lives. `why` is for it and for the log.
   void revoke(Peer& peer, const std::string& why);
   /// Sends what a revoked process is to hear last, then shuts its connection.
   void say_farewell(Peer& peer);
@@ -65,7 +65,7 @@ class ClientTermination {
   Registry& registry_;
   DescriptorStore& store_;
   Obstacles& obstacles_;
-  Membership& membership_;
+  EndpointManager& endpoint_manager_;
   ReapingQueue& reaping_;
   RegionLook& region_look_;
   Log& log_;

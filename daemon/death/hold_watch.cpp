@@ -14,7 +14,7 @@ namespace {
 constexpr std::uint32_t steps_per_look = 4096;
 // And of one user. So the lines of each are looked at once in as many looks as there are shares in them, times one
 // for each eight users. A subscription that is begun is finished: at most 254 lines more.
-constexpr std::uint32_t steps_per_turn = 512;
+constexpr std::uint32_t steps_per_slice = 512;
 // Looks in a row above the quota that make it certain. One a second: there is no hurry, and somebody
 // who looks with agnocast-ctl verify can still see it.
 constexpr unsigned looks_needed = 6;
@@ -55,10 +55,10 @@ std::uint32_t HoldWatch::look_at(TopicIndex topic, std::uint32_t subscription) {
   return steps;
 }
 
-// Nothing is looked at twice in one turn: it ends with the last topic of the user.
-std::uint32_t HoldWatch::take_turn(std::uint32_t uid, Position& at) {
+// Nothing is looked at twice in one time slice: it ends with the last topic of the user.
+std::uint32_t HoldWatch::use_time_slice(std::uint32_t uid, Position& at) {
   std::uint32_t steps = 0;
-  while (steps < steps_per_turn) {
+  while (steps < steps_per_slice) {
     const auto next = at.topic && registry_.takes_part(uid, *at.topic)
                           ? registry_.next_place(Kind::subscription, *at.topic, at.place)
                           : std::nullopt;
@@ -78,10 +78,10 @@ std::uint32_t HoldWatch::take_turn(std::uint32_t uid, Position& at) {
 void HoldWatch::go_on() {
   std::erase_if(positions_, [&](const auto& one) { return !registry_.has_user(one.first); });
   std::uint32_t steps = 0;
-  for (std::size_t turn = 0; turn < registry_.user_count() && steps < steps_per_look; ++turn) {
+  for (std::size_t round = 0; round < registry_.user_count() && steps < steps_per_look; ++round) {
     last_user_ = registry_.next_user(last_user_);
     if (!last_user_) last_user_ = registry_.next_user(std::nullopt);
-    steps += take_turn(*last_user_, positions_[*last_user_]);
+    steps += use_time_slice(*last_user_, positions_[*last_user_]);
   }
 }
 

@@ -42,12 +42,12 @@ journal::LeaveCause count(journal::IntentDecision decision, Reaped& reaped) noex
 }  // namespace
 
 Reaping::Reaping(ClientIndex client, DeathReason reason, Registry& registry, Regions& regions,
-                 Doorbells& doorbells, Membership& membership)
+                 Doorbells& doorbells, EndpointManager& endpoint_manager)
     : reason_(reason),
       registry_(registry),
       regions_(regions),
       doorbells_(doorbells),
-      membership_(membership),
+      endpoint_manager_(endpoint_manager),
       death_(die(client, reason, registry), registry) {}
 
 ClientIndex Reaping::die(ClientIndex client, DeathReason reason, Registry& registry) {
@@ -64,7 +64,7 @@ bool Reaping::go_on(std::uint64_t until_ns) {
 }
 
 bool Reaping::carry_out(const death::Close& step) {
-  membership_.run(membership_.endings().close_subscription(step.subscription));
+  endpoint_manager_.run(endpoint_manager_.endings().close_subscription(step.subscription));
   ++reaped_.subscriptions;
   return true;
 }
@@ -84,7 +84,7 @@ bool Reaping::carry_out(const death::Orphan& step) {
       cause = count(journal::recover_queue(words, record.slot_count, final_head), reaped_);
     }
   }
-  membership_.run(membership_.endings().orphan(ref, final_head, cause));
+  endpoint_manager_.run(endpoint_manager_.endings().orphan(ref, final_head, cause));
   ++reaped_.publishers;
   return true;
 }
@@ -102,16 +102,16 @@ bool Reaping::carry_out(const death::Acknowledge& step) {
 }
 
 bool Reaping::carry_out(const death::FreeUnused& step) {
-  membership_.run(membership_.endings().free_unused(step.ref));
+  endpoint_manager_.run(endpoint_manager_.endings().free_unused(step.ref));
   return true;
 }
 
 bool Reaping::carry_out(const death::Forget&) {
-  membership_.forget_client(client());
+  endpoint_manager_.forget_client(client());
   doorbells_.close_client(client());
   AGNOCAST_CRASH_POINT(B_bells_closed);
-  membership_.run(membership_.endings().free_unused_clients());
-  membership_.run(membership_.endings().give_up_gone());
+  endpoint_manager_.run(endpoint_manager_.endings().free_unused_clients());
+  endpoint_manager_.run(endpoint_manager_.endings().give_up_gone());
   return false;
 }
 

@@ -17,7 +17,7 @@
 #pragma once
 
 #include <daemon/death/client_death.hpp>
-#include <daemon/lifecycle/membership.hpp>
+#include <daemon/lifecycle/endpoint_manager.hpp>
 
 #include <sys/types.h>
 
@@ -43,7 +43,7 @@ class Reaping {
  public:
   /// Journals the death.
   Reaping(ClientIndex client, journal::DeathReason reason, Registry& registry, Regions& regions,
-          Doorbells& doorbells, Membership& membership);
+          Doorbells& doorbells, EndpointManager& endpoint_manager);
 
   /// Goes on until that time (CLOCK_MONOTONIC), with one step at least. True: it is done.
   bool go_on(std::uint64_t until_ns);
@@ -64,7 +64,7 @@ class Reaping {
   Registry& registry_;
   Regions& regions_;
   Doorbells& doorbells_;
-  Membership& membership_;
+  EndpointManager& endpoint_manager_;
   ClientDeath death_;
   Reaped reaped_;
 };

@@ -16,7 +16,7 @@ using journal::DeathReason;
 
 void ReapingQueue::begin(ClientIndex client, DeathReason reason, AfterReaping then,
                          std::uint64_t budget_ns) {
-  Reaping reaping(client, reason, registry_, regions_, doorbells_, membership_);
+  Reaping reaping(client, reason, registry_, regions_, doorbells_, endpoint_manager_);
   const std::uint64_t now = monotonic_ns();
   const bool done = reaping.go_on(budget_ns > UINT64_MAX - now ? UINT64_MAX : now + budget_ns);
   if (done) return then(reaping.reaped());
@@ -25,10 +25,10 @@ void ReapingQueue::begin(ClientIndex client, DeathReason reason, AfterReaping th
 
 void ReapingQueue::go_on() {
   if (endings_.empty()) return;
-  // Each has its turn: who leaves much behind does not keep others from being told of another end.
+  // Each has its time slice: who leaves much behind does not keep others from being told of another end.
   endings_.splice(endings_.end(), endings_, endings_.begin());
   const auto ending = std::prev(endings_.end());
-  if (!ending->reaping.go_on(monotonic_ns() + budget_ns_of_turn)) return;
+  if (!ending->reaping.go_on(monotonic_ns() + budget_ns_of_slice)) return;
   const Ending done = std::move(*ending);
   endings_.erase(ending);
   done.then(done.reaping.reaped());

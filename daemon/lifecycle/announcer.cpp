@@ -37,30 +37,30 @@ Session* Announcer::record_member(const EndpointRef& ref, ClientIndex to) {
   if (!registry_.is_alive(to) || regions_.region_reader(registry_.owner_of(ref)) == nullptr)
     return nullptr;
   registry_.tell(ref, to);
-  return post_.session_of(to);
+  return channel_.session_of(to);
 }
 
-void Announcer::announce(const EndpointRef& subject, const EndpointRef& member) {
+void Announcer::announce(const EndpointRef& subject, const EndpointRef& receiver) {
   if (subject.kind == Kind::publisher) {
-    announce_publisher(subject.topic, subject.index, member.index);
+    announce_publisher(subject.topic, subject.index, receiver.index);
   } else {
-    announce_subscription(subject.topic, subject.index, member.index);
+    announce_subscription(subject.topic, subject.index, receiver.index);
   }
 }
 
 void Announcer::announce_publisher(TopicIndex topic, std::uint32_t index,
                                     std::uint32_t subscription) {
   const PublisherRecord& publisher = registry_.publisher(topic, index);
-  const SubscriptionRecord& member = registry_.subscription(topic, subscription);
-  if (record_member({Kind::publisher, topic, index}, member.client) == nullptr) return;
+  const SubscriptionRecord& receiver = registry_.subscription(topic, subscription);
+  if (record_member({Kind::publisher, topic, index}, receiver.client) == nullptr) return;
   auto packet = announcement_of({Kind::publisher, topic, index}, publisher, registry_);
   packet.own_index = subscription;
-  packet.own_generation = member.generation;
+  packet.own_generation = receiver.generation;
   packet.first_sequence = abi::first_sequence_of(publisher.generation);
-  packet.quota = registry_.hold_quota(member, publisher);
+  packet.quota = registry_.hold_quota(receiver, publisher);
   // One counter for all generations: the publisher joined later.
-  packet.from_start = publisher.generation > member.generation ? 1 : 0;
-  packet.same_user = are_of_one_user(publisher.client, member.client) ? 1 : 0;
+  packet.from_start = publisher.generation > receiver.generation ? 1 : 0;
+  packet.same_user = are_of_one_user(publisher.client, receiver.client) ? 1 : 0;
   std::vector<SharedFd> fds{regions_.region_reader(publisher.client)};
   const ClientRecord& owner = registry_.client(publisher.client);
   for (const SharedFd& reader : regions_.window_readers(publisher.client)) {
@@ -69,7 +69,7 @@ void Announcer::announce_publisher(TopicIndex topic, std::uint32_t index,
     fds.push_back(reader);
   }
   const auto bytes = packet_of(packet);
-  send({Kind::publisher, topic, index}, member.client,
+  send({Kind::publisher, topic, index}, receiver.client,
            {{bytes.begin(), bytes.end()}, std::move(fds), {}});
   if (on_matched)
     on_matched({Kind::publisher, topic, index}, {Kind::subscription, topic, subscription});
@@ -77,25 +77,25 @@ void Announcer::announce_publisher(TopicIndex topic, std::uint32_t index,
 
 // One uid in two user namespaces is two users.
 bool Announcer::are_of_one_user(ClientIndex one, ClientIndex other) const {
-  const std::uint64_t user_namespace = post_.user_namespace_of(one);
+  const std::uint64_t user_namespace = channel_.user_namespace_of(one);
   return registry_.client(one).uid == registry_.client(other).uid && user_namespace != 0 &&
-         user_namespace == post_.user_namespace_of(other);
+         user_namespace == channel_.user_namespace_of(other);
 }
 
 void Announcer::announce_subscription(TopicIndex topic, std::uint32_t index,
                                        std::uint32_t publisher) {
   const SubscriptionRecord& subscription = registry_.subscription(topic, index);
-  const PublisherRecord& member = registry_.publisher(topic, publisher);
-  if (record_member({Kind::subscription, topic, index}, member.client) == nullptr) return;
+  const PublisherRecord& receiver = registry_.publisher(topic, publisher);
+  if (record_member({Kind::subscription, topic, index}, receiver.client) == nullptr) return;
   auto packet = announcement_of({Kind::subscription, topic, index}, subscription, registry_);
   packet.own_index = publisher;
-  packet.own_generation = member.generation;
+  packet.own_generation = receiver.generation;
   packet.executor = subscription.executor;
-  packet.quota = registry_.hold_quota(subscription, member);
-  const bool same_user = are_of_one_user(subscription.client, member.client);
+  packet.quota = registry_.hold_quota(subscription, receiver);
+  const bool same_user = are_of_one_user(subscription.client, receiver.client);
   packet.same_user = same_user ? 1 : 0;
   const auto bytes = packet_of(packet);
-  send({Kind::subscription, topic, index}, member.client,
+  send({Kind::subscription, topic, index}, receiver.client,
            {{bytes.begin(), bytes.end()},
             {regions_.region_reader(subscription.client)},
             [=, this, generation = subscription.generation](Outgoing& out) {
@@ -104,7 +104,7 @@ void Announcer::announce_subscription(TopicIndex topic, std::uint32_t index,
 }
 
 // It may be over by now: whoever has drained its last publisher there has let go of what it never read
-// about. Then its place may be another's, of another user perhaps, and that one's bells are not for it.
+// about. Then its place may be another's, of another user perhaps, and that one's doorbells are not for it.
 void Announcer::add_doorbells(Outgoing& packet, const EndpointRef& ref, std::uint64_t generation,
                                bool same_user) {
   if (!registry_.is_used(ref)) return;
@@ -112,26 +112,26 @@ void Announcer::add_doorbells(Outgoing& packet, const EndpointRef& ref, std::uin
   if (subscription.generation != generation ||
       (subscription.state != EndpointState::active && subscription.state != EndpointState::leaving))
     return;
-  const auto bells =
+  const auto doorbells =
       doorbells_.for_publisher(subscription.client, subscription.executor, same_user);
-  if (!bells) {
+  if (!doorbells) {
     waiting_.emplace(generation, ref);
     return;
   }
-  packet.fds.insert(packet.fds.end(), bells->begin(), bells->end());
-  const auto count = static_cast<std::uint32_t>(bells->size());
+  packet.fds.insert(packet.fds.end(), doorbells->begin(), doorbells->end());
+  const auto count = static_cast<std::uint32_t>(doorbells->size());
   std::memcpy(packet.bytes.data() + offsetof(wire::Announcement, doorbell_count), &count,
               sizeof count);
 }
 
 void Announcer::send(const EndpointRef& ref, ClientIndex to, Outgoing packet) {
-  Session* const session = post_.session_of(to);
+  Session* const session = channel_.session_of(to);
   AGNOCAST_CHECK(session != nullptr);
   // The number of the packet that is about to be handed in.
   session->announcements().announced(subject_of(ref), session->packet_count() + 1);
   session->announcements().announced(region_of(registry_.owner_of(ref)),
                                      session->packet_count() + 1);
-  post_.send(to, std::move(packet));
+  channel_.send(to, std::move(packet));
 }
 
 void Announcer::announce_window(ClientIndex owner) {
@@ -148,30 +148,30 @@ void Announcer::announce_window(ClientIndex owner) {
   const auto reads = [&](ClientIndex to) {
     const auto& endpoints = registry_.endpoints_of(owner);
     return std::any_of(endpoints.begin(), endpoints.end(), [&](const EndpointRef& ref) {
-      return ref.kind == Kind::publisher && registry_.told_of(ref).contains(number(to));
+      return ref.kind == Kind::publisher && registry_.notified_of(ref).contains(number(to));
     });
   };
-  for_each_told(registry_, record.told, [&](ClientIndex to) {
-    Session* const session = post_.session_of(to);
+  for_each_notified(registry_, record.notified, [&](ClientIndex to) {
+    Session* const session = channel_.session_of(to);
     if (session == nullptr || !reads(to)) return;
     session->announcements().announced(region_of(owner), session->packet_count() + 1);
-    post_.send(to, packet_of(packet), {reader});
+    channel_.send(to, packet_of(packet), {reader});
   });
 }
 
 void Announcer::announce_region(ClientIndex client, ClientIndex owner) {
   const ClientRecord& record = registry_.client(owner);
-  if (record.state == ClientState::free || !record.told.contains(number(client))) return;
+  if (record.state == ClientState::free || !record.notified.contains(number(client))) return;
   auto packet = make_body<wire::Reference>(wire::Opcode::region);
   packet.kind = Kind::region;
   packet.index = number(owner);
   packet.generation = record.generation;
   // What the client says of the region before it has read all of this is said too early.
-  Session* const session = post_.session_of(client);
+  Session* const session = channel_.session_of(client);
   AGNOCAST_CHECK(session != nullptr);
   session->announcements().announced(region_of(owner),
                                      session->packet_count() + 1);
-  post_.send(client, packet_of(packet), {});
+  channel_.send(client, packet_of(packet), {});
 }
 
 // --- notices
@@ -188,18 +188,18 @@ void Announcer::notice(const EndpointRef& ref, Errc code, const std::string& tex
   packet.text = name_of(text);
   const ClientIndex owner = registry_.owner_of(ref);
   // What collides is found again when its process is back; the rest is not.
-  if (code != Errc::arena_occupied && post_.session_of(owner) == nullptr) {
+  if (code != Errc::arena_occupied && channel_.session_of(owner) == nullptr) {
     auto& missed = missed_notices_[number(owner)];
     if (missed.size() < missed_notices_max) missed.push_back(packet);
     return;
   }
-  post_.send(owner, packet_of(packet), {});
+  channel_.send(owner, packet_of(packet), {});
 }
 
 void Announcer::send_missed_notices(ClientIndex client) {
   const auto missed = missed_notices_.extract(number(client));
   if (missed.empty()) return;
-  for (const wire::Notice& packet : missed.mapped()) post_.send(client, packet_of(packet), {});
+  for (const wire::Notice& packet : missed.mapped()) channel_.send(client, packet_of(packet), {});
 }
 
 }  // namespace agnocast::daemon

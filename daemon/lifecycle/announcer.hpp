@@ -8,7 +8,7 @@
 #include <daemon/lifecycle/regions.hpp>
 #include <daemon/state/registry.hpp>
 #include <daemon/transport/doorbells.hpp>
-#include <daemon/transport/post.hpp>
+#include <daemon/transport/client_channel.hpp>
 
 #include <cstddef>
 #include <cstdint>
@@ -21,8 +21,8 @@ namespace agnocast::daemon {
 
 class Announcer {
  public:
-  Announcer(Registry& registry, Regions& regions, Doorbells& doorbells, Post& post) noexcept
-      : registry_(registry), regions_(regions), doorbells_(doorbells), post_(post) {}
+  Announcer(Registry& registry, Regions& regions, Doorbells& doorbells, ClientChannel& channel) noexcept
+      : registry_(registry), regions_(regions), doorbells_(doorbells), channel_(channel) {}
   Announcer(const Announcer&) = delete;
   Announcer& operator=(const Announcer&) = delete;
 
@@ -32,8 +32,8 @@ class Announcer {
   /// The process is about to be told of the endpoint, and has to unmap it before the place is used again. Returns its
   /// connection; null: it has none, and is announced this when it is back.
   Session* record_member(const EndpointRef& ref, ClientIndex to);
-  /// Tells the process of `member` of the endpoint `subject`, which is of the other kind.
-  void announce(const EndpointRef& subject, const EndpointRef& member);
+  /// Tells the process of `receiver` of the endpoint `subject`, which is of the other kind.
+  void announce(const EndpointRef& subject, const EndpointRef& receiver);
   /// Tells every process that has the region of `owner` about its newest window.
   void announce_window(ClientIndex owner);
   /// Tells a process which region it has of another one, if it has that.
@@ -61,11 +61,11 @@ class Announcer {
   Registry& registry_;
   Regions& regions_;
   Doorbells& doorbells_;
-  Post& post_;
+  ClientChannel& channel_;
   // By client: what it could not be told because it had no connection. The first ones are enough.
   static constexpr std::size_t missed_notices_max = 64;
   std::map<std::uint32_t, std::vector<wire::Notice>> missed_notices_;
-  // Not a pair each: most of a topic's publishers lack the same bells.
+  // Not a pair each: most of a topic's publishers lack the same doorbells.
   ByGeneration waiting_;
 };
 

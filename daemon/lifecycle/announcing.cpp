@@ -100,7 +100,7 @@ Effects Announcing::to_owner(const EndpointRef& ref) const {
     if (!matches(other, own)) return;
     // Nobody joins an orphan.
     const bool drains = other.state == EndpointState::orphan && own.generation <= other.last_joined;
-    const bool known = other.told.contains(number(own.client)) &&
+    const bool known = other.notified.contains(number(own.client)) &&
                        (other.state == EndpointState::active || drains);
     const bool meets = other.state == EndpointState::active && own.state == EndpointState::active;
     if (known || meets) effects.push_back(effect::Announce{{Kind::publisher, ref.topic, p}, ref});
@@ -126,7 +126,7 @@ bool Announcing::is_to_know(const PublisherRecord& own, const SubscriptionRecord
   if (is_active && other.state == EndpointState::active) return true;
   return (is_active || own.state == EndpointState::orphan) &&
          (other.state == EndpointState::active || other.state == EndpointState::leaving) &&
-         other.told.contains(number(own.client));
+         other.notified.contains(number(own.client));
 }
 
 bool Announcing::is_looked_at(TopicIndex topic, const SubscriptionRecord& subscription,
@@ -157,11 +157,11 @@ Effects Announcing::own(const EndpointRef& ref) const {
 Effects Announcing::what_is_over(ClientIndex client, TopicIndex topic) const {
   Effects effects;
   registry_.for_each_publisher(topic, [&](std::uint32_t i, const PublisherRecord& record) {
-    if (record.state == EndpointState::orphan && record.told.contains(number(client)))
+    if (record.state == EndpointState::orphan && record.notified.contains(number(client)))
       effects.push_back(effect::Send{client, endings_.orphaned({Kind::publisher, topic, i})});
   });
   registry_.for_each_subscription(topic, [&](std::uint32_t i, const SubscriptionRecord& record) {
-    if (record.told.contains(number(client)) && !is_looked_at(topic, record, client))
+    if (record.notified.contains(number(client)) && !is_looked_at(topic, record, client))
       effects.push_back(effect::Send{client, reference_to({Kind::subscription, topic, i},
                                                           record.generation, wire::Opcode::forget)});
   });

@@ -1,7 +1,7 @@
 // SPDX-License-Identifier: Apache-2.0
 //
 // Announcing: decides which process is told of which endpoint: when one is created, when a process comes back, when
-// bells are others now. A core without I/O, as endings.hpp.
+// doorbells are others now. A core without I/O, as endings.hpp.
 //
 // A process that is to get a publisher's messages is recorded in its announce set before anybody relies on it,
 // whatever becomes of both afterwards. A daemon that dies between the record of a creation and those of the

@@ -40,10 +40,10 @@ void EffectRunner::carry_out(const effect::RecordMember& effect) {
   announcer_.record_member(effect.ref, effect.to);
 }
 void EffectRunner::carry_out(const effect::Acknowledge& effect) {
-  registry_.let_go(effect.ref, effect.by);
+  registry_.acknowledge_unmap(effect.ref, effect.by);
 }
 void EffectRunner::carry_out(const effect::AcknowledgeRegion& effect) {
-  registry_.let_go_of_region(effect.owner, effect.by);
+  registry_.acknowledge_region_unmap(effect.owner, effect.by);
 }
 
 // --- what others see
@@ -53,17 +53,17 @@ void EffectRunner::carry_out(const effect::Ring& effect) {
   doorbells_.ring(effect.client, effect.executor);
 }
 void EffectRunner::carry_out(const effect::Send& effect) {
-  std::visit([&](const auto& packet) { post_.send(effect.to, packet_of(packet), {}); },
+  std::visit([&](const auto& packet) { channel_.send(effect.to, packet_of(packet), {}); },
              effect.packet);
 }
 void EffectRunner::carry_out(const effect::Announce& effect) {
-  announcer_.announce(effect.subject, effect.member);
+  announcer_.announce(effect.subject, effect.receiver);
 }
 void EffectRunner::carry_out(const effect::Notice& effect) {
   announcer_.notice(effect.ref, effect.code, effect.text, effect.policy);
 }
 void EffectRunner::carry_out(const effect::BeginAnew& effect) {
-  post_.begin_anew(effect.client,
+  channel_.begin_anew(effect.client,
                    "what was announced to the processes of its user is more than the daemon "
                    "remembers");
 }
@@ -71,7 +71,7 @@ void EffectRunner::carry_out(const effect::BeginAnew& effect) {
 // --- what the daemon keeps in its own memory
 
 void EffectRunner::carry_out(const effect::ForgetAnnounced& effect) {
-  Session* const session = post_.session_of(effect.client);
+  Session* const session = channel_.session_of(effect.client);
   if (session != nullptr) session->announcements().forget(effect.subject);
 }
 void EffectRunner::carry_out(const effect::CountAnsweredAgain&) {

@@ -8,7 +8,7 @@
 #include <daemon/lifecycle/endings.hpp>
 #include <daemon/state/registry.hpp>
 #include <daemon/transport/doorbells.hpp>
-#include <daemon/transport/post.hpp>
+#include <daemon/transport/client_channel.hpp>
 
 #include <functional>
 
@@ -17,12 +17,12 @@ namespace agnocast::daemon {
 class EffectRunner {
  public:
   EffectRunner(Registry& registry, Endings& endings, Announcer& announcer, Doorbells& doorbells,
-               Post& post) noexcept
+               ClientChannel& channel) noexcept
       : registry_(registry),
         endings_(endings),
         announcer_(announcer),
         doorbells_(doorbells),
-        post_(post) {}
+        channel_(channel) {}
 
   /// Called with a process whose place is free: everything of it may be used again.
   std::function<void(ClientIndex)> on_client_freed;
@@ -58,7 +58,7 @@ class EffectRunner {
   Endings& endings_;
   Announcer& announcer_;
   Doorbells& doorbells_;
-  Post& post_;
+  ClientChannel& channel_;
 };
 
 }  // namespace agnocast::daemon

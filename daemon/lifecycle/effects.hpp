@@ -82,10 +82,10 @@ struct Send {
   ClientIndex to{};
   Packet packet;
 };
-/// The process of `member` is told of `subject`, and gets the descriptors of its process and its doorbells. The record
+/// The process of `receiver` is told of `subject`, and gets the descriptors of its process and its doorbells. The record
 /// of that (RecordMember) is made first.
 struct Announce {
-  EndpointRef subject, member;
+  EndpointRef subject, receiver;
 };
 /// What is the matter with an endpoint, for its owner.
 struct Notice {

@@ -32,7 +32,7 @@ Effects Endings::orphan(const EndpointRef& ref, std::uint64_t final_head,
       effects.push_back(effect::Ring{record.client, record.executor});
   });
   const auto packet = orphaned(ref, final_head);
-  for_each_told(registry_, registry_.told_of(ref),
+  for_each_notified(registry_, registry_.notified_of(ref),
                 [&](ClientIndex to) { effects.push_back(effect::Send{to, packet}); });
   effects.push_back(effect::GiveUpOrphans{ref.topic});
   return effects;
@@ -62,7 +62,7 @@ Effects Endings::ask_to_unmap(const EndpointRef& subscription) const {
   Effects effects;
   const auto packet =
       reference_to(subscription, registry_.generation_of(subscription), wire::Opcode::forget);
-  for_each_told(registry_, registry_.told_of(subscription),
+  for_each_notified(registry_, registry_.notified_of(subscription),
                 [&](ClientIndex to) { effects.push_back(effect::Send{to, packet}); });
   effects.push_back(effect::GiveUpSubscriptions{subscription.topic});
   return effects;
@@ -75,10 +75,10 @@ effect::Send Endings::kick(const EndpointRef& publisher) const {
 
 Effects Endings::kick_publishers_of(const EndpointRef& subscription) const {
   Effects effects;
-  const AnnounceSet& told = registry_.told_of(subscription);
+  const AnnounceSet& notified = registry_.notified_of(subscription);
   registry_.for_each_publisher(
       subscription.topic, [&](std::uint32_t i, const PublisherRecord& record) {
-        if (told.contains(number(record.client)))
+        if (notified.contains(number(record.client)))
           effects.push_back(kick({Kind::publisher, subscription.topic, i}));
       });
   return effects;
@@ -87,13 +87,13 @@ Effects Endings::kick_publishers_of(const EndpointRef& subscription) const {
 // --- too many that are over
 
 // Only asked for: a place is free when everybody has said `unlinked`, as ever. Who neither does nor
-// holds anything is found by LetGoWatch.
+// holds anything is found by UnmapWatch.
 Effects Endings::give_up(const EndpointRef& ref) {
   Effects effects;
   if (!given_up_[user_of(ref)].try_emplace(registry_.generation_of(ref), ref).second) return effects;
   if (ref.kind == Kind::subscription) return effects;  // ask_to_unmap() has asked for it
   const auto packet = orphaned(ref);
-  for_each_told(registry_, registry_.told_of(ref),
+  for_each_notified(registry_, registry_.notified_of(ref),
                 [&](ClientIndex to) { effects.push_back(effect::Send{to, packet}); });
   return effects;
 }
@@ -204,7 +204,7 @@ Effects Endings::give_up_gone() {
   return effects;
 }
 
-// Whoever keeps publishers that are gone is named. It holds messages of them, or LetGoWatch is not done
+// Whoever keeps publishers that are gone is named. It holds messages of them, or UnmapWatch is not done
 // with it; anybody may revoke it.
 tl::unexpected<Failure> Endings::explain_full(TopicIndex topic, const Failure& why,
                                               std::optional<std::uint32_t> uid) const {
@@ -215,7 +215,7 @@ tl::unexpected<Failure> Endings::explain_full(TopicIndex topic, const Failure& w
         (uid && registry_.client(record.client).uid != *uid))
       return;
     ++orphans;
-    for_each_told(registry_, record.told, [&](ClientIndex by) { ++kept[number(by)]; });
+    for_each_notified(registry_, record.notified, [&](ClientIndex by) { ++kept[number(by)]; });
   });
   const auto most = std::max_element(kept.begin(), kept.end());
   const bool is_full = why.code == Errc::limit_reached || why.code == Errc::quota_exceeded;
@@ -236,7 +236,7 @@ Effects Endings::acknowledge(const EndpointRef& ref, ClientIndex by) const {
 
 Effects Endings::free_unused(const EndpointRef& ref) {
   Effects effects;
-  if (!registry_.is_used(ref) || !registry_.told_of(ref).reusable()) return effects;
+  if (!registry_.is_used(ref) || !registry_.notified_of(ref).reusable()) return effects;
   effects.push_back(effect::BeginFree{});
   const EndpointState state = state_of(registry_, ref);
   const ClientIndex owner = registry_.owner_of(ref);
@@ -283,7 +283,7 @@ Effects Endings::free_unused_clients() const {
 Effects Endings::owed_acknowledgements(Kind kind, TopicIndex topic) const {
   Effects effects;
   const auto owed = [&](const EndpointRef& ref, const std::set<ClientIndex>& users) {
-    for_each_told(registry_, registry_.told_of(ref), [&](ClientIndex to) {
+    for_each_notified(registry_, registry_.notified_of(ref), [&](ClientIndex to) {
       if (registry_.is_alive(to) && users.count(to) == 0) append(effects, acknowledge(ref, to));
     });
   };

@@ -37,7 +37,7 @@ class Endings {
   /// Nobody publishes there any more: board, then every subscription is rung, and everybody who knows it is told.
   Effects orphan(const EndpointRef& ref, std::uint64_t final_head,
                  journal::LeaveCause cause) const;
-  /// The process of this subscription is no member any more.
+  /// The process of this subscription is without a session.
   Effects close_subscription(const EndpointRef& ref) const;
   /// Everybody who was told of a subscription that is over is to unmap it.
   Effects ask_to_unmap(const EndpointRef& subscription) const;

@@ -170,7 +170,7 @@ Result<Effects> Leaving::region_unlinked(ClientIndex client, const wire::Unlinke
   if (worth == Worth::unknown) return Effects{effect::BeginAnew{client}};
   if (worth == Worth::is_void) return Effects{};
   for (const EndpointRef& ref : registry_.endpoints_of(owner)) {
-    if (registry_.told_of(ref).contains(number(client)))
+    if (registry_.notified_of(ref).contains(number(client)))
       return fail(Errc::protocol_violation, "something of this region is linked");
   }
   return Effects{effect::ForgetAnnounced{client, region_of(owner)},

@@ -5,7 +5,7 @@
 #pragma once
 
 #include <daemon/state/registry.hpp>
-#include <daemon/transport/post.hpp>
+#include <daemon/transport/client_channel.hpp>
 #include <daemon/transport/session.hpp>
 
 namespace agnocast::daemon {
@@ -44,7 +44,7 @@ inline EndpointState state_of(const Registry& registry, const EndpointRef& ref) 
 
 /// Calls function(client) for each process in the announce set.
 template <class Function>
-void for_each_told(const Registry& registry, const AnnounceSet& set, Function function) {
+void for_each_notified(const Registry& registry, const AnnounceSet& set, Function function) {
   for (std::uint32_t i = 0; i < registry.client_high(); ++i) {
     if (set.contains(i)) function(static_cast<ClientIndex>(i));
   }

@@ -51,7 +51,7 @@ class Regions {
  public:
   /// Board and tables, empty and not in the store yet: see keep(). Errors: os_failure with errno.
   [[nodiscard]] static Result<Regions> create(DescriptorStore& store);
-  /// Board and journal of a former life. Errors: layout_mismatch, store_damaged (they have
+  /// Board and journal of a previous run. Errors: layout_mismatch, store_damaged (they have
   /// the wrong sizes), os_failure.
   [[nodiscard]] static Result<Regions> adopt(DescriptorStore& store, UniqueFd board,
                                              UniqueFd journal);

@@ -35,7 +35,7 @@ void WelcomeBack::go_on() {
 // Without a connection it begins anew when it is back.
 void WelcomeBack::tell_more(ClientIndex client, ToTell rest) {
   while (rest.next_region < registry_.client_high()) {
-    Session* const session = post_.session_of(client);
+    Session* const session = channel_.session_of(client);
     if (session == nullptr) return;
     const bool is_full = session->queued_count() >= Session::queue_count_max / 2;
     if (is_full || (session->is_crowded() && session->has_output())) {

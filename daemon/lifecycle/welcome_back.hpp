@@ -8,7 +8,7 @@
 #include <daemon/lifecycle/announcing.hpp>
 #include <daemon/lifecycle/effect_runner.hpp>
 #include <daemon/state/registry.hpp>
-#include <daemon/transport/post.hpp>
+#include <daemon/transport/client_channel.hpp>
 
 #include <cstdint>
 #include <map>
@@ -19,12 +19,12 @@ namespace agnocast::daemon {
 class WelcomeBack {
  public:
   WelcomeBack(const Registry& registry, const Announcing& announcing, Announcer& announcer,
-              EffectRunner& runner, Post& post) noexcept
+              EffectRunner& runner, ClientChannel& channel) noexcept
       : registry_(registry),
         announcing_(announcing),
         announcer_(announcer),
         runner_(runner),
-        post_(post) {}
+        channel_(channel) {}
 
   void begin(ClientIndex client);
   void go_on();
@@ -48,7 +48,7 @@ class WelcomeBack {
   const Announcing& announcing_;
   Announcer& announcer_;
   EffectRunner& runner_;
-  Post& post_;
+  ClientChannel& channel_;
   std::map<ClientIndex, ToTell> to_tell_;
 };
 

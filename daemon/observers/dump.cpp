@@ -2,7 +2,7 @@
 
 #include <daemon/observers/dump.hpp>
 
-#include <daemon/transport/post.hpp>
+#include <daemon/transport/client_channel.hpp>
 
 #include <algorithm>
 #include <cstring>
@@ -90,11 +90,11 @@ class Writer {
       endpoint.first_sequence = abi::first_sequence_of(publisher.generation);
       write_endpoint(endpoint);
     });
-    registry_.for_each_subscription(index, [&](std::uint32_t i, const SubscriptionRecord& member) {
-      wire::DumpEndpoint endpoint = endpoint_of(Kind::subscription, index, i, member);
-      endpoint.quota = member.quota;
-      endpoint.quota_of_others = member.quota_of_others;
-      endpoint.executor = member.executor;
+    registry_.for_each_subscription(index, [&](std::uint32_t i, const SubscriptionRecord& subscription) {
+      wire::DumpEndpoint endpoint = endpoint_of(Kind::subscription, index, i, subscription);
+      endpoint.quota = subscription.quota;
+      endpoint.quota_of_others = subscription.quota_of_others;
+      endpoint.executor = subscription.executor;
       write_endpoint(endpoint);
     });
   }
@@ -107,7 +107,7 @@ class Writer {
     body.topic = number(topic);
     body.index = index;
     body.generation = record.generation;
-    body.member = abi::pack_member(record.generation, on_board(record.state));
+    body.board_word = abi::pack_board_word(record.generation, on_board(record.state));
     body.client = number(record.client);
     body.client_generation = registry_.client(record.client).generation;
     body.qos = record.qos;

@@ -1,6 +1,6 @@
 // SPDX-License-Identifier: Apache-2.0
 //
-// Dump: everything the daemon knows, as packets for an observer. Pure; made in one turn, so all
+// Dump: everything the daemon knows, as packets for an observer. Pure; made in one iteration of the loop, so all
 // packets together are one moment.
 //
 // What the registry does not hold (who is connected, since when, counters) comes with the call. A

@@ -2,7 +2,7 @@
 
 #include <daemon/observers/flight_recorder.hpp>
 
-#include <daemon/transport/post.hpp>
+#include <daemon/transport/client_channel.hpp>
 
 #include <algorithm>
 #include <optional>

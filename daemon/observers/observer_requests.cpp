@@ -71,7 +71,7 @@ Result<void> ObserverRequests::revoke(Peer& peer, const wire::Revoke& request) {
   const ClientIndex client{static_cast<std::uint32_t>(request.client)};
   if (number(client) >= registry_.client_high() || !registry_.is_alive(client) ||
       registry_.client(client).generation != request.generation)
-    return fail_with(Errc::endpoint_gone, "there is no such process, or it is no member any more");
+    return fail_with(Errc::endpoint_gone, "there is no such process, or it is without a session");
   const PeerIdentity& who = peer.session.identity();
   const ClientRecord& record = registry_.client(client);
   if (who.uid != 0 && who.uid != ::geteuid() && who.uid != record.uid)

@@ -29,7 +29,7 @@ inline constexpr LogEvent log_events[] = {
     {"connection refused", "f293b5a756fb48bb907ea588c5bbf38a"},
     {"connections cannot be closed", "1b7bb3d60f6a4d3f9f5a3c8a9d1f0e62"},
     {"ended", "60d7ecdaceba42408c20a0b8bbdd44be"},
-    {"former life lost", "ccdb380e6819433a99791b402f556608"},
+    {"previous incarnation lost", "ccdb380e6819433a99791b402f556608"},
     {"heap collides", "e399c03f351f47adbe3e416341c34637"},
     {"holes are allowed", "5d0e3a7c9b1f4c62a8d4e6f70b2c9135"},
     {"lines were lost", "17e8216904f14e70a3823c0797ab2d44"},

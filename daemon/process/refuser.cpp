@@ -4,7 +4,7 @@
 
 #include <base/clock.hpp>
 #include <base/peer_identity.hpp>
-#include <daemon/transport/post.hpp>
+#include <daemon/transport/client_channel.hpp>
 
 #include <sys/epoll.h>
 
@@ -19,7 +19,7 @@ namespace {
 // Who connects and says nothing must not take the descriptors of those who ask.
 constexpr std::size_t caller_count_max = 64;
 // Whoever connects again and again is never done; signals must not wait for that.
-constexpr unsigned connections_per_turn = 8;
+constexpr unsigned connections_per_slice = 8;
 // How long nobody is accepted when no descriptor is left.
 constexpr std::uint64_t pause_ms = 100;
 
@@ -55,7 +55,7 @@ void Refuser::tick() {
 }
 
 void Refuser::accept_all() {
-  for (unsigned turn = 0; turn < connections_per_turn; ++turn) {
+  for (unsigned round = 0; round < connections_per_slice; ++round) {
     auto socket = listener_.accept();
     if (!socket) {
       // No descriptor was left, and whoever waits is told again and again.
@@ -93,8 +93,8 @@ void Refuser::answer(std::uint64_t id) {
       std::memcpy(static_cast<void*>(&header), buffer.data(), sizeof header);
     auto refused =
         make_body<wire::Refused>(wire::Opcode::refused, header.request & ~wire::asked_again);
-    // Who comes back is a member of the life that is kept. It has to try again: with a refusal
-    // it would be an island, although its membership is kept.
+    // Who comes back has a session that is kept. It has to try again: with a refusal
+    // it would be an orphaned session, although its session is kept.
     const Errc code = header.opcode == wire::Opcode::rejoin ? Errc::daemon_not_running : code_;
     refused.code = static_cast<std::uint32_t>(code);
     refused.text = name_of(why_);

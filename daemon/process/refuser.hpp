@@ -1,6 +1,6 @@
 // SPDX-License-Identifier: Apache-2.0
 //
-// Refuser: what serves when a former life cannot be gone on with.
+// Refuser: what serves when a previous run cannot be gone on with.
 //
 // Another build has left its tables, or they are damaged. Nothing of it is touched, every descriptor
 // stays where it is kept, and whoever connects is told what is wrong: `refused` with layout_mismatch

@@ -182,8 +182,8 @@ std::optional<Trouble> Service::begin() {
   if (!regions) return trouble_of(regions.error());
   broker_.emplace(BrokerOptions{arena_, config_, listener_->former_count()}, log_, *dispatcher_,
                   *listener_, std::move(*regions), store_, *errands_, *disposal_);
-  if (auto founded = broker_->found(random_incarnation()); !founded)
-    return trouble_of(founded.error());
+  if (auto formatted = broker_->format(random_incarnation()); !formatted)
+    return trouble_of(formatted.error());
   listener_->remove_names(!store_.keeps());
   if (auto started = broker_->start(); !started) return trouble_of(started.error());
   say_ready(false);
@@ -198,7 +198,7 @@ std::optional<Trouble> Service::go_on() {
   namespace stored = journal::stored;
   if (journal::decide_stored(stored::tables, board && journal, stored::none) ==
       journal::StoredDecision::start_anew) {
-    log_.write(LogLevel::error, "former life lost", {{"why", "a descriptor was not kept"}});
+    log_.write(LogLevel::error, "previous incarnation lost", {{"why", "a descriptor was not kept"}});
     for (const char* const name : {"listen", "lock", "board", "journal"}) store_.remove(name);
     socket.reset();
     lock.reset();
@@ -213,7 +213,7 @@ std::optional<Trouble> Service::go_on() {
     if (auto checked = registry.check(); !checked)
       return refuse(place_to_refuse(), checked.error());
     auto listener = Listener::adopt(place_, std::move(passed_), std::move(socket), std::move(lock),
-                                    registry.header().bells);
+                                    registry.header().doorbells);
     if (!listener) return trouble_of(listener.error());
     listener_.emplace(std::move(*listener));
   }

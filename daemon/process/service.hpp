@@ -3,12 +3,12 @@
 // Service: one life of the daemon, from what it finds to its end.
 //
 //   nothing is kept                a new life: a fresh board, a new incarnation
-//   a former life is kept          it goes on (requests/recovery.hpp)
+//   a previous run is kept          it goes on (requests/recovery.hpp)
 //   that life is of another        nothing of it is touched, everybody is refused (refuser.hpp)
 //   build, or damaged
 //
-// At the end socket and bells are removed; not when a manager keeps descriptors, because then the
-// next life goes on with them. SIGINT is the exception: our supervisor says with it that no life
+// At the end socket and doorbells are removed; not when a manager keeps descriptors, because then the
+// next run goes on with them. SIGINT is the exception: our supervisor says with it that no life
 // follows.
 #pragma once
 

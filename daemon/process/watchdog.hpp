@@ -18,7 +18,7 @@ class Watchdog {
 
   /// How long the loop may wait, in milliseconds, if it wants to wait `timeout_ms` (-1: for ever).
   int sooner(int timeout_ms) const noexcept;
-  /// To be called in every turn of the loop; says something when it is time.
+  /// To be called in every iteration of the loop; says something when it is time.
   void tick() noexcept;
 
  private:

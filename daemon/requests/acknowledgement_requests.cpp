@@ -7,19 +7,19 @@
 namespace agnocast::daemon {
 
 Result<void> AcknowledgementRequests::drained(Peer& peer, const DrainedRequest& request) {
-  return membership_.drained(*peer.session.client(), request);
+  return endpoint_manager_.drained(*peer.session.client(), request);
 }
 
 Result<void> AcknowledgementRequests::unlinked(Peer& peer, const wire::Unlinked& statement) {
-  return membership_.unlinked(*peer.session.client(), statement);
+  return endpoint_manager_.unlinked(*peer.session.client(), statement);
 }
 
 Result<void> AcknowledgementRequests::blocked(Peer& peer, const wire::Blocked& range) {
   return conflicts_.add_obstacle(peer.session.identity(), *peer.session.client(), range);
 }
 
-Result<void> AcknowledgementRequests::withdrawn(Peer& peer, const wire::Withdrawn& said) {
-  readers_.withdrawn(peer.session.identity(), *peer.session.client(), said);
+Result<void> AcknowledgementRequests::withdrawn(Peer& peer, const wire::Withdrawn& report) {
+  readers_.withdrawn(peer.session.identity(), *peer.session.client(), report);
   return {};
 }
 

@@ -5,7 +5,7 @@
 #pragma once
 
 #include <daemon/admission/address_conflicts.hpp>
-#include <daemon/lifecycle/membership.hpp>
+#include <daemon/lifecycle/endpoint_manager.hpp>
 #include <daemon/requests/reader_reports.hpp>
 #include <daemon/transport/connection_table.hpp>
 #include <daemon/transport/requests.hpp>
@@ -14,16 +14,16 @@ namespace agnocast::daemon {
 
 class AcknowledgementRequests {
  public:
-  AcknowledgementRequests(Membership& membership, AddressConflicts& conflicts, ReaderReports& readers) noexcept
-      : membership_(membership), conflicts_(conflicts), readers_(readers) {}
+  AcknowledgementRequests(EndpointManager& endpoint_manager, AddressConflicts& conflicts, ReaderReports& readers) noexcept
+      : endpoint_manager_(endpoint_manager), conflicts_(conflicts), readers_(readers) {}
 
   [[nodiscard]] Result<void> drained(Peer& peer, const DrainedRequest& request);
   [[nodiscard]] Result<void> unlinked(Peer& peer, const wire::Unlinked& statement);
   [[nodiscard]] Result<void> blocked(Peer& peer, const wire::Blocked& range);
-  [[nodiscard]] Result<void> withdrawn(Peer& peer, const wire::Withdrawn& said);
+  [[nodiscard]] Result<void> withdrawn(Peer& peer, const wire::Withdrawn& report);
 
  private:
-  Membership& membership_;
+  EndpointManager& endpoint_manager_;
   AddressConflicts& conflicts_;
   ReaderReports& readers_;
 };

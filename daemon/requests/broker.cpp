@@ -50,15 +50,15 @@ Broker::Broker(const BrokerOptions& options, Log& log, Dispatcher& dispatcher, L
       plan_(options.arena, options.former_count),
       obstacles_(options.arena),
       doorbells_(
-          listener.bells_directory(), store,
+          listener.doorbells_directory(), store,
           [&disposal](std::uint32_t uid, UniqueFd fd) { disposal.close(uid, std::move(fd)); }),
-      membership_(registry_, regions_, doorbells_, output_),
-      admission_(options_.config, options_.arena, plan_, registry_, membership_, store, access_),
+      endpoint_manager_(registry_, regions_, doorbells_, output_),
+      admission_(options_.config, options_.arena, plan_, registry_, endpoint_manager_, store, access_),
       conflicts_(options_.config.heap, options_.arena, registry_, admission_, plan_, obstacles_,
-                 membership_, output_, log),
-      reaping_(registry_, regions_, doorbells_, membership_),
+                 endpoint_manager_, output_, log),
+      reaping_(registry_, regions_, doorbells_, endpoint_manager_),
       region_look_(connections_, errands, regions_),
-      termination_(connections_, dispatcher, registry_, store, obstacles_, membership_, reaping_,
+      termination_(connections_, dispatcher, registry_, store, obstacles_, endpoint_manager_, reaping_,
                    region_look_, log),
       scheduler_(connections_, dispatcher, termination_),
       namespaces_(connections_, errands, scheduler_),
@@ -68,27 +68,27 @@ Broker::Broker(const BrokerOptions& options, Log& log, Dispatcher& dispatcher, L
       observer_requests_(options_.config.access, registry_, regions_, admission_, connections_,
                          output_, termination_, answers_, log),
       hold_watch_(registry_, regions_),
-      let_go_watch_(registry_, regions_, membership_.endings(), output_),
+      unmap_watch_(registry_, regions_, endpoint_manager_.endings(), output_),
       readers_(registry_, doorbells_, log),
       refusal_report_(registry_, admission_, refusals_, output_, log),
       server_(admission_, conflicts_, refusal_report_, termination_),
       hello_requests_({options_.arena, registry_, regions_, store, admission_, connections_,
                        output_, scheduler_, region_look_, termination_, server_, log}),
-      rejoin_requests_({registry_, doorbells_, membership_, access_, conflicts_, let_go_watch_,
+      rejoin_requests_({registry_, doorbells_, endpoint_manager_, access_, conflicts_, unmap_watch_,
                         connections_, output_, termination_, log}),
-      window_requests_(options_.arena, registry_, regions_, plan_, membership_, conflicts_,
+      window_requests_(options_.arena, registry_, regions_, plan_, endpoint_manager_, conflicts_,
                        admission_, output_, log),
       executor_requests_(registry_, doorbells_, admission_, output_),
-      endpoint_requests_(options_.config, registry_, regions_, membership_, admission_, scheduler_,
+      endpoint_requests_(options_.config, registry_, regions_, endpoint_manager_, admission_, scheduler_,
                          server_, refusal_report_, readers_, log),
-      acknowledgement_requests_(membership_, conflicts_, readers_),
+      acknowledgement_requests_(endpoint_manager_, conflicts_, readers_),
       reader_(connections_, output_, disposal, scheduler_, termination_, server_),
       acceptor_({options_.config.quota, listener, dispatcher, disposal, registry_, admission_,
                  connections_, scheduler_, namespaces_, log}) {
   regions_.use(errands);
   fill_request_table();
-  membership_.on_client_freed = [this](ClientIndex client) { free_client(client); };
-  membership_.set_on_matched([this](const EndpointRef& publisher, const EndpointRef& subscription) {
+  endpoint_manager_.on_client_freed = [this](ClientIndex client) { free_client(client); };
+  endpoint_manager_.set_on_matched([this](const EndpointRef& publisher, const EndpointRef& subscription) {
     conflicts_.look_at(publisher, subscription);
   });
 }
@@ -114,10 +114,10 @@ void Broker::fill_request_table() {
   table.add(observer_requests_, &ObserverRequests::ask_access);
 }
 
-Result<void> Broker::found(std::uint64_t incarnation) {
+Result<void> Broker::format(std::uint64_t incarnation) {
   const Arena& arena = options_.arena;
   registry_.create(incarnation, {arena.base, arena.bytes, arena.window_bytes, monotonic_ns(),
-                                 listener_.bells_directory()});
+                                 listener_.doorbells_directory()});
   if (auto kept = regions_.keep(); !kept) return kept;
   return listener_.keep(store_);
 }
@@ -127,7 +127,7 @@ Result<void> Broker::resume() {
   const TableHeader& header = registry_.header();
   options_.arena = {header.arena_base, header.arena_bytes, header.window_bytes};
   plan_ = AddressPlan(options_.arena, options_.former_count);
-  return Recovery({options_.arena, plan_, registry_, regions_, doorbells_, membership_, store_,
+  return Recovery({options_.arena, plan_, registry_, regions_, doorbells_, endpoint_manager_, store_,
                    dispatcher_, connections_, scheduler_, namespaces_, termination_, log_})
       .run();
 }
@@ -155,8 +155,8 @@ void Broker::look_around(std::uint64_t now) {
   acceptor_.listen_again();
   output_.go_on_flushing();
   termination_.look_at_detached();
-  membership_.go_on_telling();
-  membership_.announce_renewed();
+  endpoint_manager_.go_on_telling();
+  endpoint_manager_.announce_renewed();
   announce_what_waits();
   answers_.drop_slow(now);
   output_.end_old(now);
@@ -166,25 +166,25 @@ void Broker::look_around(std::uint64_t now) {
     watched_ms_ = now;
     watch_holds();
     watch_letting_go();
-    readers_.look_for_silent_bells(now);
+    readers_.look_for_silent_doorbells(now);
   }
   log_.flush();
 }
 
 void Broker::announce_what_waits() {
-  if (!membership_.has_waiting()) return;
+  if (!endpoint_manager_.has_waiting()) return;
   log_.write_limited("announcement", LogLevel::error, "announcement waits",
                      {{"why", "no descriptor left; raise LimitNOFILE"}});
   const bool has_descriptor{UniqueFd(::open("/dev/null", O_RDONLY | O_CLOEXEC))};
-  if (has_descriptor) membership_.announce_waiting();
+  if (has_descriptor) endpoint_manager_.announce_waiting();
 }
 
 int Broker::due_ms() const noexcept {
   if (!scheduler_.nobody_waits() || !reaping_.is_empty()) return 0;
   if (acceptor_.pauses()) return short_interval_ms;
   if (const int due = answers_.due_ms(); due >= 0) return std::min(due, short_interval_ms);
-  if (connections_.detached_count() > 0 || output_.flushes_later() || membership_.has_waiting() ||
-      membership_.tells() || membership_.has_renewed() || endpoint_requests_.has_uncleared())
+  if (connections_.detached_count() > 0 || output_.flushes_later() || endpoint_manager_.has_waiting() ||
+      endpoint_manager_.tells() || endpoint_manager_.has_renewed() || endpoint_requests_.has_uncleared())
     return short_interval_ms;
   return connections_.all().empty() ? 10'000 : watch_interval_ms;
 }
@@ -203,12 +203,12 @@ void Broker::watch_holds() {
 }
 
 void Broker::watch_letting_go() {
-  for (const LetGoWatch::Finding& found : let_go_watch_.look()) {
+  for (const UnmapWatch::Finding& found : unmap_watch_.look()) {
     if (connections_.of_client(found.client) == nullptr) continue;
-    // It may have said so, and wait for its turn.
+    // It may have said so, and wait for its time slice.
     reader_.read(connections_.of_client(found.client)->id, TimeSlice());
     Peer* const peer = connections_.of_client(found.client);
-    if (peer == nullptr || !let_go_watch_.is_true(found)) continue;
+    if (peer == nullptr || !unmap_watch_.is_true(found)) continue;
     const EndpointRef& oldest = found.oldest;
     termination_.revoke(*peer, "it does not let go of " + std::to_string(found.count) +
                                    " endpoints that are gone, the oldest a " +

@@ -1,7 +1,7 @@
 // SPDX-License-Identifier: Apache-2.0
 //
 // Broker: the composition root of agnocastd. It builds and owns everything below, and says in which order it has
-// its turn. What happens when, and where:
+// its time slice. What happens when, and where:
 //
 //   somebody wants to connect   Acceptor: accepts, identifies, watches connection and process
 //   connection readable         RequestScheduler, when its user has a time slice → PacketReader → RequestServer
@@ -27,10 +27,10 @@
 #include <daemon/config/config.hpp>
 #include <daemon/death/client_termination.hpp>
 #include <daemon/death/hold_watch.hpp>
-#include <daemon/death/let_go_watch.hpp>
+#include <daemon/death/unmap_watch.hpp>
 #include <daemon/death/reaping_queue.hpp>
 #include <daemon/death/region_look.hpp>
-#include <daemon/lifecycle/membership.hpp>
+#include <daemon/lifecycle/endpoint_manager.hpp>
 #include <daemon/lifecycle/regions.hpp>
 #include <daemon/observers/dump_collector.hpp>
 #include <daemon/observers/observer_answers.hpp>
@@ -78,8 +78,8 @@ class Broker final {
   Broker& operator=(const Broker&) = delete;
 
   /// A new life, in memory that is all zero. Errors: as DescriptorStore::put.
-  [[nodiscard]] Result<void> found(std::uint64_t incarnation);
-  /// Goes on with a former life, see Recovery. Errors: layout_mismatch, store_damaged,
+  [[nodiscard]] Result<void> format(std::uint64_t incarnation);
+  /// Goes on with a previous run, see Recovery. Errors: layout_mismatch, store_damaged,
   /// os_failure.
   [[nodiscard]] Result<void> resume();
   /// Begins to serve. Errors: os_failure.
@@ -89,7 +89,7 @@ class Broker final {
   /// What is to be done now and then; call it after at most due_ms() (-1: nothing is due).
   void tick();
   int due_ms() const noexcept;
-  /// The one in force: a former life's, whatever the options say.
+  /// The one in force: a previous run's, whatever the options say.
   const Arena& arena() const noexcept { return options_.arena; }
 
  private:
@@ -117,7 +117,7 @@ class Broker final {
   AddressPlan plan_;
   Obstacles obstacles_;
   Doorbells doorbells_;
-  Membership membership_;
+  EndpointManager endpoint_manager_;
   Admission admission_;
   AddressConflicts conflicts_;
   ReapingQueue reaping_;
@@ -129,7 +129,7 @@ class Broker final {
   ObserverAnswers answers_;
   ObserverRequests observer_requests_;
   HoldWatch hold_watch_;
-  LetGoWatch let_go_watch_;
+  UnmapWatch unmap_watch_;
   ReaderReports readers_;
   RefusalReport refusal_report_;
   RequestServer server_;

@@ -23,7 +23,7 @@ const char* name_of_kind(Kind kind) noexcept {
 Result<void> EndpointRequests::create(Peer& peer, const CreateRequest& request) {
   const ClientIndex client = *peer.session.client();
   const ClientRecord& record = registry_.client(client);
-  if (request.again && membership_.answer_again(client, request)) return {};
+  if (request.again && endpoint_manager_.answer_again(client, request)) return {};
   if (const auto problem = check_topic_name(request.topic))
     return fail_with(Errc::invalid_name,
                      "topic " + printable(request.topic) + ": " + problem->text());
@@ -36,7 +36,7 @@ Result<void> EndpointRequests::create(Peer& peer, const CreateRequest& request) 
   // Before anybody is told of the publisher, and with it of the heap.
   const bool is_first = request.kind == Kind::publisher && record.readers == 0;
   if (is_first) registry_.set_readers(client, readers_of(config_.access, record.domain, request.topic));
-  auto created = membership_.create(client, request);
+  auto created = endpoint_manager_.create(client, request);
   if (!created && is_first) registry_.set_readers(client, 0);
   if (created && request.kind == Kind::subscription) readers_.created(client, request);
   if (created) {
@@ -52,7 +52,7 @@ Result<void> EndpointRequests::create(Peer& peer, const CreateRequest& request) 
 }
 
 Result<void> EndpointRequests::leave(Peer& peer, const LeaveRequest& request) {
-  return membership_.leave(*peer.session.client(), request);
+  return endpoint_manager_.leave(*peer.session.client(), request);
 }
 
 // The file of a region is one that its process may write to, and so keep locked: what waits for that is an

@@ -7,7 +7,7 @@
 #include <daemon/admission/admission.hpp>
 #include <daemon/admission/refusal_report.hpp>
 #include <daemon/config/config.hpp>
-#include <daemon/lifecycle/membership.hpp>
+#include <daemon/lifecycle/endpoint_manager.hpp>
 #include <daemon/lifecycle/regions.hpp>
 #include <daemon/requests/reader_reports.hpp>
 #include <daemon/serving/request_scheduler.hpp>
@@ -25,12 +25,12 @@ namespace agnocast::daemon {
 class EndpointRequests {
  public:
   EndpointRequests(const Config& config, Registry& registry, Regions& regions,
-                   Membership& membership, Admission& admission, RequestScheduler& scheduler,
+                   EndpointManager& endpoint_manager, Admission& admission, RequestScheduler& scheduler,
                    RequestServer& server, RefusalReport& refusals, ReaderReports& readers, Log& log) noexcept
       : config_(config),
         registry_(registry),
         regions_(regions),
-        membership_(membership),
+        endpoint_manager_(endpoint_manager),
         admission_(admission),
         scheduler_(scheduler),
         server_(server),
@@ -60,7 +60,7 @@ class EndpointRequests {
   const Config& config_;
   Registry& registry_;
   Regions& regions_;
-  Membership& membership_;
+  EndpointManager& endpoint_manager_;
   Admission& admission_;
   RequestScheduler& scheduler_;
   RequestServer& server_;

@@ -30,7 +30,7 @@ Result<void> ExecutorRequests::admit_executor(ClientIndex client, const Executor
   if (!is_open) {
     return admission_.admit_executor(registry_.client(client).uid);
   }
-  ++registry_.counters().requests_answered_again;  // the bells were lost with the answer
+  ++registry_.counters().requests_answered_again;  // the doorbells were lost with the answer
   return {};
 }
 
@@ -38,12 +38,12 @@ Result<void> ExecutorRequests::open_executor(Peer& peer, const ExecutorRequest& 
   const ClientIndex client = *peer.session.client();
   if (auto admitted = admit_executor(client, request); !admitted) return admitted;
   MemoryReserve::no_return();
-  auto bells = doorbells_.open(client, request.executor, registry_.client(client).uid);
-  if (!bells) return tl::unexpected(bells.error());
+  auto doorbells = doorbells_.open(client, request.executor, registry_.client(client).uid);
+  if (!doorbells) return tl::unexpected(doorbells.error());
   AGNOCAST_CRASH_POINT(B_bell_bound);
   registry_.open_executor(client, static_cast<std::uint32_t>(request.executor));
   const auto packet = make_body<wire::Done>(wire::Opcode::executor_opened, request.request);
-  output_.reply(peer, packet_of(packet), std::move(*bells));
+  output_.reply(peer, packet_of(packet), std::move(*doorbells));
   return {};
 }
 

@@ -1,6 +1,6 @@
 // SPDX-License-Identifier: Apache-2.0
 //
-// ExecutorRequests: executors of a process, and the bells by which publishers wake them.
+// ExecutorRequests: executors of a process, and the doorbells by which publishers wake them.
 #pragma once
 
 #include <daemon/admission/admission.hpp>

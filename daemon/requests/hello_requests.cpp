@@ -81,7 +81,7 @@ void HelloRequests::welcome_after(PeerId id, std::uint64_t ticket, const wire::H
   for (const PeerId unused : before.unused) {
     Peer* const found = of_.connections.find(unused);
     if (found != nullptr && found->detached && !found->revoked)
-      of_.termination.reap(*found, DeathReason::let_go, "process says hello again");
+      of_.termination.reap(*found, DeathReason::unmapped, "process says hello again");
   }
   Peer* const peer = of_.scheduler.unpark(id, ticket);
   if (peer == nullptr) return;
@@ -100,7 +100,7 @@ Result<void> HelloRequests::hello(Peer& peer, const wire::Hello& hello) {
     case RegionTrace::none:
       break;
     case RegionTrace::some:
-      return fail_with(Errc::revoked, "the membership of this process was revoked");
+      return fail_with(Errc::revoked, "the session of this process was revoked");
     case RegionTrace::unknown:
       // It may have become another program since. Whoever loses its connection says hello again.
       of_.termination.disconnect(peer, "no time to look whether the process was revoked");

@@ -5,7 +5,7 @@
 #include <daemon/requests/reader_reports.hpp>
 
 #include <base/clock.hpp>
-#include <daemon/lifecycle/membership.hpp>
+#include <daemon/lifecycle/endpoint_manager.hpp>
 #include <daemon/state/user_log.hpp>
 #include <journal/withdrawal.hpp>
 
@@ -13,17 +13,17 @@ namespace agnocast::daemon {
 
 // What a client says of its own publisher. The reader is looked up here: nothing of it is the client's word.
 // (Its process may not have been told of the reader: it is served no more also because it could not be mapped.)
-void ReaderReports::withdrawn(const PeerIdentity& who, ClientIndex client, const wire::Withdrawn& said) {
-  const ReaderPair pair{{Kind::publisher, static_cast<TopicIndex>(said.topic),
-                         static_cast<std::uint32_t>(said.publisher)},
-                        {Kind::subscription, static_cast<TopicIndex>(said.topic),
-                         static_cast<std::uint32_t>(said.subscription)}};
+void ReaderReports::withdrawn(const PeerIdentity& who, ClientIndex client, const wire::Withdrawn& report) {
+  const ReaderPair pair{{Kind::publisher, static_cast<TopicIndex>(report.topic),
+                         static_cast<std::uint32_t>(report.publisher)},
+                        {Kind::subscription, static_cast<TopicIndex>(report.topic),
+                         static_cast<std::uint32_t>(report.subscription)}};
   if (!registry_.is_used(pair.publisher) || !registry_.is_used(pair.reader) ||
-      registry_.generation_of(pair.publisher) != said.publisher_generation ||
-      registry_.generation_of(pair.reader) != said.subscription_generation ||
+      registry_.generation_of(pair.publisher) != report.publisher_generation ||
+      registry_.generation_of(pair.reader) != report.subscription_generation ||
       registry_.owner_of(pair.publisher) != client)
     return;
-  const auto why = static_cast<abi::Withdrawal>(said.why);
+  const auto why = static_cast<abi::Withdrawal>(report.why);
   const bool is_served = why == abi::Withdrawal::none;
   const ClientRecord& reader = registry_.client(registry_.owner_of(pair.reader));
   if (notes_.take(who.uid, reader.uid, monotonic_ms())) {
@@ -47,7 +47,7 @@ void ReaderReports::withdrawn(const PeerIdentity& who, ClientIndex client, const
           {"publisher_uid", who.uid},
           {"pid", reader.pid},
           {"uid", reader.uid},
-          {"bytes", said.bytes},
+          {"bytes", report.bytes},
           {"why", journal::sentence_of(why)}});
   }
 }
@@ -67,7 +67,7 @@ void ReaderReports::created(ClientIndex client, const CreateRequest& request) {
   if (made) mute(*made);
 }
 
-void ReaderReports::look_for_silent_bells(std::uint64_t now_ms) {
+void ReaderReports::look_for_silent_doorbells(std::uint64_t now_ms) {
   notes_.forget_unused(now_ms);
   for (const Doorbells::Executor& silent : doorbells_.look()) {
     if (!registry_.is_alive(silent.client)) continue;

@@ -22,11 +22,11 @@ class ReaderReports {
       : registry_(registry), doorbells_(doorbells), log_(log) {}
 
   /// A client says it of a publisher of its own.
-  void withdrawn(const PeerIdentity& identity, ClientIndex client, const wire::Withdrawn& said);
+  void withdrawn(const PeerIdentity& identity, ClientIndex client, const wire::Withdrawn& report);
   /// A subscription was created: can anybody ring its executor?
   void created(ClientIndex client, const CreateRequest& request);
   /// Tries some of the doorbells, see Doorbells::look().
-  void look_for_silent_bells(std::uint64_t now_ms);
+  void look_for_silent_doorbells(std::uint64_t now_ms);
 
  private:
   void mute(const EndpointRef& subscription);

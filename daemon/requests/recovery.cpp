@@ -34,10 +34,10 @@ Result<void> Recovery::run() {
         *found == FoundDecision::finish_and_watch)
       ended.push_back(client);
   }
-  const std::size_t strangers = of_.store.remove_left_over();
-  of_.doorbells.clear_strangers();
+  const std::size_t leftovers = of_.store.remove_left_over();
+  of_.doorbells.remove_unknown_names();
   const std::uint64_t dead = reap_while_away(ended);
-  of_.membership.carry_out_what_is_owed();
+  of_.endpoint_manager.carry_out_what_is_owed();
   of_.registry.note_recovered({static_cast<std::uint32_t>(::getpid()), dead, repaired});
   of_.doorbells.ring_all();
   of_.log.write(lost == 0 && repaired == 0 ? LogLevel::notice : LogLevel::error, "resumed",
@@ -45,7 +45,7 @@ Result<void> Recovery::run() {
                  {"clients", living},
                  {"ended_meanwhile", dead},
                  {"board_words_repaired", repaired},
-                 {"descriptors_dropped", strangers},
+                 {"descriptors_dropped", leftovers},
                  {"clients_lost", lost}});
   return {};
 }
@@ -76,7 +76,7 @@ Result<journal::FoundDecision> Recovery::adopt_client(ClientIndex client, std::u
   };
   UniqueFd process;
   if (takes(stored::process)) process = of_.store.take(DescriptorStore::process(client));
-  for (std::uint64_t x = 0; takes(stored::bell) && x < abi::executor_count_max; ++x) {
+  for (std::uint64_t x = 0; takes(stored::doorbell) && x < abi::executor_count_max; ++x) {
     if ((record.executors >> x & 1) != 0) of_.doorbells.restore(client, x);
   }
   const bool is_lost = loses_owner(stored::memory, adopted.has_value()) ||

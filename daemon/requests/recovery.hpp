@@ -1,14 +1,14 @@
 // SPDX-License-Identifier: Apache-2.0
 //
-// Recovery: going on with a former life. docs/control-plane.md, "Restart".
+// Recovery: going on with a previous run. docs/control-plane.md, "Restart".
 //
-// Tables, board, memory, bells and the identity of every process are what they were; connections are
+// Tables, board, memory, doorbells and the identity of every process are what they were; connections are
 // not. So everybody who lives is a process without a connection until it says rejoin, and whatever
 // was journaled but not done, sent or rung is done again:
 //
-//     redo the change under way → the board says what the tables say → memory, bells and pidfds back
+//     redo the change under way → the board says what the tables say → memory, doorbells and pidfds back
 //     → what belongs to no living record is removed → deaths that happened meanwhile, reaps that did
-//     not come to their end → what follows from the last records → every epoch moves, every bell rings
+//     not come to their end → what follows from the last records → every epoch moves, every doorbell rings
 //
 // Each step may be repeated: a daemon that dies in here is started again and begins here.
 #pragma once
@@ -16,7 +16,7 @@
 #include <base/log.hpp>
 #include <base/pidfd.hpp>
 #include <daemon/death/client_termination.hpp>
-#include <daemon/lifecycle/membership.hpp>
+#include <daemon/lifecycle/endpoint_manager.hpp>
 #include <daemon/lifecycle/regions.hpp>
 #include <daemon/serving/request_scheduler.hpp>
 #include <daemon/serving/user_namespaces.hpp>
@@ -33,14 +33,14 @@
 
 namespace agnocast::daemon {
 
-/// The parts of the daemon that go on with a former life.
+/// The parts of the daemon that go on with a previous run.
 struct RecoveredParts {
   const Arena& arena;
   AddressPlan& plan;
   Registry& registry;
   Regions& regions;
   Doorbells& doorbells;
-  Membership& membership;
+  EndpointManager& endpoint_manager;
   DescriptorStore& store;
   Dispatcher& dispatcher;
   ConnectionTable& connections;

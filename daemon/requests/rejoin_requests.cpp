@@ -33,7 +33,7 @@ Result<Peer*> RejoinRequests::lost_peer(const Peer& peer, const wire::Rejoin& re
     case RejoinDecision::started_anew:
       return fail_with(Errc::started_anew, "the daemon does not know this process");
     case RejoinDecision::revoked:
-      return fail_with(Errc::revoked, "the membership of this process is over");
+      return fail_with(Errc::revoked, "the session of this process is over");
     case RejoinDecision::layout_mismatch:
     case RejoinDecision::permission_denied:
       break;
@@ -69,28 +69,28 @@ Result<void> RejoinRequests::rejoin(Peer& peer, const wire::Rejoin& request) {
   auto packet = make_body<wire::Rejoined>(wire::Opcode::rejoined, request.header.request);
   packet.incarnation = of_.registry.incarnation();
   of_.output.reply(peer, packet_of(packet));
-  of_.let_go_watch.told_again(client);
-  renew_bells(peer);
-  of_.membership.welcome_back(client);
+  of_.unmap_watch.notified_again(client);
+  renew_doorbells(peer);
+  of_.endpoint_manager.welcome_back(client);
   of_.conflicts.look_at_publishers_of(client);  // it may have been asked to move in vain
   of_.log.write(LogLevel::debug, "client is back",
                 {{"client", number(client)}, {"pid", peer.session.identity().pid}});
   return {};
 }
 
-// Its sleepers would be deaf to publishers of other users for as long as it lives.
-void RejoinRequests::renew_bells(Peer& peer) {
+// Its wait sets would be deaf to publishers of other users for as long as it lives.
+void RejoinRequests::renew_doorbells(Peer& peer) {
   const ClientIndex client = *peer.session.client();
   const std::uint64_t executors = of_.registry.client(client).executors;
   for (std::uint64_t executor = 0; executor < abi::executor_count_max; ++executor) {
     if ((executors >> executor & 1) == 0) continue;
-    auto bells = of_.doorbells.renew(client, executor, of_.registry.client(client).uid);
-    if (!bells || bells->empty()) continue;
+    auto doorbells = of_.doorbells.renew(client, executor, of_.registry.client(client).uid);
+    if (!doorbells || doorbells->empty()) continue;
     AGNOCAST_CRASH_POINT(B_bell_bound);
-    auto packet = make_body<wire::BellsRenewed>(wire::Opcode::bells_renewed);
+    auto packet = make_body<wire::DoorbellsRenewed>(wire::Opcode::doorbells_renewed);
     packet.executor = executor;
-    of_.output.reply(peer, packet_of(packet), std::move(*bells));
-    of_.membership.renewed(client, executor);
+    of_.output.reply(peer, packet_of(packet), std::move(*doorbells));
+    of_.endpoint_manager.renewed(client, executor);
   }
 }
 

@@ -7,8 +7,8 @@
 #include <daemon/admission/access_control.hpp>
 #include <daemon/admission/address_conflicts.hpp>
 #include <daemon/death/client_termination.hpp>
-#include <daemon/death/let_go_watch.hpp>
-#include <daemon/lifecycle/membership.hpp>
+#include <daemon/death/unmap_watch.hpp>
+#include <daemon/lifecycle/endpoint_manager.hpp>
 #include <daemon/state/registry.hpp>
 #include <daemon/transport/connection_table.hpp>
 #include <daemon/transport/doorbells.hpp>
@@ -21,10 +21,10 @@ namespace agnocast::daemon {
 struct RejoinParts {
   Registry& registry;
   Doorbells& doorbells;
-  Membership& membership;
+  EndpointManager& endpoint_manager;
   AccessControl& access;
   AddressConflicts& conflicts;
-  LetGoWatch& let_go_watch;
+  UnmapWatch& unmap_watch;
   ConnectionTable& connections;
   PeerOutput& output;
   ClientTermination& termination;
@@ -39,8 +39,8 @@ class RejoinRequests {
 
  private:
   [[nodiscard]] Result<Peer*> lost_peer(const Peer& peer, const wire::Rejoin& request);
-  /// Makes the bells that were lost anew.
-  void renew_bells(Peer& peer);
+  /// Makes the doorbells that were lost anew.
+  void renew_doorbells(Peer& peer);
 
   RejoinParts of_;
 };

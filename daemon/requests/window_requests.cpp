@@ -39,7 +39,7 @@ Result<void> WindowRequests::open_window(Peer& peer, const wire::WindowRequest& 
     registry_.open_window(client, *window);
     // Before the answer: the announcement is in a subscriber's socket before the first message lies
     // in the window.
-    membership_.announce_window(client);
+    endpoint_manager_.announce_window(client);
     log_.write(LogLevel::debug, "window opened",
                {{"client", number(client)},
                 {"pid", peer.session.identity().pid},
@@ -80,7 +80,7 @@ Result<void> WindowRequests::bring_window(Peer& peer, const wire::BringWindow& r
   if (facts.number == brought::known) {
     facts.same_base = record.window[request.window].base == request.base;
   } else if (facts.number == brought::next) {
-    facts.possible_group =
+    facts.possible_window_set =
         request.first == request.window ||
         (request.window != 0 && request.first == record.window[request.window - 1].first);
     allowed = admission_.admit_brought_window(record, request.bytes);
@@ -106,7 +106,7 @@ Result<void> WindowRequests::bring_window(Peer& peer, const wire::BringWindow& r
       return fail_with(Errc::protocol_violation,
                        facts.number == brought::known   ? "another window has this number"
                        : facts.number == brought::later ? "windows are brought one after the other"
-                                                        : "a window that cannot be of this group");
+                                                        : "a window that cannot be of this window set");
     case journal::BroughtDecision::permission_denied:
       return ours;
     case journal::BroughtDecision::over_limit:
@@ -130,7 +130,7 @@ Result<void> WindowRequests::take_brought(const Peer& peer, const wire::BringWin
   }
   AGNOCAST_CRASH_POINT(B_window_made);
   registry_.open_window(client, {request.base, request.bytes, request.first});
-  membership_.announce_window(client);
+  endpoint_manager_.announce_window(client);
   log_.write(LogLevel::debug, "window brought",
              {{"client", number(client)},
               {"pid", peer.session.identity().pid},

@@ -7,7 +7,7 @@
 #include <base/unique_fd.hpp>
 #include <daemon/admission/address_conflicts.hpp>
 #include <daemon/admission/admission.hpp>
-#include <daemon/lifecycle/membership.hpp>
+#include <daemon/lifecycle/endpoint_manager.hpp>
 #include <daemon/lifecycle/regions.hpp>
 #include <daemon/state/address_plan.hpp>
 #include <daemon/state/registry.hpp>
@@ -22,13 +22,13 @@ namespace agnocast::daemon {
 class WindowRequests {
  public:
   WindowRequests(const Arena& arena, Registry& registry, Regions& regions, AddressPlan& plan,
-                 Membership& membership, AddressConflicts& conflicts, Admission& admission,
+                 EndpointManager& endpoint_manager, AddressConflicts& conflicts, Admission& admission,
                  PeerOutput& output, Log& log) noexcept
       : arena_(arena),
         registry_(registry),
         regions_(regions),
         plan_(plan),
-        membership_(membership),
+        endpoint_manager_(endpoint_manager),
         conflicts_(conflicts),
         admission_(admission),
         output_(output),
@@ -47,7 +47,7 @@ class WindowRequests {
   Registry& registry_;
   Regions& regions_;
   AddressPlan& plan_;
-  Membership& membership_;
+  EndpointManager& endpoint_manager_;
   AddressConflicts& conflicts_;
   Admission& admission_;
   PeerOutput& output_;

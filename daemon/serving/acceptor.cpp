@@ -23,7 +23,7 @@ namespace agnocast::daemon {
 namespace {
 
 // How many connections are accepted in a row: whoever connects again and again, refused or not, is never done.
-constexpr unsigned connections_per_turn = 8;
+constexpr unsigned connections_per_slice = 8;
 
 // To a connection that is not taken: it is closed afterwards, but not without a word.
 void send_refused(const PacketSocket& socket, Errc code, std::string_view text) noexcept {
@@ -50,7 +50,7 @@ Result<void> Acceptor::start() {
 
 void Acceptor::accept_some() {
   if (!std::exchange(knocks_, false)) return;
-  for (unsigned turn = 0; turn < connections_per_turn; ++turn) {
+  for (unsigned round = 0; round < connections_per_slice; ++round) {
     auto socket = of_.listener.socket().accept();
     if (!socket) {
       if (socket.error().os_errno == EMFILE || socket.error().os_errno == ENFILE) {

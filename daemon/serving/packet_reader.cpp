@@ -33,39 +33,39 @@ std::optional<unsigned> PacketReader::serve_slice(PeerId id, const TimeSlice& sl
 
 unsigned PacketReader::read(PeerId id, const TimeSlice& slice) {
   std::array<std::byte, wire::packet_bytes_max> buffer;
-  for (unsigned turn = 0; turn < slice.packets_left; ++turn) {
-    if (turn > 0 && monotonic_ns() >= slice.until_ns) return turn;
+  for (unsigned read_count = 0; read_count < slice.packets_left; ++read_count) {
+    if (read_count > 0 && monotonic_ns() >= slice.until_ns) return read_count;
     Peer* const found = connections_.find(id);
-    if (found == nullptr || found->session.closed()) return turn;
+    if (found == nullptr || found->session.closed()) return read_count;
     Peer& peer = *found;
     if (peer.revoked) {
       termination_.say_farewell(peer);
-      return turn;
+      return read_count;
     }
-    if (peer.parked != 0) return turn;
+    if (peer.parked != 0) return read_count;
     const bool observes = peer.session.role() == Role::observer;
-    if (observes && turn > 0) return turn;  // a dump is work
+    if (observes && read_count > 0) return read_count;  // a dump is work
     // A blocked writer is woken here as well: the handler does not tell the events apart.
-    if (peer.wants_writable && turn == 0) {
+    if (peer.wants_writable && read_count == 0) {
       output_.flush(peer);
-      if (connections_.find(id) == nullptr || peer.session.closed()) return turn;
+      if (connections_.find(id) == nullptr || peer.session.closed()) return read_count;
     }
-    if (peer.session.may_carry() && !may_receive(peer, buffer)) return turn;
+    if (peer.session.may_carry() && !may_receive(peer, buffer)) return read_count;
     auto packet = peer.session.socket().receive(buffer);
     if (!packet) {
       termination_.disconnect(peer, packet.error().what);
-      return turn;
+      return read_count;
     }
-    if (packet->kind == Packet::Kind::nothing) return turn;
+    if (packet->kind == Packet::Kind::nothing) return read_count;
     if (packet->kind == Packet::Kind::end) {
       termination_.disconnect(peer, "closed by the process");
-      return turn;
+      return read_count;
     }
     if (packet->credentials && !peer.session.identity().confirmed)
       confirm(peer.session.identity(), *packet->credentials);
     if (observes && (peer.session.has_output() || peer.asked)) {
       termination_.disconnect(peer, "an observer asks before it has read");
-      return turn;
+      return read_count;
     }
     AGNOCAST_CRASH_POINT(B_request);
     const Envelope envelope{packet->descriptor_count, packet->truncated, packet->descriptors_lost};

@@ -25,7 +25,7 @@ namespace agnocast::daemon {
 // One for the message being published and one for the one being borrowed.
 inline constexpr std::uint64_t slots_in_hand = 2;
 // What a publisher needs beside a history of some depth: a keep-all one has one message more.
-inline constexpr std::uint64_t slots_beside_history = 1 + abi::lazy_pass_count_max + slots_in_hand;
+inline constexpr std::uint64_t slots_beside_history = 1 + abi::deferred_scan_count_max + slots_in_hand;
 
 class HoldPool {
  public:

@@ -39,7 +39,7 @@ tl::unexpected<Failure> full(const char* key, std::uint64_t limit) {
                                             std::to_string(limit) + ", as many are there");
 }
 
-bool counts_as_member(EndpointState state) noexcept {
+bool counts_as_endpoint(EndpointState state) noexcept {
   return state == EndpointState::active || state == EndpointState::leaving;
 }
 
@@ -77,7 +77,7 @@ void Registry::rebuild() {
         const EndpointRef ref{kind, at, i};
         track(ref);
         for (std::uint32_t c = 0; c < client_high(); ++c) {
-          if (told_of(ref).contains(c)) ++views_[c].knows[t];
+          if (notified_of(ref).contains(c)) ++views_[c].knows[t];
         }
       });
     }
@@ -169,7 +169,7 @@ void Registry::take_from(AnnounceSet& set, TopicIndex topic, std::uint64_t clien
   if (const auto known = knows.find(number(topic)); known != knows.end() && --known->second == 0)
     knows.erase(known);
   AGNOCAST_CRASH_POINT(B_told);
-  set.let_go(client, set.generation());
+  set.acknowledge(client, set.generation());
 }
 
 std::optional<std::uint32_t> Registry::next_place(Kind kind, TopicIndex topic,
@@ -317,7 +317,7 @@ void Registry::client_forgotten(ClientIndex index) {
 
 bool Registry::can_free(ClientIndex index) const {
   return client(index).state == ClientState::forgotten && !is_revoked(index) &&
-         endpoints_of(index).empty() && client(index).told.reusable();
+         endpoints_of(index).empty() && client(index).notified.reusable();
 }
 
 void Registry::free_client(ClientIndex index) {
@@ -356,7 +356,7 @@ void Registry::free_topic(TopicIndex index) {
 
 // --- endpoints
 
-// N >= max(K, deepest window) + every hold quota + what lazy passes leave + what is in hand: then
+// N >= max(K, deepest window) + every hold quota + what deferred scans leave + what is in hand: then
 // no reader can make the publisher run out (docs/protocol.md, slots). Whole words of hold bits.
 std::uint64_t Registry::slots_needed(TopicIndex topic, const PublisherRecord& publisher,
                                      const SubscriptionRecord* joining) const {
@@ -370,11 +370,11 @@ std::uint64_t Registry::slots_needed(TopicIndex topic, const PublisherRecord& pu
     quotas += hold_quota(record, publisher);
   };
   for_each_subscription(topic, [&](std::uint32_t, const SubscriptionRecord& record) {
-    if (counts_as_member(record.state)) count(record);
+    if (counts_as_endpoint(record.state)) count(record);
   });
   if (joining != nullptr) count(*joining);
   const std::uint64_t slots =
-      round_up(window + quotas + abi::lazy_pass_count_max + slots_in_hand, 64);
+      round_up(window + quotas + abi::deferred_scan_count_max + slots_in_hand, 64);
   return std::min<std::uint64_t>(std::max(slots, slots_at_least), capacity_.slots_per_publisher);
 }
 
@@ -383,7 +383,7 @@ namespace {
 // not look for: such a place is not given out.
 template <class Record>
 bool is_vacant(const Record& record) noexcept {
-  return record.state == EndpointState::free && record.told.reusable();
+  return record.state == EndpointState::free && record.notified.reusable();
 }
 }  // namespace
 
@@ -417,7 +417,7 @@ void Registry::add_publisher(ClientIndex client, TopicIndex topic, const abi::Qo
   PublisherRecord& record = tables_.publisher[number(topic)][plan.index];
   AGNOCAST_CHECK(is_alive(client));
   AGNOCAST_CHECK(record.state == EndpointState::free);
-  AGNOCAST_CHECK(record.told.reusable());
+  AGNOCAST_CHECK(record.notified.reusable());
   put(record.node, node);
   change(Type::add_publisher, {number(topic), plan.index, plan.generation, number(client),
                                abi::pack_qos(qos), plan.extent, plan.slot_count, creation});
@@ -467,7 +467,7 @@ void Registry::add_subscription(ClientIndex client, TopicIndex topic, const abi:
   SubscriptionRecord& record = tables_.subscription[number(topic)][plan.index];
   AGNOCAST_CHECK(is_alive(client));
   AGNOCAST_CHECK(record.state == EndpointState::free);
-  AGNOCAST_CHECK(record.told.reusable());
+  AGNOCAST_CHECK(record.notified.reusable());
   put(record.node, node);
   change(Type::add_subscription,
          {number(topic), plan.index, plan.generation, number(client), abi::pack_qos(qos),
@@ -478,7 +478,7 @@ HoldPool::Use Registry::pool_use(std::uint32_t uid, TopicIndex topic) const {
   HoldPool::Use use;
   for_each_subscription(topic, [&](std::uint32_t, const SubscriptionRecord& record) {
     // Of one that is over nothing is held: it is not looked at any more.
-    if (!counts_as_member(record.state)) return;
+    if (!counts_as_endpoint(record.state)) return;
     (uid_of(record.client) == uid ? use.user : use.others) +=
         std::max<std::uint64_t>(record.quota_of_others, 1) - 1;
   });
@@ -516,7 +516,7 @@ std::uint64_t Registry::final_head_of(TopicIndex topic, std::uint32_t index) con
 void Registry::end_publisher(TopicIndex topic, std::uint32_t index, EndpointState state) {
   AGNOCAST_CHECK(publisher(topic, index).state == EndpointState::orphan ||
                  publisher(topic, index).state == EndpointState::over);
-  AGNOCAST_CHECK(publisher(topic, index).told.reusable());
+  AGNOCAST_CHECK(publisher(topic, index).notified.reusable());
   const PublisherRecord& record = publisher(topic, index);
   change(Type::free_publisher, {number(topic), index, static_cast<std::uint64_t>(state),
                                 record.generation, number(record.client)});
@@ -530,7 +530,7 @@ void Registry::change_subscription(TopicIndex topic, std::uint32_t index, Endpoi
 }
 
 void Registry::free_subscription(TopicIndex topic, std::uint32_t index) {
-  AGNOCAST_CHECK(subscription(topic, index).told.reusable());
+  AGNOCAST_CHECK(subscription(topic, index).notified.reusable());
   const SubscriptionRecord& record = subscription(topic, index);
   change(Type::free_subscription, {number(topic), index, record.generation, number(record.client)});
 }
@@ -545,13 +545,13 @@ bool Registry::uses_far_slots(TopicIndex topic) const {
 
 // --- rule RU
 
-AnnounceSet& Registry::told(const EndpointRef& ref) noexcept {
-  return ref.kind == Kind::publisher ? tables_.publisher[number(ref.topic)][ref.index].told
-                                     : tables_.subscription[number(ref.topic)][ref.index].told;
+AnnounceSet& Registry::notified(const EndpointRef& ref) noexcept {
+  return ref.kind == Kind::publisher ? tables_.publisher[number(ref.topic)][ref.index].notified
+                                     : tables_.subscription[number(ref.topic)][ref.index].notified;
 }
-const AnnounceSet& Registry::told_of(const EndpointRef& ref) const noexcept {
-  return ref.kind == Kind::publisher ? publisher(ref.topic, ref.index).told
-                                     : subscription(ref.topic, ref.index).told;
+const AnnounceSet& Registry::notified_of(const EndpointRef& ref) const noexcept {
+  return ref.kind == Kind::publisher ? publisher(ref.topic, ref.index).notified
+                                     : subscription(ref.topic, ref.index).notified;
 }
 ClientIndex Registry::owner_of(const EndpointRef& ref) const noexcept {
   return ref.kind == Kind::publisher ? publisher(ref.topic, ref.index).client
@@ -564,23 +564,23 @@ std::uint64_t Registry::generation_of(const EndpointRef& ref) const noexcept {
 
 void Registry::tell(const EndpointRef& ref, ClientIndex to) {
   // A repeated announcement changes nothing; the log is for what changes.
-  if (told_of(ref).contains(number(to)) &&
-      (owner_of(ref) == to || client(owner_of(ref)).told.contains(number(to))))
+  if (notified_of(ref).contains(number(to)) &&
+      (owner_of(ref) == to || client(owner_of(ref)).notified.contains(number(to))))
     return;
   change(Type::announced,
          {number(ref.topic), ref.index, number(to), static_cast<std::uint64_t>(ref.kind),
           generation_of(ref), number(owner_of(ref)), client(to).generation});
 }
 
-void Registry::let_go(const EndpointRef& ref, ClientIndex by) {
-  if (!told_of(ref).contains(number(by))) return;
+void Registry::acknowledge_unmap(const EndpointRef& ref, ClientIndex by) {
+  if (!notified_of(ref).contains(number(by))) return;
   change(Type::unlinked,
          {number(ref.topic), ref.index, number(by), static_cast<std::uint64_t>(ref.kind),
           generation_of(ref), number(owner_of(ref)), client(by).generation});
 }
 
-void Registry::let_go_of_region(ClientIndex owner, ClientIndex by) {
-  if (!client(owner).told.contains(number(by))) return;
+void Registry::acknowledge_region_unmap(ClientIndex owner, ClientIndex by) {
+  if (!client(owner).notified.contains(number(by))) return;
   change(Type::unlinked, {number(owner), 0, number(by), static_cast<std::uint64_t>(Kind::region),
                           client(owner).generation, number(owner), client(by).generation});
 }

@@ -59,12 +59,12 @@ struct ClientPlan {
 };
 
 /// What holds for a whole incarnation.
-struct Founding {
+struct Format {
   std::uint64_t arena_base = 0;
   std::uint64_t arena_bytes = 0;
   std::uint64_t window_bytes = 0;
   std::uint64_t now_ns = 0;
-  std::string_view bells;  // at most bells_bytes_max - 1
+  std::string_view doorbells;  // at most doorbells_bytes_max - 1
 };
 
 struct NewTopic {
@@ -160,7 +160,7 @@ class Registry {
   const Capacity& capacity() const noexcept { return capacity_; }
 
   /// Fresh memory, all zero. Says on the board what it is.
-  void create(std::uint64_t incarnation, const Founding& founding = {});
+  void create(std::uint64_t incarnation, const Format& format = {});
   /// Memory that an earlier life left: completes the change under way and derives the rest. Errors:
   /// layout_mismatch (nothing was touched), store_damaged (the detail says how).
   [[nodiscard]] Result<void> open();
@@ -210,10 +210,10 @@ class Registry {
   void open_executor(ClientIndex index, std::uint32_t executor);
   /// Who may read what the process publishes (access.hpp, readers_of): for its whole life.
   void set_readers(ClientIndex index, std::uint64_t readers);
-  /// It is no member any more. Its endpoints stay what they are until they are changed one by one.
+  /// It is without a session. Its endpoints stay what they are until they are changed one by one.
   /// Said again of one that was revoked when its process is gone.
   void client_died(ClientIndex index, journal::DeathReason reason);
-  /// No member any more, and its process has not ended.
+  /// Without a session, and its process has not ended.
   bool is_revoked(ClientIndex index) const noexcept {
     return client(index).state >= ClientState::dead &&
            client(index).reason == journal::DeathReason::revoked;
@@ -309,13 +309,13 @@ class Registry {
   }
 
   // --- rule RU
-  const AnnounceSet& told_of(const EndpointRef& ref) const noexcept;
+  const AnnounceSet& notified_of(const EndpointRef& ref) const noexcept;
   ClientIndex owner_of(const EndpointRef& ref) const noexcept;
   std::uint64_t generation_of(const EndpointRef& ref) const noexcept;
   /// `to` is about to be told of the endpoint, and with it of the region of its process.
   void tell(const EndpointRef& ref, ClientIndex to);
-  void let_go(const EndpointRef& ref, ClientIndex by);
-  void let_go_of_region(ClientIndex owner, ClientIndex by);
+  void acknowledge_unmap(const EndpointRef& ref, ClientIndex by);
+  void acknowledge_region_unmap(ClientIndex owner, ClientIndex by);
 
   /// Visits all endpoints of a topic that are not free: function(index, record).
   template <class Function>
@@ -408,7 +408,7 @@ class Registry {
   journal::BoardSteps<M> board(TopicIndex topic) const noexcept {
     return journal::BoardSteps<M>(words(topic));
   }
-  AnnounceSet& told(const EndpointRef& ref) noexcept;
+  AnnounceSet& notified(const EndpointRef& ref) noexcept;
 
   Capacity capacity_;
   journal::RedoLog log_;
@@ -421,7 +421,7 @@ class Registry {
 };
 
 /// What the board says of an endpoint in this state.
-abi::MemberState on_board(EndpointState state) noexcept;
+abi::BoardState on_board(EndpointState state) noexcept;
 
 /// Key of a topic: no two (domain, name) share one.
 std::string topic_key(std::uint64_t domain, std::string_view name);

@@ -127,24 +127,24 @@ void Registry::apply_to_announce_sets(const Record& record) {
   if (record.type == Type::topic_forgotten) {
     for (const Kind each : {Kind::publisher, Kind::subscription}) {
       for_each_place(each, topic, [&](std::uint32_t index) {
-        take_from(told({each, topic, index}), topic, who);
+        take_from(notified({each, topic, index}), topic, who);
       });
     }
   } else if (record.type == Type::unlinked) {
     if (kind == Kind::region) {
-      AnnounceSet& set = tables_.client[record.argument[0]].told;
+      AnnounceSet& set = tables_.client[record.argument[0]].notified;
       AGNOCAST_CRASH_POINT(B_told);
-      set.let_go(who, set.generation());
+      set.acknowledge(who, set.generation());
     } else {
-      take_from(told({kind, topic, index_of(record)}), topic, who);
+      take_from(notified({kind, topic, index_of(record)}), topic, who);
     }
   } else {
     const EndpointRef ref{kind, topic, index_of(record)};
-    add_to(told(ref), topic, who);
+    add_to(notified(ref), topic, who);
     const ClientIndex owner = owner_of(ref);
     if (number(owner) == who) return;
     AGNOCAST_CRASH_POINT(B_told);
-    tables_.client[number(owner)].told.tell(who);
+    tables_.client[number(owner)].notified.tell(who);
   }
 }
 
@@ -162,7 +162,7 @@ void Registry::apply_to_client(const Record& record) {
       store(client.readers, 0);
       store(client.window_count, 0);
       AGNOCAST_CRASH_POINT(B_told);
-      client.told.begin(client.generation);
+      client.notified.begin(client.generation);
       store(client.state, ClientState::alive);
       store(tables_.header.counters.clients_registered, record.argument[6]);
       store(
@@ -194,7 +194,7 @@ void Registry::apply_to_client(const Record& record) {
       for (std::uint32_t i = 0; i < tables_.header.client_high; ++i) {
         if (tables_.client[i].state == ClientState::free) continue;
         AGNOCAST_CRASH_POINT(B_told);
-        tables_.client[i].told.died(gone);
+        tables_.client[i].notified.died(gone);
       }
       store(client.state, ClientState::forgotten);
       break;
@@ -223,7 +223,7 @@ void Registry::apply_to_publisher(const Record& record) {
       store(publisher.creation, argument[7]);
       store(publisher.last_joined, 0);
       AGNOCAST_CRASH_POINT(B_told);
-      publisher.told.begin(publisher.generation);
+      publisher.notified.begin(publisher.generation);
       store(publisher.state, EndpointState::active);
       use_place({Kind::publisher, at, index});
       store(topic.publisher_high, std::max(topic.publisher_high, index + 1));
@@ -279,7 +279,7 @@ void Registry::apply_to_subscription(const Record& record) {
       store(subscription.creation, argument[8]);
       store(subscription.quota_of_others, argument[9]);
       AGNOCAST_CRASH_POINT(B_told);
-      subscription.told.begin(subscription.generation);
+      subscription.notified.begin(subscription.generation);
       store(subscription.state, EndpointState::active);
       use_place({Kind::subscription, at, index});
       store(topic.subscription_high, std::max(topic.subscription_high, index + 1));
@@ -297,7 +297,7 @@ void Registry::apply_to_subscription(const Record& record) {
     }
     default:  // free_subscription
       store(subscription.state, EndpointState::free);
-      board(at).set_subscription(index, subscription.generation, abi::MemberState::free);
+      board(at).set_subscription(index, subscription.generation, abi::BoardState::free);
       untrack({Kind::subscription, at, index});
       vacate_place({Kind::subscription, at, index});
       break;

@@ -14,8 +14,8 @@ namespace agnocast::daemon {
 inline std::uint64_t& death_counter(abi::wire::DaemonCounters& counters,
                                     journal::DeathReason reason) noexcept {
   switch (reason) {
-    case journal::DeathReason::let_go:
-      return counters.clients_let_go;
+    case journal::DeathReason::unmapped:
+      return counters.clients_unmapped;
     case journal::DeathReason::revoked:
       return counters.clients_revoked;
     case journal::DeathReason::died:

@@ -28,20 +28,20 @@ constexpr std::uint64_t magic_value = 0x6c6261742e6f6761;  // "ago.tabl" in memo
 constexpr std::uint64_t layout_of_tables() noexcept {
   abi::Fingerprint sum;
   sum.add(sizeof(TableHeader), offsetof(TableHeader, arena_base), offsetof(TableHeader, counters),
-          offsetof(TableHeader, bells));
+          offsetof(TableHeader, doorbells));
   sum.add(sizeof(ClientRecord), offsetof(ClientRecord, reason), offsetof(ClientRecord, executors),
           offsetof(ClientRecord, readers), offsetof(ClientRecord, window_count), offsetof(ClientRecord, window),
-          offsetof(ClientRecord, told), offsetof(ClientRecord, name));
+          offsetof(ClientRecord, notified), offsetof(ClientRecord, name));
   sum.add(sizeof(TopicRecord), offsetof(TopicRecord, publishers),
           offsetof(TopicRecord, subscriptions), offsetof(TopicRecord, domain), offsetof(TopicRecord, layout_hash),
           offsetof(TopicRecord, name), offsetof(TopicRecord, type));
   sum.add(sizeof(PublisherRecord), offsetof(PublisherRecord, slot_count),
           offsetof(PublisherRecord, final_head), offsetof(PublisherRecord, creation),
-          offsetof(PublisherRecord, last_joined), offsetof(PublisherRecord, told),
+          offsetof(PublisherRecord, last_joined), offsetof(PublisherRecord, notified),
           offsetof(PublisherRecord, node));
   sum.add(sizeof(SubscriptionRecord), offsetof(SubscriptionRecord, quota),
           offsetof(SubscriptionRecord, executor), offsetof(SubscriptionRecord, creation),
-          offsetof(SubscriptionRecord, told), offsetof(SubscriptionRecord, node));
+          offsetof(SubscriptionRecord, notified), offsetof(SubscriptionRecord, node));
   sum.add(ClientState::dead, ClientState::forgotten, EndpointState::leaving, EndpointState::orphan,
           EndpointState::over, EndpointState::dead);
   // One record may still have to be redone.
@@ -86,38 +86,38 @@ std::uint64_t agree(Word&& word, std::uint64_t value) noexcept {
 template <class Word>
 std::uint64_t repair_free(Word&& word) noexcept {
   const std::uint64_t generation = abi::generation_of(word.load(std::memory_order_relaxed));
-  return agree(word, abi::pack_member(generation, abi::MemberState::free));
+  return agree(word, abi::pack_board_word(generation, abi::BoardState::free));
 }
 
 }  // namespace
 
-abi::MemberState on_board(EndpointState state) noexcept {
+abi::BoardState on_board(EndpointState state) noexcept {
   switch (state) {
     case EndpointState::active:
-      return abi::MemberState::active;
+      return abi::BoardState::active;
     case EndpointState::leaving:
-      return abi::MemberState::leaving;
+      return abi::BoardState::leaving;
     case EndpointState::orphan:
-      return abi::MemberState::orphan;
+      return abi::BoardState::orphan;
     case EndpointState::dead:
-      return abi::MemberState::dead;
+      return abi::BoardState::dead;
     case EndpointState::free:
     case EndpointState::over:
       break;
   }
-  return abi::MemberState::free;
+  return abi::BoardState::free;
 }
 
-void Registry::create(std::uint64_t incarnation, const Founding& founding) {
+void Registry::create(std::uint64_t incarnation, const Format& format) {
   TableHeader& header = tables_.header;
-  AGNOCAST_CHECK(founding.bells.size() < sizeof header.bells);
+  AGNOCAST_CHECK(format.doorbells.size() < sizeof header.doorbells);
   header.magic = magic_value;
   header.layout = layout_of_tables();
-  header.arena_base = founding.arena_base;
-  header.arena_bytes = founding.arena_bytes;
-  header.window_bytes = founding.window_bytes;
-  header.began_ns = founding.now_ns;
-  founding.bells.copy(header.bells, founding.bells.size());
+  header.arena_base = format.arena_base;
+  header.arena_bytes = format.arena_bytes;
+  header.window_bytes = format.window_bytes;
+  header.began_ns = format.now_ns;
+  format.doorbells.copy(header.doorbells, format.doorbells.size());
   auto* const board = reinterpret_cast<abi::BoardHeader*>(board_);
   board->fingerprint.store(abi::fingerprint(), std::memory_order_relaxed);
   board->incarnation.store(incarnation, std::memory_order_relaxed);
@@ -150,7 +150,7 @@ Result<void> Registry::check() const {
       board->incarnation.load(std::memory_order_relaxed) != log_.incarnation())
     return damaged("board and journal are not of one incarnation");
   if (header.client_high > abi::client_count_max || header.topic_high > abi::topic_count_max ||
-      !ends(header.bells))
+      !ends(header.doorbells))
     return damaged("the header of the tables is out of range");
   return {};
 }
@@ -224,7 +224,7 @@ const char* Registry::flaw_of_topic(std::uint32_t index) const noexcept {
   if (topic.state != TopicState::used) return "the state of a topic";
   if (topic.publisher_high > abi::publisher_count_max ||
       topic.subscription_high > abi::subscription_count_max)
-    return "the members of a topic";
+    return "the endpoints of a topic";
   if (!ends(topic.name) || !ends(topic.type)) return "the name of a topic";
   const auto are_places = [&](Kind kind, std::uint32_t high) {
     return !next_place(kind, TopicIndex{index}, high);
@@ -283,7 +283,7 @@ std::uint64_t Registry::repair_publisher(TopicIndex topic, std::uint32_t index) 
   repaired += agree(at(offsetof(Entry, first_sequence)), abi::first_sequence_of(record.generation));
   repaired += agree(at(offsetof(Entry, final_head)), record.final_head);
   return repaired + agree(at(offsetof(Entry, word)),
-                          abi::pack_member(record.generation, on_board(record.state)));
+                          abi::pack_board_word(record.generation, on_board(record.state)));
 }
 
 std::uint64_t Registry::repair_subscription(TopicIndex topic, std::uint32_t index) {
@@ -300,7 +300,7 @@ std::uint64_t Registry::repair_subscription(TopicIndex topic, std::uint32_t inde
   repaired += agree(at(offsetof(Entry, quota)), record.quota);
   repaired += agree(at(offsetof(Entry, executor)), record.executor);
   return repaired + agree(at(offsetof(Entry, word)),
-                          abi::pack_member(record.generation, on_board(record.state)));
+                          abi::pack_board_word(record.generation, on_board(record.state)));
 }
 
 std::uint64_t Registry::repair_board() {

@@ -15,7 +15,7 @@
   X(B_ended, "a connection has ended")                            \
   X(B_reap, "a process has died")                                 \
   X(B_reaped, "a process's death is dealt with")                  \
-  X(B_revoke, "end the membership of a process that lives")       \
+  X(B_revoke, "end the session of a process that lives")       \
   X(B_recover, "repair a dead publisher's queue")                 \
   X(B_region_made, "a client region exists, without memory")      \
   X(B_region_sign, "a client region says whose it is")            \
@@ -29,7 +29,7 @@
   X(B_bell_remove, "remove a doorbell's name")                    \
   X(B_bells_closed, "a dead process's doorbells are gone")        \
   X(B_ring, "ring a subscription of a publisher that is gone")    \
-  X(B_buried, "the daemon has let go of a dead process's memory") \
+  X(B_buried, "the daemon has closed a dead process's memory") \
   X(B_settle, "free what nobody has any more")                    \
   X(B_place_free, "give back a process's region and addresses")   \
   X(B_keep, "have a descriptor kept")                             \

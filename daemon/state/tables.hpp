@@ -39,7 +39,7 @@ using AnnounceSet = journal::AnnounceSet<SharedMemory>;
 enum class ClientState : std::uint32_t {
   free = 0,
   alive = 1,
-  dead = 2,       // no member any more; what it had and knew is being undone
+  dead = 2,       // without a session; what it had and knew is being undone
   forgotten = 3,  // that is done; others may still have its region
 };
 enum class TopicState : std::uint32_t { free = 0, used = 1 };
@@ -49,7 +49,7 @@ using journal::EndpointState;
 struct WindowRecord {
   std::uint64_t base;
   std::uint64_t bytes;
-  std::uint64_t first;  // number of the first window of its group
+  std::uint64_t first;  // number of the first window of its window set
 };
 
 struct ClientRecord {
@@ -67,7 +67,7 @@ struct ClientRecord {
   std::uint64_t readers;    // who may read its heap, as readers_of() says it; 0: it never published
   std::uint64_t window_count;
   WindowRecord window[abi::window_count_max];
-  AnnounceSet told;  // who has its region and windows
+  AnnounceSet notified;  // who has its region and windows
   char name[abi::wire::name_bytes];
 };
 static_assert(abi::executor_count_max < 64, "the executors of a client are one word of bits");
@@ -79,7 +79,7 @@ using PlaceBits = std::uint64_t[(capacity + 63) / 64];
 struct TopicRecord {
   std::uint64_t generation;
   TopicState state;
-  // One more than the highest index ever used, as the board has it: publishers remember members up to
+  // One more than the highest index ever used, as the board has it: publishers remember endpoints up to
   // there. Nobody else walks so far.
   std::uint32_t publisher_high;
   std::uint32_t subscription_high;
@@ -102,7 +102,7 @@ struct PublisherRecord {
   std::uint64_t final_head;   // of an orphan
   std::uint64_t creation;     // id of the request that created it
   std::uint64_t last_joined;  // orphan: subscriptions of a later generation came after its end
-  AnnounceSet told;
+  AnnounceSet notified;
   char node[abi::wire::name_bytes];
 };
 
@@ -116,7 +116,7 @@ struct SubscriptionRecord {
   std::uint64_t executor;
   std::uint64_t creation;  // id of the request that created it
   std::uint64_t quota_of_others;  // messages of a publisher of another user
-  AnnounceSet told;
+  AnnounceSet notified;
   char node[abi::wire::name_bytes];
 };
 static_assert(std::is_trivially_copyable_v<ClientRecord> &&
@@ -126,8 +126,8 @@ static_assert(std::is_trivially_copyable_v<ClientRecord> &&
 static_assert(std::is_standard_layout_v<ClientRecord> &&
               std::is_standard_layout_v<PublisherRecord>);
 
-/// A path that fits into a socket's address together with the name of a bell.
-inline constexpr std::size_t bells_bytes_max = 108;
+/// A path that fits into a socket's address together with the name of a doorbell.
+inline constexpr std::size_t doorbells_bytes_max = 108;
 
 struct TableHeader {
   std::uint64_t magic;
@@ -141,7 +141,7 @@ struct TableHeader {
   std::uint64_t window_bytes;
   std::uint64_t began_ns;  // CLOCK_MONOTONIC
   abi::wire::DaemonCounters counters;
-  char bells[bells_bytes_max];  // directory of the doorbells
+  char doorbells[doorbells_bytes_max];  // directory of the doorbells
 };
 
 struct Tables {

@@ -39,8 +39,8 @@ struct Peer {
   Dispatcher::Token connection = 0;
   Dispatcher::Token process = 0;
   bool wants_writable = false;
-  bool waits = false;     // for its turn
-  bool ended = false;     // the process; its turn is the last
+  bool waits = false;     // for its time slice
+  bool ended = false;     // the process; its time slice is the last
   bool detached = false;  // without a connection, or revoked, but alive and mapping its region
   bool revoked = false;   // its client is dead in the tables; nothing it says counts
   bool counts_as_observer = false;
@@ -49,7 +49,7 @@ struct Peer {
   std::uint64_t refuses_since_ms = 0;            // since when the kernel refuses descriptors again
   std::uint64_t asked_ms = 0;                    // of an observer: when its last answer was made
   std::optional<wire::Dump> awaits_change = {};  // of an observer: to be answered then
-  std::optional<LongRequest> asked = {};         // of an observer: when its user's turn comes
+  std::optional<LongRequest> asked = {};         // of an observer: when its user's time slice comes
   std::uint64_t looked_ns = 0;                   // when tick() last asked whether it has let go
   bool looking = false;                          // somebody looks right now
   // Of a hello: whether the process was looked at, and what it has of a region that was revoked.
@@ -85,7 +85,7 @@ class ConnectionTable {
   void remove(PeerId id);
   /// Closes the connection; the peer stays.
   void close(Peer& peer);
-  /// Its connection is lost, or its membership is over. Again: nothing happens.
+  /// Its connection is lost, or its session is over. Again: nothing happens.
   void detach(Peer& peer);
   void become_observer(Peer& peer);
   void count_as_observer(Peer& peer);
@@ -93,7 +93,7 @@ class ConnectionTable {
 
   /// Null: it is gone.
   Peer* find(PeerId id) const;
-  /// Null: nobody is a member in this place.
+  /// Null: no client has this place.
   Peer* of_client(ClientIndex client) const noexcept { return by_client_[number(client)]; }
   void set_client(ClientIndex client, Peer* peer) noexcept { by_client_[number(client)] = peer; }
   const Peers& all() const noexcept { return peers_; }

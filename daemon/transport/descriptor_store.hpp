@@ -3,7 +3,7 @@
 // Descriptor store: what of this process outlives it.
 //
 // A manager (systemd, or our own supervisor: see supervisor.hpp) keeps descriptors by name and hands
-// them to the next life. What is put is in the manager's queue when put() returns: a death right
+// them to the next run. What is put is in the manager's queue when put() returns: a death right
 // after it loses nothing. The names:
 //
 //   board, journal, lock, listen     once, in this order: with the lock there is a life to go on with
@@ -69,7 +69,7 @@ class DescriptorStore {
     return kept_count_max_ != SIZE_MAX ? kept_count_max_ : kept_count_max;
   }
 
-  // --- from the former life
+  // --- from the previous run
   bool has(const std::string& name) const { return former_.count(name) != 0; }
   /// A descriptor that was kept; it stays in the store. Empty when there is none.
   UniqueFd take(const std::string& name);
@@ -81,7 +81,7 @@ class DescriptorStore {
   /// What the manager listens at for us; rightly one or none.
   std::vector<UniqueFd> take_passed_sockets() { return std::move(passed_); }
 
-  // --- for the next life
+  // --- for the next run
   bool is_kept(const std::string& name) const { return kept_.count(name) != 0; }
   std::size_t kept_count() const noexcept { return kept_.size(); }
   /// Errors: limit_reached (the manager keeps no more), os_failure.

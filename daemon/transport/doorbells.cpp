@@ -47,7 +47,7 @@ Result<SharedFd> Doorbells::duplicate_receiver(int fd, std::uint32_t uid) const 
 Result<std::vector<SharedFd>> Doorbells::open(ClientIndex client, std::uint64_t executor,
                                               std::uint32_t uid) {
   const Key key{number(client), executor};
-  if (const auto found = bells_.find(key); found != bells_.end()) {
+  if (const auto found = doorbells_.find(key); found != doorbells_.end()) {
     if (SharedFd datagram = found->second.given.lock())
       return std::vector<SharedFd>{found->second.eventfd, std::move(datagram)};
     close(client, executor);
@@ -55,7 +55,7 @@ Result<std::vector<SharedFd>> Doorbells::open(ClientIndex client, std::uint64_t 
   auto fds = make(client, executor, uid, nullptr);
   if (!fds) return fds;
   if (auto kept = store_.put(DescriptorStore::eventfd(client, executor), (*fds)[0]->get()); !kept) {
-    bells_.erase(key);
+    doorbells_.erase(key);
     return tl::unexpected(kept.error());
   }
   return fds;
@@ -79,17 +79,17 @@ Result<std::vector<SharedFd>> Doorbells::make(ClientIndex client, std::uint64_t 
   }
   auto datagram = duplicate_receiver(receiver->datagram_fd(), uid);
   if (!datagram) return tl::unexpected(datagram.error());
-  bells_[key] = Bell{eventfd, *datagram, Doorbell(std::move(*sender)), std::move(way)};
+  doorbells_[key] = Entry{eventfd, *datagram, Doorbell(std::move(*sender)), std::move(way)};
   return std::vector<SharedFd>{std::move(eventfd), std::move(*datagram)};
 }
 
 Result<std::vector<SharedFd>> Doorbells::renew(ClientIndex client, std::uint64_t executor,
                                                std::uint32_t uid) {
   const Key key{number(client), executor};
-  const auto found = bells_.find(key);
+  const auto found = doorbells_.find(key);
   SharedFd eventfd;
   unsigned left = renewals_max;
-  if (found != bells_.end()) {
+  if (found != doorbells_.end()) {
     left = found->second.renewals_left;
     if (left == 0) return std::vector<SharedFd>{};
     const auto sender = connect_to(found->second.way, name_of(key));
@@ -99,10 +99,10 @@ Result<std::vector<SharedFd>> Doorbells::renew(ClientIndex client, std::uint64_t
   const bool is_new = eventfd == nullptr;
   auto fds = make(client, executor, uid, std::move(eventfd));
   if (!fds) return fds;
-  bells_[key].renewals_left = left - 1;
+  doorbells_[key].renewals_left = left - 1;
   if (!is_new) return fds;
   if (auto kept = store_.put(DescriptorStore::eventfd(client, executor), (*fds)[0]->get()); !kept) {
-    bells_.erase(key);
+    doorbells_.erase(key);
     return tl::unexpected(kept.error());
   }
   return fds;
@@ -115,7 +115,7 @@ void Doorbells::restore(ClientIndex client, std::uint64_t executor) {
   UniqueFd way = way_to(name_of(key));
   auto sender = connect_to(way, name_of(key));
   const bool is_silent = !sender;
-  bells_[key] = Bell{share(std::move(eventfd)),
+  doorbells_[key] = Entry{share(std::move(eventfd)),
                      {},
                      sender ? Doorbell(std::move(*sender)) : Doorbell(),
                      std::move(way),
@@ -126,25 +126,25 @@ void Doorbells::restore(ClientIndex client, std::uint64_t executor) {
 
 std::vector<Doorbells::Executor> Doorbells::look() {
   std::vector<Executor> silent;
-  auto at = bells_.upper_bound(looked_at_);
-  for (std::size_t looks = std::min(looks_max, bells_.size()); looks > 0; --looks, ++at) {
-    if (at == bells_.end()) at = bells_.begin();
+  auto at = doorbells_.upper_bound(looked_at_);
+  for (std::size_t looks = std::min(looks_max, doorbells_.size()); looks > 0; --looks, ++at) {
+    if (at == doorbells_.end()) at = doorbells_.begin();
     looked_at_ = at->first;
-    Bell& bell = at->second;
-    if (!note(bell, connect_to(bell.way, name_of(at->first)))) continue;
-    if (!bell.is_silent) {
-      bell.silent_looks = 0;
-    } else if (bell.silent_looks < silent_looks_needed &&
-               ++bell.silent_looks == silent_looks_needed) {
+    Entry& doorbell = at->second;
+    if (!note(doorbell, connect_to(doorbell.way, name_of(at->first)))) continue;
+    if (!doorbell.is_silent) {
+      doorbell.silent_looks = 0;
+    } else if (doorbell.silent_looks < silent_looks_needed &&
+               ++doorbell.silent_looks == silent_looks_needed) {
       silent.push_back({ClientIndex{at->first.first}, at->first.second});
     }
   }
   return silent;
 }
 
-bool Doorbells::note(Bell& bell, const Result<UniqueFd>& sender) noexcept {
+bool Doorbells::note(Entry& doorbell, const Result<UniqueFd>& sender) noexcept {
   const bool is_known = sender || !is_shortage(sender.error().os_errno);
-  if (is_known) bell.is_silent = !sender;
+  if (is_known) doorbell.is_silent = !sender;
   return is_known;
 }
 
@@ -157,11 +157,11 @@ Result<UniqueFd> Doorbells::connect_to(const UniqueFd& way, const std::string& n
              : connect_doorbell(directory_, name);
 }
 
-void Doorbells::clear_strangers() noexcept {
+void Doorbells::remove_unknown_names() noexcept {
   const std::unique_ptr<DIR, int (*)(DIR*)> entries(::opendir(directory_.c_str()), &::closedir);
   if (entries == nullptr) return;
   std::set<std::string> known;
-  for (const auto& [key, bell] : bells_) known.insert(name_of(key));
+  for (const auto& [key, doorbell] : doorbells_) known.insert(name_of(key));
   while (const dirent* const entry = ::readdir(entries.get())) {
     if (entry->d_name[0] != '.' && known.count(entry->d_name) == 0)
       ::unlinkat(::dirfd(entries.get()), entry->d_name, 0);
@@ -172,45 +172,45 @@ Result<std::vector<SharedFd>> Doorbells::for_publisher(ClientIndex client, std::
                                                        bool same_user) {
   const Key key{number(client), executor};
   std::vector<SharedFd> fds;
-  const auto found = bells_.find(key);
-  if (found == bells_.end()) return fds;
-  Bell& bell = found->second;
-  auto sender = connect_to(bell.way, name_of(key));
-  note(bell, sender);
+  const auto found = doorbells_.find(key);
+  if (found == doorbells_.end()) return fds;
+  Entry& doorbell = found->second;
+  auto sender = connect_to(doorbell.way, name_of(key));
+  note(doorbell, sender);
   // Its name was removed before this daemon began. The eventfd is what its user's publishers ring.
-  if (!sender && !bell.way && same_user) sender = make_mute_doorbell();
+  if (!sender && !doorbell.way && same_user) sender = make_mute_doorbell();
   if (!sender && is_shortage(sender.error().os_errno)) return tl::unexpected(sender.error());
   if (!sender) return fds;
-  if (same_user) fds.push_back(bell.eventfd);
+  if (same_user) fds.push_back(doorbell.eventfd);
   fds.push_back(share(std::move(*sender)));
   return fds;
 }
 
 void Doorbells::ring(ClientIndex client, std::uint64_t executor) noexcept {
-  const auto found = bells_.find({number(client), executor});
-  if (found != bells_.end()) found->second.own.ring();
+  const auto found = doorbells_.find({number(client), executor});
+  if (found != doorbells_.end()) found->second.own.ring();
 }
 
 void Doorbells::ring_all() noexcept {
-  for (auto& [key, bell] : bells_) bell.own.ring();
+  for (auto& [key, doorbell] : doorbells_) doorbell.own.ring();
 }
 
 void Doorbells::close(ClientIndex client, std::uint64_t executor) noexcept {
   const Key key{number(client), executor};
-  if (bells_.erase(key) == 0) return;
+  if (doorbells_.erase(key) == 0) return;
   ::unlink((directory_ + "/" + name_of(key)).c_str());
   store_.remove(DescriptorStore::eventfd(client, executor));
 }
 
 void Doorbells::close_client(ClientIndex client) noexcept {
-  const auto begin = bells_.lower_bound({number(client), 0});
-  const auto end = bells_.lower_bound({number(client) + 1, 0});
+  const auto begin = doorbells_.lower_bound({number(client), 0});
+  const auto end = doorbells_.lower_bound({number(client) + 1, 0});
   for (auto at = begin; at != end; ++at) {
     AGNOCAST_CRASH_POINT(B_bell_remove);
     ::unlink((directory_ + "/" + name_of(at->first)).c_str());
     store_.remove(DescriptorStore::eventfd(client, at->first.second));
   }
-  bells_.erase(begin, end);
+  doorbells_.erase(begin, end);
 }
 
 }  // namespace agnocast::daemon

@@ -1,6 +1,6 @@
 // SPDX-License-Identifier: Apache-2.0
 //
-// Doorbells: the bells of all executors, as their maker keeps them.
+// Doorbells: the doorbells of all executors, as their maker keeps them.
 //
 // Of every executor the daemon keeps the eventfd (the descriptor store does as well), to pass it on to publishers of the same user, and
 // one datagram sender of its own. It rings by datagram only: an eventfd whose O_NONBLOCK its holder
@@ -40,23 +40,23 @@ class Doorbells {
   Doorbells(const Doorbells&) = delete;
   Doorbells& operator=(const Doorbells&) = delete;
 
-  /// New bells: eventfd and bound socket, for the executor's process, which is of this user. Those that it was
+  /// New doorbells: eventfd and bound socket, for the executor's process, which is of this user. Those that it was
   /// given before it never got, or they are still on their way: then it is given the same. Errors: os_failure.
   [[nodiscard]] Result<std::vector<SharedFd>> open(ClientIndex client, std::uint64_t executor,
                                                    std::uint32_t uid);
-  /// Bells of a former life, out of the store; their names are in the directory still. A bell
+  /// Doorbells of a previous run, out of the store; their names are in the directory still. A doorbell
   /// whose receiver is gone is silent.
   void restore(ClientIndex client, std::uint64_t executor);
-  /// Removes the names that belong to no bell.
-  void clear_strangers() noexcept;
+  /// Removes the names that belong to no doorbell.
+  void remove_unknown_names() noexcept;
   bool is_open(ClientIndex client, std::uint64_t executor) const {
-    return bells_.count({number(client), executor}) != 0;
+    return doorbells_.count({number(client), executor}) != 0;
   }
   /// What a publisher's process gets: (eventfd and) a datagram sender; nothing when nobody listens
   /// any more. Errors: os_failure: not now, there is no descriptor or no memory.
   [[nodiscard]] Result<std::vector<SharedFd>> for_publisher(ClientIndex client,
                                                             std::uint64_t executor, bool same_user);
-  /// For a process that is back: new bells (the eventfd stays) of an executor that this daemon found without a way
+  /// For a process that is back: new doorbells (the eventfd stays) of an executor that this daemon found without a way
   /// to it; none if nothing is lost. A process that closes what it is given gets it a few times. Errors: os_failure.
   [[nodiscard]] Result<std::vector<SharedFd>> renew(ClientIndex client, std::uint64_t executor,
                                                     std::uint32_t uid);
@@ -64,18 +64,18 @@ class Doorbells {
     ClientIndex client;
     std::uint64_t executor;
   };
-  /// Looks at the next few bells in turn: has anybody the receivers? Returns those that are silent for the second look in
-  /// a row, each once: a process that ends shuts its bells a moment before the daemon hears of its end.
+  /// Looks at the next few doorbells in turn: has anybody the receivers? Returns those that are silent for the second look in
+  /// a row, each once: a process that ends shuts its doorbells a moment before the daemon hears of its end.
   std::vector<Executor> look();
   /// As far as that is known: by datagram nobody reaches it.
   bool is_silent(ClientIndex client, std::uint64_t executor) const {
-    const auto found = bells_.find({number(client), executor});
-    return found == bells_.end() || found->second.is_silent;
+    const auto found = doorbells_.find({number(client), executor});
+    return found == doorbells_.end() || found->second.is_silent;
   }
   /// look() has returned it, or it was silent when this daemon began.
   bool is_known_silent(ClientIndex client, std::uint64_t executor) const {
-    const auto found = bells_.find({number(client), executor});
-    return found != bells_.end() && found->second.silent_looks == silent_looks_needed;
+    const auto found = doorbells_.find({number(client), executor});
+    return found != doorbells_.end() && found->second.silent_looks == silent_looks_needed;
   }
   void ring(ClientIndex client, std::uint64_t executor) noexcept;
   void ring_all() noexcept;
@@ -83,7 +83,7 @@ class Doorbells {
   void close_client(ClientIndex client) noexcept;
 
  private:
-  struct Bell {
+  struct Entry {
     SharedFd eventfd;
     std::weak_ptr<SharedFd::element_type> given;  // the receiver, until it is sent
     Doorbell own;
@@ -103,7 +103,7 @@ class Doorbells {
   Result<std::vector<SharedFd>> make(ClientIndex client, std::uint64_t executor, std::uint32_t uid,
                                      SharedFd eventfd);
   /// False: this try has told nothing.
-  static bool note(Bell& bell, const Result<UniqueFd>& sender) noexcept;
+  static bool note(Entry& doorbell, const Result<UniqueFd>& sender) noexcept;
   Result<UniqueFd> connect_to(const UniqueFd& way, const std::string& name) const;
   UniqueFd way_to(const std::string& name) const;
   void close(ClientIndex client, std::uint64_t executor) noexcept;
@@ -115,7 +115,7 @@ class Doorbells {
   std::string directory_;
   DescriptorStore& store_;
   Close close_;
-  std::map<Key, Bell> bells_;
+  std::map<Key, Entry> doorbells_;
   Key looked_at_{};
 };
 

@@ -27,8 +27,8 @@
 namespace agnocast::daemon {
 namespace {
 
-// The longest name of a bell must fit into a socket's address behind its directory.
-constexpr std::size_t bells_length_max = 107 - (sizeof "/2047.31" - 1);
+// The longest name of a doorbell must fit into a socket's address behind its directory.
+constexpr std::size_t doorbells_length_max = 107 - (sizeof "/2047.31" - 1);
 
 std::string reason(int error) { return std::generic_category().message(error); }
 
@@ -75,7 +75,7 @@ void write_count(int lock, std::uint64_t count) noexcept {
     const int cut = ::ftruncate(lock, end - text);
 }
 
-void clear_bells(const std::string& directory) noexcept {
+void clear_doorbells(const std::string& directory) noexcept {
   const std::unique_ptr<DIR, int (*)(DIR*)> entries(::opendir(directory.c_str()), &::closedir);
   if (entries == nullptr) return;
   while (const dirent* const entry = ::readdir(entries.get())) {
@@ -83,7 +83,7 @@ void clear_bells(const std::string& directory) noexcept {
   }
 }
 
-tl::expected<void, Complaint> make_bells(const std::string& directory) {
+tl::expected<void, Complaint> make_doorbells(const std::string& directory) {
   if (::mkdir(directory.c_str(), 0700) != 0 && errno != EEXIST)
     return complain(Errc::os_failure, "cannot make directory " + directory + ": " + reason(errno));
   struct stat entry {};
@@ -94,7 +94,7 @@ tl::expected<void, Complaint> make_bells(const std::string& directory) {
                     "cannot use " + directory + ": it is not a directory of this user");
   if (!set_mode(directory, 0700))
     return complain(Errc::os_failure, "cannot use directory " + directory + ": " + reason(errno));
-  clear_bells(directory);
+  clear_doorbells(directory);
   return {};
 }
 
@@ -124,7 +124,7 @@ bool somebody_listens(const std::string& path) noexcept {
   return probe || probe.error().os_errno != ECONNREFUSED;
 }
 
-constexpr std::string_view bells_suffix = ".bells", lock_suffix = ".lock";
+constexpr std::string_view doorbells_suffix = ".bells", lock_suffix = ".lock";
 
 }  // namespace
 
@@ -192,12 +192,12 @@ tl::expected<Listener, Complaint> Listener::open(const ListenerOptions& options,
     return complain(Errc::invalid_argument,
                     "cannot use socket path " + path + ": it must have 1 to 107 bytes");
   Listener listener;
-  listener.bells_ = base;
-  listener.bells_ += bells_suffix;
-  if (listener.bells_.size() > bells_length_max)
+  listener.doorbells_ = base;
+  listener.doorbells_ += doorbells_suffix;
+  if (listener.doorbells_.size() > doorbells_length_max)
     return complain(Errc::invalid_argument, "cannot use runtime directory " + directory + ": " +
-                                                listener.bells_ + " must have at most " +
-                                                std::to_string(bells_length_max) + " bytes");
+                                                listener.doorbells_ + " must have at most " +
+                                                std::to_string(doorbells_length_max) + " bytes");
   for (const std::string& wanted : {directory_of(path), directory}) {
     if (auto made = make_directory(wanted); !made) return tl::unexpected(made.error());
   }
@@ -208,7 +208,7 @@ tl::expected<Listener, Complaint> Listener::open(const ListenerOptions& options,
   if (!passed) {
     if (auto cleared = clear_socket(path); !cleared) return tl::unexpected(cleared.error());
   }
-  if (auto made = make_bells(listener.bells_); !made) return tl::unexpected(made.error());
+  if (auto made = make_doorbells(listener.doorbells_); !made) return tl::unexpected(made.error());
 
   auto listening = passed ? listener.listen_at(path, std::move(passed)) : listener.listen(options);
   if (!listening) return tl::unexpected(listening.error());
@@ -264,10 +264,10 @@ tl::expected<void, Complaint> Listener::listen(const ListenerOptions& options) {
 
 tl::expected<Listener, Complaint> Listener::adopt(const ListenerOptions& options, UniqueFd passed,
                                                   UniqueFd socket, UniqueFd lock,
-                                                  const std::string& bells) {
+                                                  const std::string& doorbells) {
   Listener listener;
   listener.removes_ = false;
-  listener.bells_ = bells;
+  listener.doorbells_ = doorbells;
   std::string path = options.path;
   if (passed) {
     auto place = place_of(passed);
@@ -287,7 +287,7 @@ tl::expected<Listener, Complaint> Listener::adopt(const ListenerOptions& options
   }
   if (!lock) {
     const std::string base =
-        bells.substr(0, bells.size() - std::min(bells.size(), bells_suffix.size()));
+        doorbells.substr(0, doorbells.size() - std::min(doorbells.size(), doorbells_suffix.size()));
     if (auto locked = listener.lock(base, path); !locked) return tl::unexpected(locked.error());
   } else if (::flock(lock.get(), LOCK_EX | LOCK_NB) != 0) {
     return complain(Errc::already_running, "another agnocastd has the lock that was kept");
@@ -295,7 +295,7 @@ tl::expected<Listener, Complaint> Listener::adopt(const ListenerOptions& options
     listener.lock_ = std::move(lock);
   }
   listener.former_count_ = std::max<std::uint64_t>(read_count(listener.lock_.get()), 1) - 1;
-  if (::mkdir(bells.c_str(), 0700) == 0) static_cast<void>(set_mode(bells, 0700));
+  if (::mkdir(doorbells.c_str(), 0700) == 0) static_cast<void>(set_mode(doorbells, 0700));
   if (passed) {
     if (auto listening = listener.listen_at(path, std::move(passed)); !listening)
       return tl::unexpected(listening.error());
@@ -332,8 +332,8 @@ Listener::~Listener() {
   static_cast<void>(socket_.release().release());
   if (path_.empty() || !removes_) return;
   if (!is_passed_) ::unlink(path_.c_str());
-  clear_bells(bells_);
-  ::rmdir(bells_.c_str());
+  clear_doorbells(doorbells_);
+  ::rmdir(doorbells_.c_str());
 }
 
 }  // namespace agnocast::daemon

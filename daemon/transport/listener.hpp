@@ -9,19 +9,19 @@
 //
 // RUN is the socket's directory unless the configuration names another one.
 //
-// The lock decides who may clear away what a former life left; a socket that still answers although
+// The lock decides who may clear away what a previous run left; a socket that still answers although
 // nobody has the lock belongs to somebody else and is left alone. A clean end removes socket and
-// bells; the lock file stays (removing it would let two others each lock a file of that name).
+// doorbells; the lock file stays (removing it would let two others each lock a file of that name).
 //
 // All three outlive the process when a manager keeps descriptors: connections that come meanwhile
-// wait in the socket's queue, the lock stays taken, and bells keep their names.
+// wait in the socket's queue, the lock stays taken, and doorbells keep their names.
 //
 // A socket that is passed (socket activation) is used before any other, where it is: its name, owner and mode are
 // the business of whoever made it, and it is neither kept in the store nor removed.
 //
 // Nobody can connect before the socket has its final owner and mode; until then it is as if no daemon
 // were there, which is a reason to try again. It is not made under another name and renamed: it would keep that
-// name (getsockname), and the next life finds the place by it.
+// name (getsockname), and the next run finds the place by it.
 //
 // Every complaint is one sentence for people, with the path in it.
 #pragma once
@@ -64,17 +64,17 @@ class Listener {
   [[nodiscard]] static tl::expected<Listener, Complaint> open(const ListenerOptions& options,
                                                               UniqueFd passed);
 
-  /// Socket and lock of a former life, with its directory of bells; nothing is cleared. `passed` takes the
+  /// Socket and lock of a previous run, with its directory of doorbells; nothing is cleared. `passed` takes the
   /// place of the socket. Without it a socket that was not kept, or that its name does not lead to any more,
   /// is made anew: renewed(). So is a lock that was not kept.
   [[nodiscard]] static tl::expected<Listener, Complaint> adopt(const ListenerOptions& options,
                                                                UniqueFd passed, UniqueFd socket,
                                                                UniqueFd lock,
-                                                               const std::string& bells);
+                                                               const std::string& doorbells);
 
   Listener(Listener&& other) noexcept
       : path_(std::exchange(other.path_, {})),
-        bells_(std::exchange(other.bells_, {})),
+        doorbells_(std::exchange(other.doorbells_, {})),
         removes_(other.removes_),
         is_passed_(other.is_passed_),
         renewed_(other.renewed_),
@@ -82,12 +82,12 @@ class Listener {
         lock_(std::move(other.lock_)),
         socket_(std::move(other.socket_)) {}
   Listener& operator=(Listener&&) = delete;
-  /// Removes socket and bells, if it is to.
+  /// Removes socket and doorbells, if it is to.
   ~Listener();
 
   const PacketListener& socket() const noexcept { return socket_; }
   const std::string& path() const noexcept { return path_; }
-  const std::string& bells_directory() const noexcept { return bells_; }
+  const std::string& doorbells_directory() const noexcept { return doorbells_; }
   bool renewed() const noexcept { return renewed_; }
   bool is_passed() const noexcept { return is_passed_; }
   /// In what a passed socket is not as `options` want it, as a sentence; empty: in nothing, or it is our own.
@@ -98,7 +98,7 @@ class Listener {
   /// the former one. A passed one is not put. A death in between leaves the lock, which says that there was a life. Errors:
   /// as DescriptorStore::put.
   [[nodiscard]] Result<void> keep(DescriptorStore& store) const;
-  /// Whether socket and bells are removed at the end; if not, the next life goes on with them.
+  /// Whether socket and doorbells are removed at the end; if not, the next run goes on with them.
   void remove_names(bool removes) noexcept { removes_ = removes; }
 
  private:
@@ -109,7 +109,7 @@ class Listener {
   [[nodiscard]] tl::expected<void, Complaint> listen(const ListenerOptions& options);
 
   std::string path_;  // empty: nothing to remove
-  std::string bells_;
+  std::string doorbells_;
   bool removes_ = true;
   bool is_passed_ = false;
   bool renewed_ = false;

@@ -11,7 +11,7 @@
 #include <base/log.hpp>
 #include <daemon/transport/connection_table.hpp>
 #include <daemon/transport/dispatcher.hpp>
-#include <daemon/transport/post.hpp>
+#include <daemon/transport/client_channel.hpp>
 
 #include <cstdint>
 #include <optional>
@@ -27,7 +27,7 @@ struct OutputLimits {
   std::optional<std::uint64_t> seconds;
 };
 
-class PeerOutput final : public Post {
+class PeerOutput final : public ClientChannel {
  public:
   PeerOutput(const OutputLimits& limits, ConnectionTable& connections, Dispatcher& dispatcher,
              Log& log) noexcept
@@ -47,10 +47,10 @@ class PeerOutput final : public Post {
   /// Ends the output of every connection that has not read for longer than the limit.
   void end_old(std::uint64_t now);
 
-  // Post
+  // ClientChannel
   Session* session_of(ClientIndex client) override;
   std::uint64_t user_namespace_of(ClientIndex client) override;
-  using Post::send;
+  using ClientChannel::send;
   void send(ClientIndex client, Outgoing packet) override;
   void begin_anew(ClientIndex client, std::string_view why) override;
 

@@ -5,7 +5,7 @@
 // A table says for every opcode how long its body is, whether it may come before hello, and which
 // check its fields must pass. Everything in a packet is input: what comes out of decode() has names
 // that end, indexes inside the tables, a quality of service that exists. Whether an index belongs
-// to the sender is for the membership to know.
+// to the sender is for the endpoint manager to know.
 #pragma once
 
 #include <agnocast/abi/observe.hpp>

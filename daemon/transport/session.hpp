@@ -164,7 +164,7 @@ class AnnouncementNumbers {
 
 /// Of which collisions a process was told on one connection. A reader that comes back again and again
 /// has nothing new to say to its publishers.
-class CollisionsTold {
+class CollisionsNotified {
  public:
   // Pairs of endpoints. A process that has more is told of some twice, and costs the daemon 2 MB.
   static constexpr std::size_t count_max = 16 * 1024;
@@ -175,20 +175,20 @@ class CollisionsTold {
     bool moves = false;
     friend bool operator==(const Collision&, const Collision&) = default;
   };
-  explicit CollisionsTold(std::shared_ptr<KeptForUser> user) : bytes_(std::move(user)) {}
+  explicit CollisionsNotified(std::shared_ptr<KeptForUser> user) : bytes_(std::move(user)) {}
 
   /// Whether this is news about the endpoint of the process and the other one.
   bool tell(const Announced& own, const Announced& other, const Collision& what) {
-    const bool is_full = told_.size() >= count_max || !bytes_.has_room_for(entry_bytes);
-    if (is_full && !told_.contains({own, other})) told_.clear();
-    Collision& before = told_[{own, other}];
-    bytes_.set(told_.size() * entry_bytes);
+    const bool is_full = notified_.size() >= count_max || !bytes_.has_room_for(entry_bytes);
+    if (is_full && !notified_.contains({own, other})) notified_.clear();
+    Collision& before = notified_[{own, other}];
+    bytes_.set(notified_.size() * entry_bytes);
     return std::exchange(before, what) != what;
   }
-  std::size_t size() const noexcept { return told_.size(); }
+  std::size_t size() const noexcept { return notified_.size(); }
 
  private:
-  std::map<std::pair<Announced, Announced>, Collision> told_;
+  std::map<std::pair<Announced, Announced>, Collision> notified_;
   BookBytes bytes_;
 };
 
@@ -271,7 +271,7 @@ class Session {
   std::uint64_t packet_count() const noexcept { return packet_count_; }
 
   AnnouncementNumbers& announcements() noexcept { return announcements_; }
-  CollisionsTold& collisions() noexcept { return collisions_; }
+  CollisionsNotified& collisions() noexcept { return collisions_; }
 
   /// Requests refused because they broke the protocol; the log speaks only of the first ones.
   std::uint64_t violation_count = 0;
@@ -287,7 +287,7 @@ class Session {
   BytesOfUser queued_;  // by what waits
   std::uint64_t packet_count_ = 0;
   AnnouncementNumbers announcements_;
-  CollisionsTold collisions_;
+  CollisionsNotified collisions_;
 };
 
 }  // namespace agnocast::daemon

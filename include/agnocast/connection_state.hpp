@@ -16,13 +16,13 @@ enum class ConnectionState : std::uint8_t {
   unconnected,   ///< no endpoint was created yet, or this is a forked child
   connected,     ///< the normal state
   reconnecting,  ///< the daemon is away; creations wait for it, five seconds at most
-  island,        ///< orphaned: refused by the daemon; existing matches work; see island_reason()
+  orphaned,        ///< orphaned: refused by the daemon; existing matches work; see orphan_reason()
 };
 
 /// The argument of a connection callback (events.hpp).
 struct ConnectionInfo {
   ConnectionState state = ConnectionState::unconnected;
-  Errc reason = Errc::ok;  ///< of an orphaned session, see island_reason()
+  Errc reason = Errc::ok;  ///< of an orphaned session, see orphan_reason()
 };
 
 /// Returns the present state. Any thread; no system call, no allocation.
@@ -32,6 +32,6 @@ AGNOCAST_PUBLIC ConnectionState connection_state() noexcept;
 /// descriptors_withheld and daemon_untrusted until the cause is removed. For other reasons
 /// (started_anew, …) the library joins the new daemon by itself, at once or when that has room.
 /// Any thread; no system call.
-AGNOCAST_PUBLIC Errc island_reason() noexcept;
+AGNOCAST_PUBLIC Errc orphan_reason() noexcept;
 
 }  // namespace agnocast

@@ -111,7 +111,7 @@ namespace agnocast {
     "start it without AGNOCAST=off")                                                                                                           \
   X(started_anew, "agnocastd was started anew and does not know this process any more",                                                        \
     "the daemon was stopped and started, or what it keeps across restarts was lost",                                                           \
-    "nothing: the library goes to it by itself; if that lasts, see island_reason and its log")                                                 \
+    "nothing: the library goes to it by itself; if that lasts, see orphan_reason and its log")                                                 \
   X(revoked, "the session of this process was ended from outside",                                                                             \
     "a user asked for it (agnocast-ctl process revoke), or the process held more than its quota, or kept memory mapped that it must unmap",    \
     "see the log of agnocastd for the user and the reason, then restart the process")                                                          \

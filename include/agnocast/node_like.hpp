@@ -23,9 +23,9 @@ struct EndpointName {
   std::string node;
   /// Persistent endpoint id: peers identify the endpoint by it as long as it lives, also across
   /// losses of the daemon. Several endpoints of one owner may share it. 0: generate a unique one.
-  std::uint64_t lineage = 0;
-  /// For a publisher: peers learn the id only after say_lineage().
-  bool says_lineage_later = false;
+  std::uint64_t persistent_id = 0;
+  /// For a publisher: peers learn the id only after announce_persistent_id().
+  bool announces_persistent_id_later = false;
 };
 
 /// Applies the ROS rules: relative names get the namespace, "~" the node's name. Errors:

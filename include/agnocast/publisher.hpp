@@ -116,8 +116,8 @@ class AGNOCAST_PUBLIC UntypedPublisher {
   /// Bounds the time that its destructor waits for the daemon. Do not call it while another
   /// thread may destroy this object.
   void end_by(std::chrono::steady_clock::time_point end) noexcept { end_ = end; }
-  /// See EndpointName::says_lineage_later.
-  void say_lineage() noexcept;
+  /// See EndpointName::announces_persistent_id_later.
+  void announce_persistent_id() noexcept;
 
   /// Returns ok, or why nothing can be published: shut_down in a forked child, switched_off,
   /// revoked.
@@ -144,10 +144,10 @@ class AGNOCAST_PUBLIC UntypedPublisher {
   IncompatibleTypeInfo incompatible_type_status() noexcept;
   HeapCollisionInfo heap_collision_status() noexcept;
   bool is_active() const noexcept;
-  /// Returns the persistent endpoint id (EndpointName::lineage); 0: switched off.
-  std::uint64_t lineage() const noexcept;
+  /// Returns the persistent endpoint id (EndpointName::persistent_id); 0: switched off.
+  std::uint64_t persistent_id() const noexcept;
   /// Returns the persistent ids of the subscriptions that receive messages published from now on.
-  std::vector<std::uint64_t> reader_lineages() const;
+  std::vector<std::uint64_t> reader_persistent_ids() const;
   /// Registers `watch`, which is notified when matched endpoints change.
   void tell(std::shared_ptr<Watch> watch) noexcept;
 

@@ -91,10 +91,10 @@ class AGNOCAST_PUBLIC UntypedSubscription {
   HeapCollisionInfo heap_collision_status() noexcept;
   const std::string& topic() const noexcept { return topic_; }
   bool is_active() const noexcept;
-  /// Returns the persistent endpoint id (EndpointName::lineage); 0: switched off.
-  std::uint64_t lineage() const noexcept;
+  /// Returns the persistent endpoint id (EndpointName::persistent_id); 0: switched off.
+  std::uint64_t persistent_id() const noexcept;
   struct Writer {
-    std::uint64_t lineage;  // 0: not announced yet; there is no notification when it is
+    std::uint64_t persistent_id;  // 0: not announced yet; there is no notification when it is
     bool is_gone;           // but some of its messages are unread
   };
   /// Returns the connected publishers, and dead ones with undelivered messages.

@@ -166,7 +166,7 @@ class Script {
     endpoint.topic = static_cast<std::uint32_t>(some(0));
     endpoint.index = some(input_.ConsumeIntegralInRange<std::uint64_t>(0, 2));
     endpoint.generation = some(input_.ConsumeIntegralInRange<std::uint64_t>(1, 3));
-    endpoint.member = some(abi::pack_member(endpoint.generation, abi::MemberState::active));
+    endpoint.board_word = some(abi::pack_board_word(endpoint.generation, abi::BoardState::active));
     endpoint.client = some(input_.ConsumeIntegralInRange<std::uint64_t>(0, 2));
     endpoint.client_generation = some(endpoint.client + 1);
     endpoint.extent = input_.ConsumeIntegralInRange(0, 15) == 0

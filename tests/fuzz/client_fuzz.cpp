@@ -82,7 +82,7 @@ class Daemon {
       request.quota = 4;
       request.message_bytes = message_bytes;
       auto made = Context::instance().create_subscription(
-          request, Context::instance().idle_sleeper().value());
+          request, Context::instance().idle_wait_set().value());
       require(made.has_value());
       subscription_ = *made;
     });
@@ -171,16 +171,16 @@ class Daemon {
         return say(Opcode::rejoined, rejoined, {}, request);
       }
       case Opcode::open_executor: {
-        const UniqueFd bell(::eventfd(0, EFD_CLOEXEC | EFD_NONBLOCK));
+        const UniqueFd doorbell(::eventfd(0, EFD_CLOEXEC | EFD_NONBLOCK));
         const UniqueFd datagram(::socket(AF_UNIX, SOCK_DGRAM | SOCK_CLOEXEC, 0));
-        const int fds[] = {bell.get(), datagram.get()};
+        const int fds[] = {doorbell.get(), datagram.get()};
         return say(Opcode::executor_opened, wire::Done{}, fds, request);
       }
       case Opcode::create_subscription: {
         wire::EndpointCreated created{};
         created.generation = 1;
         created.extent = abi::page_bytes;
-        const std::uint64_t word = abi::pack_member(1, abi::MemberState::active);
+        const std::uint64_t word = abi::pack_board_word(1, abi::BoardState::active);
         const Mapping board =
             Mapping::map(board_.get(), abi::board_bytes, Mapping::Access::read_write).value();
         region::TopicWords<SharedMemory>{board.base(), abi::topic_offset(0)}

@@ -280,7 +280,7 @@ void publish_to_a_liar(FuzzedDataProvider& input) {
         }
         break;
       default:
-        publisher->pass(environment);
+        publisher->scan(environment);
         break;
     }
   }

@@ -92,7 +92,7 @@ void live(Registry& registry, FuzzedDataProvider& input) {
           endpoints[input.ConsumeIntegralInRange<std::size_t>(0, endpoints.size() - 1)];
       const bool publisher = ref.kind == Kind::publisher;
       if (what == 5) registry.tell(ref, client);
-      if (what == 6) registry.let_go(ref, client);
+      if (what == 6) registry.acknowledge_unmap(ref, client);
       if (what == 7 && publisher &&
           registry.publisher(ref.topic, ref.index).state == EndpointState::active)
         registry.orphan_publisher(ref.topic, ref.index, 12);
@@ -130,7 +130,7 @@ void ask(const Registry& registry) {
     const ClientIndex client{c};
     static_cast<void>(registry.can_free(client));
     for (const EndpointRef& ref : registry.endpoints_of(client)) {
-      static_cast<void>(registry.told_of(ref).reusable());
+      static_cast<void>(registry.notified_of(ref).reusable());
       REQUIRE(registry.owner_of(ref) == client);
     }
     if (!registry.is_alive(client)) continue;

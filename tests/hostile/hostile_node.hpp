@@ -75,7 +75,7 @@ class HostileNode {
   void open_executor() {
     Incoming opened = wire_.open_executor();
     EXPECT_EQ(opened.opcode(), wire::Opcode::executor_opened) << opened.refused_text();
-    bells_ = std::move(opened.fds);
+    doorbells_ = std::move(opened.fds);
     executor_ = true;
   }
   /// A subscription of this depth with an additional executor. Returns false if the daemon refused
@@ -83,7 +83,7 @@ class HostileNode {
   bool subscribe_with_executor(const char* topic, std::uint64_t executor, std::uint32_t depth) {
     Incoming opened = wire_.open_executor(executor);
     if (opened.opcode() != wire::Opcode::executor_opened) return false;
-    for (UniqueFd& fd : opened.fds) more_bells_.push_back(std::move(fd));
+    for (UniqueFd& fd : opened.fds) more_doorbells_.push_back(std::move(fd));
     auto body = WireClient::endpoint(topic, {depth, false, true, false, false});
     static std::map<std::string, std::pair<wire::Name, std::uint64_t>> types;  // a dump costs time
     if (types.count(topic) == 0) types[topic] = type_of(topic);
@@ -95,7 +95,7 @@ class HostileNode {
            wire::Opcode::endpoint_created;
   }
   /// Closes the receivers of the own executor, which no other process has.
-  void close_bells() { bells_.clear(); }
+  void close_doorbells() { doorbells_.clear(); }
 
   /// Creates an endpoint on an existing topic, of its type.
   wire::EndpointCreated join(wire::Kind kind, const char* topic, abi::Qos qos = {},
@@ -134,7 +134,7 @@ class HostileNode {
     return about;
   }
   /// Eventfd (for a process of the same user) and datagram socket of the own executor.
-  const std::vector<UniqueFd>& bells() const { return bells_; }
+  const std::vector<UniqueFd>& doorbells() const { return doorbells_; }
 
   region::PublisherWords<M> queue(const wire::EndpointCreated& publisher) const {
     return {region_.base(), publisher.extent};
@@ -182,7 +182,7 @@ class HostileNode {
   WireClient wire_;
   std::uint64_t window_file_bytes_;
   wire::Welcome welcome_{};
-  std::vector<UniqueFd> fds_, window_fds_, bells_, more_bells_;
+  std::vector<UniqueFd> fds_, window_fds_, doorbells_, more_doorbells_;
   Mapping region_, heap_;
   wire::WindowOpened window_{};
   bool executor_ = false;

@@ -27,18 +27,18 @@ struct LyingPublisher {
     made = node.join(Kind::publisher, open_topic);
     auto about = node.announced();
     EXPECT_EQ(about.body.kind, Kind::subscription);
-    if (about.fds.size() == 2) bell = Doorbell(std::move(about.fds[1]));
+    if (about.fds.size() == 2) doorbell = Doorbell(std::move(about.fds[1]));
     base = node.open_window().base;
     bytes = node.open_window().bytes;
   }
   void commit(std::uint64_t address, std::uint64_t size = flat_bytes) {
     node.commit(made, address, size);
   }
-  void ring() const { static_cast<void>(bell.ring()); }
+  void ring() const { static_cast<void>(doorbell.ring()); }
 
   HostileNode node;
   wire::EndpointCreated made{};
-  Doorbell bell;
+  Doorbell doorbell;
   std::uint64_t base = 0, bytes = 0;
 };
 

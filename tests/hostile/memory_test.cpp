@@ -188,9 +188,9 @@ TEST_P(HostileMemory, GivesNobodyAWayToWriteMemoryOfOthers) {
     const auto subscription = node.announced();
     ASSERT_EQ(subscription.body.kind, Kind::subscription);
     ASSERT_EQ(subscription.fds.size(), 2u) << "region and datagram doorbell: no eventfd for this user";
-    struct stat bell {};
-    ASSERT_EQ(::fstat(subscription.fds[1].get(), &bell), 0);
-    EXPECT_TRUE(S_ISSOCK(bell.st_mode)) << "an eventfd would let us block its other holders";
+    struct stat doorbell {};
+    ASSERT_EQ(::fstat(subscription.fds[1].get(), &doorbell), 0);
+    EXPECT_TRUE(S_ISSOCK(doorbell.st_mode)) << "an eventfd would let us block its other holders";
     try_to_write(node.board_fd(), "board", Length::fixed);
     try_to_write(publisher.fds[0].get(), "region of the honest publisher");
     try_to_write(publisher.fds[1].get(), "window of the honest publisher");
@@ -285,12 +285,12 @@ TEST_P(HostileMemory, KillsNoReaderByFreeingItsOwnMemory) {
       }
     }();
     ASSERT_EQ(about.fds.size(), 2u);
-    const Doorbell bell(UniqueFd(::dup(about.fds[1].get())));
+    const Doorbell doorbell(UniqueFd(::dup(about.fds[1].get())));
     attack.ready();
     for (std::uint64_t round = 0; attack.goes_on(); ++round) {
       for (std::uint64_t i = 0; i < 20; ++i)
         node.commit(publisher, node.open_window().base + (round * 20 + i) % 4096 * 64, flat_bytes);
-      static_cast<void>(bell.ring());
+      static_cast<void>(doorbell.ring());
       ::usleep(static_cast<useconds_t>(chance.below(500)));
       const std::uint64_t head = queue.head().load();
       EXPECT_EQ(punch(node.window_fd(), 0, 1 << 20), 0);

@@ -40,7 +40,7 @@ TEST(HostileMute, ASubscriptionThatNobodyCanRingKeepsNoPublisherFromItsSlots) {
   Attacker attacker([&](Attack& attack) {
     HostileNode node(stage.socket_path());
     node.open_executor();
-    node.close_bells();
+    node.close_doorbells();
     node.join(Kind::subscription, stream_topic, {1, false, true, false, false});
     attack.ready();
     while (attack.goes_on()) ::usleep(1000);
@@ -128,7 +128,7 @@ std::size_t descriptor_count(pid_t pid) {
 // 1,024.
 TEST(HostileMute, OneUserCausesAQuarterOfAPublishersDescriptorsAtMost) {
   AGNOCAST_NEEDS_TWO_USERS();
-  constexpr unsigned members = 95, sleepers = 8;
+  constexpr unsigned members = 95, wait_sets = 8;
   constexpr std::size_t limit = 1024, share = limit / 4;
   // The honest processes inherit it; root in a container may not set it for another user.
   rlimit own{};
@@ -148,7 +148,7 @@ TEST(HostileMute, OneUserCausesAQuarterOfAPublishersDescriptorsAtMost) {
     bool is_refused = false;
     for (unsigned m = 0; m < members && !is_refused; ++m) {
       nodes.push_back(std::make_unique<HostileNode>(stage.socket_path()));
-      for (unsigned s = 0; s < sleepers && !is_refused; ++s) {
+      for (unsigned s = 0; s < wait_sets && !is_refused; ++s) {
         is_refused = !nodes.back()->subscribe_with_executor(stream_topic, s, 1);
         if (!is_refused) ++attack.word(0);
       }

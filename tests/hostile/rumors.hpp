@@ -51,11 +51,11 @@ enum : std::size_t { honest_texts, lies };
 inline void spread_rumors(const std::string& path, Attack& attack, std::uint64_t domain = 0) {
   HostileNode node(path, 0, domain);
   const auto publisher = node.join(wire::Kind::publisher, "/rumor");
-  std::vector<UniqueFd> bells;
+  std::vector<UniqueFd> doorbells;
   const auto meet = [&](const wire::Announcement& body, std::vector<UniqueFd> fds) {
     EXPECT_EQ(body.kind, wire::Kind::subscription);
     ASSERT_EQ(fds.size(), 2u) << "region and datagram socket";
-    bells.push_back(std::move(fds[1]));
+    doorbells.push_back(std::move(fds[1]));
   };
   HostileNode::Announced first = node.announced();
   meet(first.body, std::move(first.fds));
@@ -87,8 +87,8 @@ inline void spread_rumors(const std::string& path, Attack& attack, std::uint64_t
       if (packet->opcode() == wire::Opcode::announce)
         meet(packet->as<wire::Announcement>(), std::move(packet->fds));
     }
-    for (const UniqueFd& bell : bells)
-      static_cast<void>(::send(bell.get(), "", 1, MSG_DONTWAIT | MSG_NOSIGNAL));
+    for (const UniqueFd& doorbell : doorbells)
+      static_cast<void>(::send(doorbell.get(), "", 1, MSG_DONTWAIT | MSG_NOSIGNAL));
     ++attack.word(number % places.size() == 0 ? honest_texts : lies);
     ++number;
     // During the read: alternately its own memory and another's.

@@ -35,7 +35,7 @@ struct Hoarder {
     line().publisher_generation().store(publisher.generation);
     line().hold(0).store(((std::uint64_t{1} << quota) - 1) << first_slot);
   }
-  void let_go() const {
+  void release() const {
     for (const wire::EndpointCreated& each : joined)
       node.line(each, publisher.index).hold(0).store(0);
   }
@@ -123,7 +123,7 @@ TEST(HostileShare, ASubscriberThatKeepsAHeapFullIsWithdrawn) {
         hoarder.join(kept - 10);  // its user's rest of the pool
         attack.word(1).store(1);
       }
-      if (attack.word(2).exchange(0) != 0) hoarder.let_go();
+      if (attack.word(2).exchange(0) != 0) hoarder.release();
       std::this_thread::sleep_for(std::chrono::milliseconds(10));
     }
   });

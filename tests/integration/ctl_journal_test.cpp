@@ -219,7 +219,7 @@ TEST(CtlJournal, ShowsMuteSubscriptions) {
            std::string::npos;
   };
   EXPECT_FALSE(mute("/points"));
-  b.bells.clear();
+  b.doorbells.clear();
   ASSERT_TRUE(eventually([&] { return mute("/points"); }));
   EXPECT_TRUE(mute("/left")) << "all subscriptions of the executor";
   EXPECT_FALSE(mute("/later"));

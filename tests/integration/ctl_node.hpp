@@ -47,7 +47,7 @@ struct CtlNode {
   wire::EndpointCreated subscription(const std::string& topic, const abi::Qos& qos = {5},
                                      const std::string& node = "/listener",
                                      const std::string& type = "test/msg/Type") {
-    if (!executor) bells = wire.open_executor().fds;
+    if (!executor) doorbells = wire.open_executor().fds;
     executor = true;
     return create(wire::Opcode::create_subscription, topic, qos, node, type);
   }
@@ -93,7 +93,7 @@ struct CtlNode {
   Mapping region;
   wire::WindowOpened window{};
   bool executor = false;
-  std::vector<UniqueFd> bells;
+  std::vector<UniqueFd> doorbells;
 };
 
 }  // namespace agnocast::test

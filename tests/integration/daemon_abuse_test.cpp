@@ -322,10 +322,10 @@ TEST(DaemonProtocol, AnAnnouncementThatIsReadLateHasNoDoorbellsOfAnotherSubscrip
   for (std::uint64_t i = 0; i < count; ++i) late.send(Opcode::open_window, nonsense);
   ASSERT_TRUE(eventually(
       [&] { return wire_dump(daemon.socket_path()).daemon.counters.requests_refused == count; }));
-  std::vector<Incoming> bells;  // keeps their ends open: closed ones cannot be connected to
+  std::vector<Incoming> doorbells;  // keeps their ends open: closed ones cannot be connected to
   const auto subscribe = [&](WireClient& client) {
     client.hello();
-    bells.push_back(client.open_executor());
+    doorbells.push_back(client.open_executor());
     return client.create_subscription("/topic").as<wire::EndpointCreated>();
   };
   const auto is_left = [&](std::size_t endpoints) {

@@ -51,7 +51,7 @@ Child publisher_child(const std::string& socket, std::uint64_t crash_at) {
           return answer(node.publish(++number));
         case 'x':
           node.pump();
-          node.pass();
+          node.scan();
           return answer(true);
         default:
           return '?';
@@ -181,7 +181,7 @@ TEST(DaemonDeath, FreesTheMessagesHeldByASubscriberWhereverItDied) {
     EXPECT_TRUE(child.was_killed());
     ++deaths;
     ASSERT_TRUE(publisher.wait_for([&] { return publisher.attached_count() == 0; }));
-    publisher.pass();
+    publisher.scan();
     EXPECT_EQ(publisher.allocated_count(), 0u) << "a dead process holds a message";
     EXPECT_EQ(publisher.wire().open_window(7).opcode(), wire::Opcode::refused);
   }
@@ -203,22 +203,22 @@ TEST(DaemonDeath, RingsAndDrainsAfterAPublishersDeath) {
                              .publisher(0, offsetof(abi::PublisherEntry, word))
                              .load(std::memory_order_acquire));
   };
-  EXPECT_EQ(state(), abi::MemberState::active);
-  subscriber.bells().drain();
+  EXPECT_EQ(state(), abi::BoardState::active);
+  subscriber.doorbells().drain();
   child.end();
   // Only the daemon rings here: the test's publisher has no doorbell in its environment.
-  pollfd bell{subscriber.bells().datagram_fd(), POLLIN, 0};
-  EXPECT_EQ(::poll(&bell, 1, WireClient::patience_ms), 1)
+  pollfd doorbell{subscriber.doorbells().datagram_fd(), POLLIN, 0};
+  EXPECT_EQ(::poll(&doorbell, 1, WireClient::patience_ms), 1)
       << "the daemon does not ring the sleeping subscriber";
   ASSERT_TRUE(subscriber.wait_for([&] { return subscriber.orphaned().size() == 1; }));
-  EXPECT_EQ(state(), abi::MemberState::orphan);
+  EXPECT_EQ(state(), abi::BoardState::orphan);
   for (std::uint64_t number = 2; number <= 7; ++number) EXPECT_EQ(subscriber.take(), number);
   EXPECT_EQ(subscriber.take(), std::nullopt);
   while (subscriber.release()) {
   }
   subscriber.unlink_drained();
   EXPECT_EQ(subscriber.wire().open_window(7).opcode(), wire::Opcode::refused);
-  EXPECT_EQ(state(), abi::MemberState::free);
+  EXPECT_EQ(state(), abi::BoardState::free);
 }
 
 TEST(DaemonDeath, ReusesRegionAndWindowOnlyWhenAllPeersHaveUnmapped) {
@@ -270,7 +270,7 @@ TEST(DaemonDeath, ReusesRegionAndWindowOnlyWhenAllPeersHaveUnmapped) {
   EXPECT_NE(third.client, second.client);
   EXPECT_NE(third.window, first.window);
 
-  subscriber.let_go_of_regions();
+  subscriber.unmap_regions();
   settled();
   const Places fourth = one_life();
   EXPECT_EQ(fourth.client, first.client);
@@ -355,7 +355,7 @@ TEST(DaemonDeath, DoesNotTreatAClosedConnectionAsADeathWhileTheRegionIsMapped) {
   // lives.
   ASSERT_EQ(publisher.command('u'), '+');
   EXPECT_TRUE(subscriber.wait_for([&] { return subscriber.orphaned().size() == 1; }));
-  EXPECT_TRUE(daemon.wait_for_log("how=\"process let go of its region\""));
+  EXPECT_TRUE(daemon.wait_for_log("how=\"process unmapped its region\""));
 }
 
 TEST(DaemonDeath, KeepsAProcessWhoseFirstThreadHasEnded) {
@@ -405,7 +405,7 @@ TEST(DaemonDeath, TreatsAProcessThatExecutesAnotherProgramAsDead) {
   EXPECT_EQ(publisher.command('e'), std::nullopt);
   ASSERT_TRUE(subscriber.wait_for([&] { return subscriber.orphaned().size() == 1; }));
   EXPECT_EQ(subscriber.take(), 1u) << "its committed message is delivered";
-  EXPECT_TRUE(daemon.wait_for_log("how=\"process let go of its region\""));
+  EXPECT_TRUE(daemon.wait_for_log("how=\"process unmapped its region\""));
   publisher.end();
 }
 

@@ -498,8 +498,8 @@ TEST(DaemonLimits, RepeatsAnAnnouncementThatItHadNoDescriptorFor) {
   DaemonProcess daemon;
   const auto publisher = greeted(daemon), subscriber = greeted(daemon);
   ASSERT_EQ(publisher->create_publisher("/topic").opcode(), Opcode::endpoint_created);
-  const Incoming bells = subscriber->open_executor();
-  ASSERT_EQ(bells.opcode(), Opcode::executor_opened);
+  const Incoming doorbells = subscriber->open_executor();
+  ASSERT_EQ(doorbells.opcode(), Opcode::executor_opened);
   rlimit before{};
   ASSERT_EQ(::prlimit(daemon.pid(), RLIMIT_NOFILE, nullptr, &before), 0);
   const rlimit none{3, before.rlim_max};
@@ -523,8 +523,8 @@ TEST(DaemonLimits, AnnouncementsThatNobodyReadsCostNoDescriptorEach) {
   DaemonProcess daemon({.more_config = "[quota]\nsubscriptions_per_topic = \"unlimited\"\n"});
   const auto deaf = greeted(daemon), subscriber = greeted(daemon);
   ASSERT_EQ(deaf->create_publisher("/topic").opcode(), Opcode::endpoint_created);
-  const Incoming bells = subscriber->open_executor();
-  ASSERT_EQ(bells.opcode(), Opcode::executor_opened);
+  const Incoming doorbells = subscriber->open_executor();
+  ASSERT_EQ(doorbells.opcode(), Opcode::executor_opened);
   const std::size_t before = daemon.descriptor_count();
   constexpr int count = 700;  // more than a socket holds
   for (int i = 0; i < count; ++i)

@@ -137,7 +137,7 @@ TEST(DaemonObserver, GetsTheWholeStateOfOneMoment) {
   EXPECT_EQ(all.topics[0].layout_hash, 1u);
   ASSERT_EQ(all.endpoints.size(), 2u);
   EXPECT_EQ(all.endpoints[0].kind, Kind::publisher);
-  EXPECT_EQ(all.endpoints[0].member, abi::pack_member(p.generation, abi::MemberState::active));
+  EXPECT_EQ(all.endpoints[0].board_word, abi::pack_board_word(p.generation, abi::BoardState::active));
   EXPECT_EQ(all.endpoints[0].extent, p.extent);
   EXPECT_EQ(all.endpoints[0].first_sequence, p.first_sequence);
   EXPECT_STREQ(all.endpoints[0].node.text, "node");
@@ -395,7 +395,7 @@ TEST(DaemonObserver, SeesTheRegionOfADeadProcessUntilItsPlaceIsFree) {
   EXPECT_EQ(dead.regions.count(1), 1u);
   EXPECT_EQ(dead.daemon.counters.clients_died, 1u);
   ASSERT_EQ(dead.endpoints.size(), 2u);
-  EXPECT_EQ(abi::state_of(dead.endpoints[0].member), abi::MemberState::orphan);
+  EXPECT_EQ(abi::state_of(dead.endpoints[0].board_word), abi::BoardState::orphan);
   subscriber->unlinked(Kind::publisher, about.topic, about.index, about.generation);
   subscriber->unlinked(Kind::region, 0, about.client, about.client_generation);
   subscriber->drain();

@@ -105,7 +105,7 @@ TEST(DaemonProtocol, AnnouncesBothSidesInOrderWithWorkingDescriptors) {
   EXPECT_EQ(word(publisher.region, p.extent), abi::pack_entry(p.first_sequence, 0))
       << "the daemon writes the initial head";
   EXPECT_EQ(abi::state_of(publisher_word(subscriber.board, p.topic, p.index)),
-            abi::MemberState::active);
+            abi::BoardState::active);
 
   std::vector<UniqueFd> fds;
   const auto about_p = subscriber.wire.expect<wire::Announcement>(Opcode::announce, &fds);
@@ -133,9 +133,9 @@ TEST(DaemonProtocol, AnnouncesBothSidesInOrderWithWorkingDescriptors) {
   ASSERT_EQ(fds.size(), 3u);
 
   const UniqueFd epoll(::epoll_create1(EPOLL_CLOEXEC));
-  ASSERT_TRUE(subscriber.bells.add_to(epoll.get(), 1, 2));
-  const Doorbell bell(std::move(fds[2]), std::move(fds[1]));
-  EXPECT_EQ(bell.ring(), Doorbell::Rung::rung);
+  ASSERT_TRUE(subscriber.doorbells.add_to(epoll.get(), 1, 2));
+  const Doorbell doorbell(std::move(fds[2]), std::move(fds[1]));
+  EXPECT_EQ(doorbell.ring(), Doorbell::Rung::rung);
   epoll_event event{};
   ASSERT_EQ(::epoll_wait(epoll.get(), &event, 1, 1000), 1);
   EXPECT_EQ(event.data.u64, 1u);
@@ -206,7 +206,7 @@ TEST(DaemonProtocol, GivesAnotherUserOnlyTheDatagramDoorbell) {
   Node subscriber(daemon);
   subscriber.subscription("/topic");
   const UniqueFd epoll(::epoll_create1(EPOLL_CLOEXEC));
-  ASSERT_TRUE(subscriber.bells.add_to(epoll.get(), 1, 2));
+  ASSERT_TRUE(subscriber.doorbells.add_to(epoll.get(), 1, 2));
   EXPECT_EQ(in_other_user([&] {
               Node publisher(daemon);
               publisher.publisher("/topic");
@@ -224,16 +224,16 @@ TEST(DaemonProtocol, GivesAnotherUserOnlyTheDatagramDoorbell) {
 TEST(DaemonProtocol, RingsSubscriptionsWhoseDoorbellFilesWereRemoved) {
   if (::geteuid() != 0) GTEST_SKIP() << "needs root and another user";
   DaemonProcess daemon;
-  const std::string bells = daemon.socket_path() + ".bells";
+  const std::string doorbells = daemon.socket_path() + ".bells";
   Node subscriber(daemon);
   subscriber.subscription("/topic");
   const UniqueFd epoll(::epoll_create1(EPOLL_CLOEXEC));
-  ASSERT_TRUE(subscriber.bells.add_to(epoll.get(), 1, 2));
+  ASSERT_TRUE(subscriber.doorbells.add_to(epoll.get(), 1, 2));
   // When a publisher has ended, the daemon rings as well, but only by datagram.
   const auto is_rung_by = [&](std::uint64_t tag) {
     epoll_event events[2]{};
     const int count = ::epoll_wait(epoll.get(), events, 2, 1000);
-    subscriber.bells.drain();
+    subscriber.doorbells.drain();
     return std::any_of(events, events + std::max(count, 0),
                        [&](const epoll_event& event) { return event.data.u64 == tag; });
   };
@@ -245,13 +245,13 @@ TEST(DaemonProtocol, RingsSubscriptionsWhoseDoorbellFilesWereRemoved) {
       auto& fds = const_cast<std::vector<UniqueFd>&>(packet.fds);
       if (packet.as<wire::Announcement>().doorbell_count != count || fds.size() != 1 + count)
         return 1;
-      const Doorbell bell =
+      const Doorbell doorbell =
           count == 2 ? Doorbell(std::move(fds[2]), std::move(fds[1])) : Doorbell(std::move(fds[1]));
-      return bell.ring() == Doorbell::Rung::rung ? 0 : 2;
+      return doorbell.ring() == Doorbell::Rung::rung ? 0 : 2;
     }
     return 3;
   };
-  std::filesystem::remove_all(bells);
+  std::filesystem::remove_all(doorbells);
   EXPECT_EQ(in_other_user([&] { return ring_with("/topic", 1); }), 0);
   EXPECT_TRUE(is_rung_by(2));
   EXPECT_EQ(ring_with("/topic", 2), 0);
@@ -260,7 +260,7 @@ TEST(DaemonProtocol, RingsSubscriptionsWhoseDoorbellFilesWereRemoved) {
   later.subscription("/later");
   EXPECT_EQ(ring_with("/later", 2), 0) << "the directory is recreated";
 
-  std::filesystem::remove_all(bells);
+  std::filesystem::remove_all(doorbells);
   ASSERT_TRUE(daemon.wait_for_next(daemon.kill_worker()));
   EXPECT_EQ(ring_with("/topic", 2), 0) << "the eventfd was kept";
   EXPECT_TRUE(is_rung_by(1));
@@ -371,7 +371,7 @@ TEST(DaemonProtocol, RefusesRequestsAboutOthersEndpoints) {
       owner.wire.reference(Opcode::drained, Kind::subscription, s.topic, s.index, s.generation)
           .refused_text(),
       "the subscription has not left");
-  EXPECT_EQ(abi::state_of(publisher_word(owner.board, p.topic, p.index)), abi::MemberState::active);
+  EXPECT_EQ(abi::state_of(publisher_word(owner.board, p.topic, p.index)), abi::BoardState::active);
 }
 
 TEST(DaemonProtocol, ReusesThePlaceOfASubscriptionOnlyWhenItIsUnlinked) {
@@ -393,7 +393,7 @@ TEST(DaemonProtocol, ReusesThePlaceOfASubscriptionOnlyWhenItIsUnlinked) {
       subscriber.wire.reference(Opcode::leave, Kind::subscription, s.topic, s.index, s.generation)
           .opcode(),
       Opcode::done);
-  EXPECT_EQ(state(s.index), abi::MemberState::leaving);
+  EXPECT_EQ(state(s.index), abi::BoardState::leaving);
   const auto kick = publisher.wire.expect<wire::Reference>(Opcode::kick);
   EXPECT_EQ(kick.kind, Kind::publisher);
   EXPECT_EQ(kick.index, p.index);
@@ -406,7 +406,7 @@ TEST(DaemonProtocol, ReusesThePlaceOfASubscriptionOnlyWhenItIsUnlinked) {
       subscriber.wire.reference(Opcode::drained, Kind::subscription, s.topic, s.index, s.generation)
           .opcode(),
       Opcode::done);
-  EXPECT_EQ(state(s.index), abi::MemberState::free);
+  EXPECT_EQ(state(s.index), abi::BoardState::free);
   publisher.wire.expect<wire::Announcement>(Opcode::announce);  // of the second
   const auto forget = publisher.wire.expect<wire::Reference>(Opcode::forget);
   EXPECT_EQ(forget.kind, Kind::subscription);
@@ -442,7 +442,7 @@ TEST(DaemonProtocol, ReusesThePlaceOfAPublisherOnlyWhenBothSidesAreDone) {
     return publisher.wire.reference(opcode, Kind::publisher, p.topic, p.index, p.generation);
   };
   EXPECT_EQ(say(Opcode::leave).opcode(), Opcode::done);
-  EXPECT_EQ(state(), abi::MemberState::orphan);
+  EXPECT_EQ(state(), abi::BoardState::orphan);
   const auto orphaned = subscriber.wire.expect<wire::Orphaned>(Opcode::orphaned);
   EXPECT_EQ(orphaned.index, p.index);
   EXPECT_EQ(orphaned.generation, p.generation);
@@ -455,7 +455,7 @@ TEST(DaemonProtocol, ReusesThePlaceOfAPublisherOnlyWhenBothSidesAreDone) {
   subscriber.wire.unlinked(Kind::publisher, p.topic, p.index, p.generation);
   const auto kick = publisher.wire.expect<wire::Reference>(Opcode::kick);
   EXPECT_EQ(kick.index, p.index);
-  EXPECT_EQ(state(), abi::MemberState::free);
+  EXPECT_EQ(state(), abi::BoardState::free);
   EXPECT_NE(publisher.publisher("/topic").index, p.index) << "its owner still frees messages there";
   EXPECT_EQ(say(Opcode::drained).opcode(), Opcode::done);
   const auto again = publisher.publisher("/topic");
@@ -479,17 +479,17 @@ TEST(DaemonProtocol, IgnoresAnUnlinkedThatCrossesAnAnnouncement) {
   subscriber.wire.unlinked(Kind::publisher, p.topic, p.index, p.generation, before);
   subscriber.wire.drain();
   EXPECT_EQ(abi::state_of(publisher_word(publisher.board, p.topic, p.index)),
-            abi::MemberState::orphan)
+            abi::BoardState::orphan)
       << "it acknowledged an older announcement";
   subscriber.wire.unlinked(Kind::publisher, p.topic, p.index, p.generation + 9);
   subscriber.wire.drain();
   EXPECT_EQ(abi::state_of(publisher_word(publisher.board, p.topic, p.index)),
-            abi::MemberState::orphan)
+            abi::BoardState::orphan)
       << "another generation";
   subscriber.wire.unlinked(Kind::publisher, p.topic, p.index, p.generation);
   subscriber.wire.drain();
   EXPECT_EQ(abi::state_of(publisher_word(publisher.board, p.topic, p.index)),
-            abi::MemberState::free);
+            abi::BoardState::free);
   subscriber.wire.unlinked(Kind::publisher, p.topic, p.index, p.generation, 1u << 20);
   const auto unasked = subscriber.wire.drain();
   ASSERT_EQ(unasked.size(), 1u);

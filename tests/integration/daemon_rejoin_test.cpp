@@ -57,8 +57,8 @@ struct Node {
     return made(wire.create_publisher(topic, reliable));
   }
   wire::EndpointCreated subscription(std::string_view topic) {
-    if (bells.empty()) bells = std::move(wire.open_executor().fds);
-    EXPECT_EQ(bells.size(), 2u);
+    if (doorbells.empty()) doorbells = std::move(wire.open_executor().fds);
+    EXPECT_EQ(doorbells.size(), 2u);
     return made(wire.create_subscription(topic, reliable));
   }
   void lose_connection() { wire.socket().close(); }
@@ -73,7 +73,7 @@ struct Node {
   WireClient wire;
   wire::Welcome welcome{};
   Mapping board, region;
-  std::vector<UniqueFd> bells;
+  std::vector<UniqueFd> doorbells;
 };
 
 /// Returns all unasked packets of one kind.
@@ -160,7 +160,7 @@ TEST(DaemonRejoin, DoorbellsWhoseNamesWereRemovedAreRecreated) {
   Node sender(daemon), receiver(daemon);
   sender.publisher("/t");
   receiver.subscription("/t");
-  const UniqueFd eventfd(::dup(receiver.bells[0].get()));
+  const UniqueFd eventfd(::dup(receiver.doorbells[0].get()));
   sender.lose_connection();
   receiver.lose_connection();
   for (const auto& name : std::filesystem::directory_iterator(daemon.socket_path() + ".bells"))
@@ -174,10 +174,10 @@ TEST(DaemonRejoin, DoorbellsWhoseNamesWereRemovedAreRecreated) {
   receiver.come_back();
   auto packets = receiver.wire.drain();
   ASSERT_FALSE(packets.empty());
-  ASSERT_EQ(packets[0].opcode(), Opcode::bells_renewed);
-  EXPECT_EQ(packets[0].as<wire::BellsRenewed>().executor, 0u);
+  ASSERT_EQ(packets[0].opcode(), Opcode::doorbells_renewed);
+  EXPECT_EQ(packets[0].as<wire::DoorbellsRenewed>().executor, 0u);
   ASSERT_EQ(packets[0].fds.size(), 2u);
-  DoorbellReceiver bells(std::move(packets[0].fds[0]), std::move(packets[0].fds[1]));
+  DoorbellReceiver doorbells(std::move(packets[0].fds[0]), std::move(packets[0].fds[1]));
   // The daemon repeats it to its publishers, which ring the new socket.
   std::vector<UniqueFd> fds;
   const auto again = sender.wire.expect<wire::Announcement>(Opcode::announce, &fds);
@@ -186,7 +186,7 @@ TEST(DaemonRejoin, DoorbellsWhoseNamesWereRemovedAreRecreated) {
   std::uint64_t before = 0, after = 0;
   ASSERT_EQ(::read(eventfd.get(), &before, sizeof before) >= 0 || errno == EAGAIN, true);
   EXPECT_EQ(Doorbell(UniqueFd(::dup(fds[2].get()))).ring(), Doorbell::Rung::rung);
-  pollfd readable{bells.datagram_fd(), POLLIN, 0};
+  pollfd readable{doorbells.datagram_fd(), POLLIN, 0};
   EXPECT_EQ(::poll(&readable, 1, WireClient::patience_ms), 1);
   EXPECT_EQ(Doorbell(std::move(fds[2]), std::move(fds[1])).ring(), Doorbell::Rung::rung);
   EXPECT_EQ(::read(eventfd.get(), &after, sizeof after), static_cast<ssize_t>(sizeof after))
@@ -203,7 +203,7 @@ TEST(DaemonRejoin, AClientThatDropsNewDoorbellsGetsThemThreeTimes) {
   Node sender(daemon), receiver(daemon);
   sender.publisher("/t");
   receiver.subscription("/t");
-  receiver.bells.clear();
+  receiver.doorbells.clear();
   receiver.lose_connection();
   receiver.come_back();
   EXPECT_EQ(order_of(receiver.wire.drain()), "own announce region ") << "it already had them";
@@ -429,14 +429,14 @@ TEST(DaemonRejoin, AnUnlinkedRegionIsIgnoredBeforeAllPacketsWereRead) {
   other->region = Mapping();  // the daemon treats the process as ended
   ASSERT_TRUE(daemon.wait_for_log("client gone client=1"));
   node.come_back();
-  const auto let_go_of_region = [&] {
+  const auto unmap_region = [&] {
     node.wire.unlinked(Kind::region, 0, other->welcome.client, other->welcome.client_generation);
   };
-  let_go_of_region();  // it has read nothing but `rejoined`
+  unmap_region();  // it has read nothing but `rejoined`
   EXPECT_EQ(order_of(node.wire.drain()), "own forget region ") << "nothing was refused";
   node.wire.unlinked(Kind::subscription, subscription.topic, subscription.index,
                      subscription.generation);
-  let_go_of_region();
+  unmap_region();
   EXPECT_EQ(order_of(node.wire.drain()), "") << "nothing was refused";
   EXPECT_EQ(Node(daemon).welcome.client, other->welcome.client) << "its place is free";
 }
@@ -545,7 +545,7 @@ TEST(DaemonRejoin, ARepeatedRequestIsCarriedOutOnce) {
                                                               abi::topic_offset(theirs.topic)}
                               .publisher(theirs.index, offsetof(abi::PublisherEntry, word))
                               .load()),
-            abi::MemberState::active);
+            abi::BoardState::active);
 }
 
 }  // namespace

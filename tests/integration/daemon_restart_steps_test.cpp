@@ -89,7 +89,7 @@ TEST(DaemonRestart, MayDieAtAnyStepOfItsContinuation) {
 // The same with the founding of an incarnation: the store is useless without the board, so the
 // next daemon releases it and begins with nothing. Wherever that daemon dies, the one after it
 // founds one incarnation, keeps exactly the descriptors of it, and serves.
-TEST(DaemonRestart, MayDieAtAnyStepOfFounding) {
+TEST(DaemonRestart, MayDieAtAnyStepOfFormatting) {
   if (::geteuid() != 0) GTEST_SKIP() << "needs root";
   const unsigned deaths = deaths_of([](CrashControl& control, std::uint64_t n, bool& survived) {
     DaemonProcess daemon({.program = AGNOCAST_TEST_CRASHING_DAEMON});
@@ -178,9 +178,9 @@ TEST(DaemonRestart, TheNextDaemonRingsForAPredecessorThatDiedBeforeItsRing) {
   WireClient subscriber(daemon.socket_path());
   const Incoming welcome = subscriber.hello();
   ASSERT_EQ(welcome.opcode(), wire::Opcode::welcome);
-  const Incoming bells = subscriber.open_executor();
-  ASSERT_EQ(bells.fds.size(), 2u);
-  const int datagram = bells.fds[1].get();
+  const Incoming doorbells = subscriber.open_executor();
+  ASSERT_EQ(doorbells.fds.size(), 2u);
+  const int datagram = doorbells.fds[1].get();
   ASSERT_EQ(subscriber.create_subscription(topic_name, deep).opcode(),
             wire::Opcode::endpoint_created);
   Child publisher = publisher_child(daemon.socket_path());

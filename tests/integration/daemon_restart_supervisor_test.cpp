@@ -248,7 +248,7 @@ TEST(DaemonRestart, TakesOrdersFromItsWorkerAlone) {
   EXPECT_TRUE(daemon.wait_for_log("notification passed over"));
   EXPECT_EQ(daemon.kept_count(), kept);
   restart(daemon);
-  EXPECT_EQ(daemon.log().find("former life lost"), std::string::npos);
+  EXPECT_EQ(daemon.log().find("previous incarnation lost"), std::string::npos);
 }
 
 TEST(DaemonRestart, IsOneProcessWithoutAStoreIfConfigured) {

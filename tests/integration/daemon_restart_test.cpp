@@ -61,7 +61,7 @@ TEST(DaemonRestart, ContinuesTheSameIncarnationWithItsWholeState) {
     ASSERT_EQ(after.endpoints.size(), 2u);
     for (std::size_t i = 0; i < 2; ++i) {
       EXPECT_EQ(after.endpoints[i].generation, before.endpoints[i].generation);
-      EXPECT_EQ(after.endpoints[i].member, before.endpoints[i].member);
+      EXPECT_EQ(after.endpoints[i].board_word, before.endpoints[i].board_word);
       EXPECT_EQ(after.endpoints[i].extent, before.endpoints[i].extent);
     }
     // A new process gets unused resources, and its endpoints match those present.
@@ -120,7 +120,7 @@ TEST(DaemonRestart, RepairsProcessesThatEndedMeanwhileAndDeliversTheirCommittedM
   ASSERT_EQ(publisher.command('w'), '+');
   Child bystander = publisher_child(daemon.socket_path(), "/elsewhere");
   ASSERT_EQ(bystander.command('p'), '+');
-  subscriber.bells().drain();
+  subscriber.doorbells().drain();
   {
     Absence away(daemon);
     ASSERT_EQ(publisher.command('p'), '+');
@@ -137,12 +137,12 @@ TEST(DaemonRestart, RepairsProcessesThatEndedMeanwhileAndDeliversTheirCommittedM
   const auto orphan = std::find_if(after.endpoints.begin(), after.endpoints.end(),
                                    [](auto& e) { return e.kind == wire::Kind::publisher; });
   ASSERT_NE(orphan, after.endpoints.end());
-  EXPECT_EQ(abi::state_of(orphan->member), abi::MemberState::orphan);
+  EXPECT_EQ(abi::state_of(orphan->board_word), abi::BoardState::orphan);
   EXPECT_EQ(subscriber.take(), 1u);
   EXPECT_EQ(subscriber.take(), 2u);
   EXPECT_EQ(subscriber.take(), std::nullopt);
-  pollfd bell{subscriber.bells().datagram_fd(), POLLIN, 0};
-  EXPECT_EQ(::poll(&bell, 1, 10'000), 1) << "the daemon did not ring it";
+  pollfd doorbell{subscriber.doorbells().datagram_fd(), POLLIN, 0};
+  EXPECT_EQ(::poll(&doorbell, 1, 10'000), 1) << "the daemon did not ring it";
   // The subscriber's region, pidfd and eventfd; the publisher's region and window, which the
   // daemon may have to announce again to its peers; nothing of the bystander.
   EXPECT_TRUE(eventually([&] { return daemon.kept_count() == kept + 5; }))
@@ -205,7 +205,7 @@ TEST(DaemonRestart, NoticesAProcessThatExecutedAnotherProgramMeanwhile) {
     Absence away(daemon);
     EXPECT_EQ(publisher.command('e'), std::nullopt);
   }
-  EXPECT_TRUE(daemon.wait_for_log("how=\"process let go of its region\"")) << daemon.log();
+  EXPECT_TRUE(daemon.wait_for_log("how=\"process unmapped its region\"")) << daemon.log();
   EXPECT_TRUE(eventually([&] { return wire_dump(daemon.socket_path()).processes.empty(); }));
 }
 
@@ -343,7 +343,7 @@ TEST(DaemonRestart, RecreatesSocketAndLockWhereTheyWereNotKept) {
     order_as_worker(daemon, std::string("FDSTOREREMOVE=1\nFDNAME=") + lost);
     ASSERT_TRUE(eventually([&] { return daemon.kept_count() == kept - 1; }));
     restart(daemon);
-    EXPECT_EQ(daemon.log().find("former life lost"), std::string::npos);
+    EXPECT_EQ(daemon.log().find("previous incarnation lost"), std::string::npos);
     const WireDump after = wire_dump(daemon.socket_path());
     EXPECT_EQ(after.incarnation, before.incarnation);
     EXPECT_EQ(after.processes.size(), 2u);

@@ -24,7 +24,7 @@ TEST(DaemonRevoke, EndsASubscriberThatIsStoppedAndItsHoldsVanish) {
   ASSERT_EQ(::kill(subscriber.pid(), SIGSTOP), 0);
   for (std::uint64_t number = 6; number <= 60; ++number)
     ASSERT_TRUE(publisher.publish(number)) << "it is never blocked";
-  publisher.pass();
+  publisher.scan();
   EXPECT_EQ(publisher.allocated_count(), 13u) << "the held ones, and its depth";
 
   Observer observer(daemon.socket_path());
@@ -32,7 +32,7 @@ TEST(DaemonRevoke, EndsASubscriberThatIsStoppedAndItsHoldsVanish) {
   ASSERT_EQ(before.count(1), 1u);
   ASSERT_EQ(observer.revoke(1, before.at(1).generation).opcode(), wire::Opcode::done);
   ASSERT_TRUE(publisher.wait_for([&] { return publisher.attached_count() == 0; }));
-  publisher.pass();
+  publisher.scan();
   EXPECT_EQ(publisher.allocated_count(), 0u);
   EXPECT_EQ(observer.processes().at(1).state, wire::ProcessState::revoked);
   EXPECT_EQ(observer.revoke(1, before.at(1).generation).refused_code(), Errc::endpoint_gone);
@@ -158,7 +158,7 @@ TEST(DaemonRevoke, EndsWhenTheProcessExecutesAnotherProgramOrEnds) {
   const auto counters = wire_dump(daemon.socket_path()).daemon.counters;
   EXPECT_EQ(counters.clients_revoked, 2u);
   EXPECT_EQ(counters.clients_died, 0u) << "each is counted once";
-  EXPECT_EQ(counters.clients_let_go, 1u) << "the welcome one";
+  EXPECT_EQ(counters.clients_unmapped, 1u) << "the welcome one";
 }
 
 // n nothing · d unmaps everything · m makes it slow to look at · h hello: welcome, revoked,
@@ -232,7 +232,7 @@ TEST(DaemonRevoke, OutlivesTheDaemonAndThePlaceIsKeptUntilTheProcessEnds) {
       const WireDump dump = wire_dump(daemon.socket_path());
       const wire::DaemonCounters& counters = dump.daemon.counters;
       EXPECT_EQ(counters.clients_revoked, 1u);
-      EXPECT_LE(counters.clients_died + counters.clients_let_go, others) << "counted once more";
+      EXPECT_LE(counters.clients_died + counters.clients_unmapped, others) << "counted once more";
       EXPECT_EQ(counters.clients_died_meanwhile, 0u);
       const auto* const found = dump.process(client);
       return found == nullptr ? std::optional<wire::DumpProcess>() : *found;
@@ -314,7 +314,7 @@ TEST(DaemonRevoke, ReachesAProcessWithoutAConnectionWhenItRejoins) {
   ASSERT_EQ(observer.revoke(1, before.generation).opcode(), wire::Opcode::done);
   EXPECT_EQ(observer.processes().at(1).state, wire::ProcessState::revoked);
   ASSERT_TRUE(publisher.wait_for([&] { return publisher.attached_count() == 0; }));
-  publisher.pass();
+  publisher.scan();
   EXPECT_EQ(publisher.allocated_count(), 0u) << "its held and unread messages are free";
 
   // Handled before the daemon dies: all peers have acknowledged.

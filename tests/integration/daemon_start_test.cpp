@@ -194,13 +194,13 @@ TEST(DaemonStart, UsesAndChangesNoFileOfAnotherUser) {
   EXPECT_EQ(content(lock), "another's");
   ASSERT_EQ(::unlink(lock.c_str()), 0);
 
-  const std::string bells = socket + ".bells";
+  const std::string doorbells = socket + ".bells";
   std::filesystem::create_directory(directory / "kept");
   write_file(directory / "kept/file", "");
-  ASSERT_EQ(::symlink("kept", bells.c_str()), 0);
-  EXPECT_EQ(refusal(), "agnocastd: cannot use " + bells + ": it is not a directory of this user");
+  ASSERT_EQ(::symlink("kept", doorbells.c_str()), 0);
+  EXPECT_EQ(refusal(), "agnocastd: cannot use " + doorbells + ": it is not a directory of this user");
   EXPECT_TRUE(exists(directory / "kept/file"));
-  ASSERT_EQ(::unlink(bells.c_str()), 0);
+  ASSERT_EQ(::unlink(doorbells.c_str()), 0);
 
   std::filesystem::create_directory(directory / "another");
   ASSERT_EQ(::chown((directory / "another").c_str(), other_uid, other_uid), 0);
@@ -217,9 +217,9 @@ TEST(DaemonStart, RefusesPathsThatDoNotFitIntoAnAddress) {
   const Ended ended = run_daemon({"--socket", directory / (std::string(120, 'x') + ".sock")});
   EXPECT_EQ(ended.status, 2);
   EXPECT_NE(ended.err.find("107"), std::string::npos) << ended.err;
-  const Ended bells = run_daemon({"--socket", directory / (std::string(75, 'x') + ".sock")});
-  EXPECT_EQ(bells.status, 1);
-  EXPECT_NE(bells.err.find("must have at most"), std::string::npos) << bells.err;
+  const Ended doorbells = run_daemon({"--socket", directory / (std::string(75, 'x') + ".sock")});
+  EXPECT_EQ(doorbells.status, 1);
+  EXPECT_NE(doorbells.err.find("must have at most"), std::string::npos) << doorbells.err;
 }
 
 TEST(DaemonStart, ReportsEveryMistakeOfAConfiguration) {
@@ -358,7 +358,7 @@ TEST(DaemonStart, ListensAtAPassedSocketAndLeavesItInPlace) {
       const std::uint64_t incarnation = wire_dump(path).incarnation;
       EXPECT_TRUE(daemon.wait_for_next(daemon.kill_worker()));
       EXPECT_EQ(wire_dump(path).incarnation, incarnation);
-      EXPECT_EQ(daemon.log().find("former life lost"), std::string::npos);
+      EXPECT_EQ(daemon.log().find("previous incarnation lost"), std::string::npos);
     }
     EXPECT_TRUE(exists(path + ".bells"));
     EXPECT_EQ(daemon.stop(), 0);

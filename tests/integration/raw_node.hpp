@@ -83,7 +83,7 @@ struct RawNode {
       EXPECT_EQ(answer.opcode(), wire::Opcode::executor_opened) << answer.refused_text();
       EXPECT_EQ(answer.fds.size(), 2u);
       if (answer.fds.size() == 2)
-        bells = DoorbellReceiver(std::move(answer.fds[0]), std::move(answer.fds[1]));
+        doorbells = DoorbellReceiver(std::move(answer.fds[0]), std::move(answer.fds[1]));
       executor = true;
     }
     return created(wire.create_subscription(topic, qos));
@@ -93,7 +93,7 @@ struct RawNode {
   wire::Welcome welcome{};
   Mapping board, region;
   std::vector<UniqueFd> fds;
-  DoorbellReceiver bells;
+  DoorbellReceiver doorbells;
   bool executor = false;
 };
 

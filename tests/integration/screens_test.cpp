@@ -5,7 +5,7 @@
 // line is a command is run again and compared, without numbers. AGNOCAST_RECORD=1 rewrites them.
 
 #include <tests/support/doctored.hpp>
-#include <tests/support/member.hpp>
+#include <tests/support/node_process.hpp>
 
 #include <gmock/gmock.h>
 
@@ -45,7 +45,7 @@ TEST(Screens, EqualTheOutput) {
   wire::EndpointCreated points{};
   int ends[2];
   ASSERT_EQ(::pipe2(ends, O_CLOEXEC), 0);
-  const Member lidar(
+  const NodeProcess lidar(
       socket,
       [&](Node& node) {
         node.open_window();
@@ -56,7 +56,7 @@ TEST(Screens, EqualTheOutput) {
       },
       "lidar_driver");
   ASSERT_EQ(::read(ends[0], &points, sizeof points), ssize_t{sizeof points});
-  const Member camera(
+  const NodeProcess camera(
       socket,
       [&](Node& node) {
         node.open_window();
@@ -73,7 +73,7 @@ TEST(Screens, EqualTheOutput) {
   ASSERT_EQ(::read(ends[0], &frames, sizeof frames), ssize_t{sizeof frames});
   ::close(ends[0]);
   ::close(ends[1]);
-  const Member perception(
+  const NodeProcess perception(
       socket,
       [&](Node& node) {
         const auto own = node.subscription("/lidar/points", {10}, "/perception", cloud);
@@ -82,13 +82,13 @@ TEST(Screens, EqualTheOutput) {
         node.link(seen, frames, 4, 1);
       },
       "perception");
-  const Member viewer(
+  const NodeProcess viewer(
       socket,
       [&](Node& node) {
         node.link(node.subscription("/lidar/points", {10}, "/viewer", cloud), points, 3, 1);
       },
       "viewer");
-  const Member wrong(
+  const NodeProcess wrong(
       socket,
       [](Node& node) {
         auto body = WireClient::endpoint("/lidar/points", {10}, "my_msgs/msg/Points");

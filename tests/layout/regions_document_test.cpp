@@ -62,7 +62,7 @@ std::map<std::string, Struct> in_headers() {
       STRUCT(WindowEntry, FIELD(WindowEntry, base), FIELD(WindowEntry, length),
              FIELD(WindowEntry, frontier), FIELD(WindowEntry, reserved)),
       STRUCT(ExecutorLine, FIELD(ExecutorLine, armed)),
-      STRUCT(PublisherEndpoint, FIELD(PublisherEndpoint, head), FIELD(PublisherEndpoint, lineage),
+      STRUCT(PublisherEndpoint, FIELD(PublisherEndpoint, head), FIELD(PublisherEndpoint, persistent_id),
              FIELD(PublisherEndpoint, inherited), FIELD(PublisherEndpoint, published_bytes),
              FIELD(PublisherEndpoint, intent_op), FIELD(PublisherEndpoint, intent_sequence),
              FIELD(PublisherEndpoint, intent_slot), FIELD(PublisherEndpoint, adopted_messages),
@@ -76,7 +76,7 @@ std::map<std::string, Struct> in_headers() {
              FIELD(LinkLine, hold)),
       STRUCT(SubscriptionCounters, FIELD(SubscriptionCounters, lost),
              FIELD(SubscriptionCounters, malformed), FIELD(SubscriptionCounters, unreachable),
-             FIELD(SubscriptionCounters, lineage)),
+             FIELD(SubscriptionCounters, persistent_id)),
   };
 }
 

@@ -70,14 +70,14 @@ inline void QueueScenario::apply_record(W& world) {
            plan_.sub[record.index].quota, 0});
       break;
     case leaving:
-      steps.set_subscription(record.index, record.generation, abi::MemberState::leaving);
+      steps.set_subscription(record.index, record.generation, abi::BoardState::leaving);
       break;
     case drained:
-      steps.set_subscription(record.index, record.generation, abi::MemberState::free);
+      steps.set_subscription(record.index, record.generation, abi::BoardState::free);
       break;
     case death_of_subscription:
       if (record.generation != 0)
-        steps.set_subscription(record.index, record.generation, abi::MemberState::dead);
+        steps.set_subscription(record.index, record.generation, abi::BoardState::dead);
       break;
     case unlinked:
     case window_wanted:
@@ -132,7 +132,7 @@ inline void QueueScenario::answer_record(W& world) {
       break;
     case publisher_leaving:
       state.publisher_state = 1;
-      for (std::uint32_t s = 0; s < 2; ++s) state.bell[s] = 1;
+      for (std::uint32_t s = 0; s < 2; ++s) state.doorbell[s] = 1;
       state.kick = publisher_alive;
       break;
     case drained:
@@ -144,7 +144,7 @@ inline void QueueScenario::answer_record(W& world) {
     default:
       state.publisher_dead = 3;
       for (std::uint32_t s = 0; s < 2; ++s) {
-        if (MM::step(steps::D3_ring)) state.bell[s] = 1;
+        if (MM::step(steps::D3_ring)) state.doorbell[s] = 1;
         state.announced[s] = 0;
       }
       state.kick = 0;
@@ -169,7 +169,7 @@ inline void QueueScenario::run_daemon(W& world) {
       // Restart: redo the record of the redo log, kick and ring all.
       thread.pc = state.journal.request != none ? std::uint64_t{apply} : std::uint64_t{idle};
       state.kick = state.publisher_dead == 0;
-      for (std::uint32_t s = 0; s < 2; ++s) state.bell[s] = 1;
+      for (std::uint32_t s = 0; s < 2; ++s) state.doorbell[s] = 1;
       break;
     case apply:
       apply_record(world);

@@ -15,13 +15,13 @@ inline QueueScenario::W QueueScenario::start() {
   poke(world, board, offsetof(abi::TopicHeader, epoch), 1);
   poke(world, board, offsetof(abi::TopicHeader, publisher_high), 1);
   poke_publisher(world, offsetof(abi::PublisherEntry, word),
-                 abi::pack_member(generation, abi::MemberState::active));
+                 abi::pack_board_word(generation, abi::BoardState::active));
   const std::uint64_t slots = plan_.slots_before != 0 ? plan_.slots_before : plan_.slots;
   poke_publisher(world, offsetof(abi::PublisherEntry, slot_count), slots);
   poke(world, publisher_region, pe, abi::pack_entry(first, 0));
   poke(world, publisher_region, frontier_offset(0), page);
   new (world.state.publisher) PublisherPrivate(
-      {topic(), words(), 0, generation, first, offered(), slots, plan_.lazy_limit});
+      {topic(), words(), 0, generation, first, offered(), slots, plan_.deferred_limit});
   world.threads[publisher_main].pc = publish;
   world.threads[daemon_main].pc = idle;
   for (std::uint32_t s = 0; s < 2; ++s) {
@@ -39,7 +39,7 @@ inline QueueScenario::W QueueScenario::start() {
       world.state.withdrawal[s] = sub.withdrawn;
       poke(world, board, offsetof(abi::TopicHeader, subscription_high), s + 1);
       poke_sub(world, s, offsetof(abi::SubscriptionEntry, word),
-               abi::pack_member(1, abi::MemberState::active));
+               abi::pack_board_word(1, abi::BoardState::active));
       poke_sub(world, s, offsetof(abi::SubscriptionEntry, qos), abi::pack_qos(requested(s, 1)));
       poke_sub(world, s, offsetof(abi::SubscriptionEntry, quota), sub.quota);
       world.state.announced[s] = 1;

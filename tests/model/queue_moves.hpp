@@ -29,7 +29,7 @@ inline bool QueueScenario::runnable(const W& world, std::uint8_t t) const {
       if (pc == left || pc == hung || pc == served) return false;
       if (pc == await_join) return state.joined[s] == 1 || state.joined[s] == 3;
       if (pc == await_leave) return state.joined[s] == 2;
-      if (pc == blocked) return state.bell[s] != 0;
+      if (pc == blocked) return state.doorbell[s] != 0;
       if (pc == join && state.announced[s] != 0) return false;
       if (plan_.sub[s].other_thread_releases) {
         if (pc == release_one)
@@ -59,7 +59,7 @@ inline bool QueueScenario::perform(W& world, std::uint8_t t, std::uint16_t argum
   }
   if (argument == 2000) {
     state.window_announced[t - sub0] = 2;
-    state.bell[t - sub0] = 1;
+    state.doorbell[t - sub0] = 1;
     state.timer_runs = 0;  // a later timer run must free what it takes now
     return true;
   }

@@ -36,7 +36,7 @@ struct SubscriptionPlan {
 /// Deliberate faults of a plan for which no named step exists.
 enum class QueueFault : std::uint8_t {
   none,
-  one_number_for_two_sleepers,  // two processes; the number has the doorbell of the first
+  one_number_for_two_wait_sets,  // two processes; the number has the doorbell of the first
   looks_at_last_link,           // before it sleeps, the executor checks only its second link
   links_without_waking,         // a link made while the executor sleeps does not wake it
 };
@@ -51,7 +51,7 @@ struct QueuePlan {
   std::uint64_t slots_before =
       0;  // raised to `slots` by the first join; 0 = `slots` from the start
   std::uint64_t ring = 4;
-  std::uint64_t lazy_limit = 0;
+  std::uint64_t deferred_limit = 0;
   std::uint32_t grow_before = 0;         // the heap grows before this message (1-based); 0 = never
   std::uint32_t second_window_from = 0;  // messages from this one on lie there; 0 = never
   bool second_has_members = false;  // they only point there: the objects lie in the first window

@@ -35,7 +35,7 @@ inline void QueueScenario::run_publisher(W& world, std::uint8_t t) {
         state.announced[s] = 0;  // UNLINKED
     }
     if (machine.live) state.kick = 0;
-    own.core.pass(environment);
+    own.core.scan(environment);
     for (std::uint32_t s = 0; s < 2; ++s) change_withdrawal(world, own, s, due[s], environment);
     std::memcpy(state.publisher, scratch, sizeof scratch);
     return;
@@ -47,7 +47,7 @@ inline void QueueScenario::run_publisher(W& world, std::uint8_t t) {
     return;
   }
   if (thread.pc == timer) {
-    own.core.pass(environment);
+    own.core.scan(environment);
     thread.pc = own.published == plan_.messages ? finished_publishing : publish;
     std::memcpy(state.publisher, scratch, sizeof scratch);
     return;

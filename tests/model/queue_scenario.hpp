@@ -115,7 +115,7 @@ class QueueScenario {
     alignas(8) unsigned char publisher[sizeof(PublisherPrivate)] = {};
     alignas(8) unsigned char sub[2][sizeof(SubscriptionPrivate)] = {};
     // messages in transit
-    std::uint64_t bell[2] = {};
+    std::uint64_t doorbell[2] = {};
     std::uint64_t request[2] = {};   // client → daemon
     std::uint64_t joined[2] = {};    // daemon → client, for join and leave
     std::uint64_t announce[2] = {};  // daemon → publisher: generation to map
@@ -241,7 +241,7 @@ class QueueScenario {
         "sleep",        "wake",    "leave",         "await leave", "drain holds", "unlink",
         "left",         "hung",    "take other",    "served",      "restart",     "apply",
         "reply",        "down"};
-    return t == publisher_control ? "control pass" : names[world.threads[t].pc];
+    return t == publisher_control ? "control scan" : names[world.threads[t].pc];
   }
 
  private:
@@ -292,7 +292,7 @@ class QueueScenario {
   }
   /// The publisher's number for it.
   std::uint64_t executor(std::uint32_t s) const {
-    const bool one = plan_.one_executor || plan_.fault == QueueFault::one_number_for_two_sleepers;
+    const bool one = plan_.one_executor || plan_.fault == QueueFault::one_number_for_two_wait_sets;
     return one ? 0 : s;
   }
   /// Generation, cursor, hold.
@@ -353,7 +353,7 @@ class QueueScenario {
       return abi::state_of(peek(
                  world, board,
                  abi::subscription_entry_offset(1, s) + offsetof(abi::SubscriptionEntry, word))) ==
-             abi::MemberState::active;
+             abi::BoardState::active;
     const std::uint8_t t = static_cast<std::uint8_t>(sub0 + s);
     return state.withdrawal[s] == 2 && plan_.sub[s].unmapped && state.announce[s] != 0 &&
            state.held_count[s] == 0 && world.threads[t].pc == blocked && !busy(world, t);
@@ -424,7 +424,7 @@ class QueueScenario {
     W& world;
     void ring(std::uint64_t executor, std::uint64_t armed) {
       if (!machine.live) return;
-      world.state.bell[executor] = 1;
+      world.state.doorbell[executor] = 1;
       if (armed == 0) return;  // newly mapped: rung in any state
       if ((armed & 1) == 0) machine.fail("somebody awake was rung");
       if (world.state.rung[executor] == armed) machine.fail("one sleep was rung twice");
@@ -462,7 +462,7 @@ class QueueScenario {
       next = 4;
     }
     if (machine.live) state.withdrawal[s] = next;
-    own.core.pass(environment);
+    own.core.scan(environment);
   }
 
   /// Returns the lowest cursor of the keep-all subscriptions that joined first: a late joiner may
@@ -494,8 +494,8 @@ class QueueScenario {
       // The owner's header shows the window before a message lies there.
       if (count == 1 && machine.remember(world.state.second_window) == 2) return Place::awaited;
       if (window >= count) return Place::outside;
-      const bool one_group = count == 2 && !second_is_fresh;
-      if (closed == window + 1 || (one_group && closed != 0)) return Place::unreachable;
+      const bool one_window_set = count == 2 && !second_is_fresh;
+      if (closed == window + 1 || (one_window_set && closed != 0)) return Place::unreachable;
       return address + size <= base(window) + opened[window] ? Place::readable : Place::outside;
     }
   };

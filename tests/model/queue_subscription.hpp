@@ -39,7 +39,7 @@ inline void QueueScenario::run_subscription(W& world, std::uint32_t s) {
       thread.pc = plan.hangs ? hung : take;
       if (plan_.one_executor && s == 1) {
         thread.pc = served;
-        if (plan_.fault != QueueFault::links_without_waking) state.bell[0] = 1;
+        if (plan_.fault != QueueFault::links_without_waking) state.doorbell[0] = 1;
       }
       if (is_to_be_replaced(world, s)) thread.pc = sleep;
       break;
@@ -79,7 +79,7 @@ inline void QueueScenario::run_subscription(W& world, std::uint32_t s) {
       }
       break;
     case blocked:
-      if (machine.live) state.bell[s] = 0;
+      if (machine.live) state.doorbell[s] = 0;
       own.sleep.disarm();
       thread.pc = take;
       if (is_to_be_replaced(world, s) && ++own.wakes < 2) thread.pc = sleep;
@@ -151,7 +151,7 @@ inline void QueueScenario::run_executor(W& world) {
       break;
     }
     default:
-      if (machine.live) world.state.bell[0] = 0;
+      if (machine.live) world.state.doorbell[0] = 0;
       own(0).sleep.disarm();
       thread.pc = take;
       break;

@@ -73,7 +73,7 @@ class ReuseScenario {
     // the daemon's tables under the redo log
     journal::AnnounceSet<ModelMemory, 64> set;
     std::uint64_t publisher_state = free_index;
-    std::uint64_t told[4] = {};  // per client: the generation of its last notification
+    std::uint64_t notified[4] = {};  // per client: the generation of its last notification
     // the world
     std::uint64_t publisher_alive = 0;
     std::uint64_t region_owner = 0;
@@ -238,14 +238,14 @@ class ReuseScenario {
                                              16,
                                              16});
   }
-  static void let_go_of(std::uint64_t generation) {
+  static void unmap(std::uint64_t generation) {
     dataplane::LinkCore<ModelMemory> link = link_to(generation);
     link.release(0);
     link.unlink();
   }
-  static void show(W& world, abi::MemberState member) {
+  static void show(W& world, abi::BoardState state_on_board) {
     world.memory[address_map.find(board, pub_word)] =
-        abi::pack_member(world.state.set.generation(), member);
+        abi::pack_board_word(world.state.set.generation(), state_on_board);
   }
 
   static void disconnect(State& state) {
@@ -268,7 +268,7 @@ class ReuseScenario {
       return create;
     // A living process, connected or not.
     if (is(state.publisher_state == active && state.known_life == state.life &&
-           state.told[state.life] != state.set.generation()))
+           state.notified[state.life] != state.set.generation()))
       return announce;
     if (is(state.dead_unnoticed != 0)) return reap;
     return nothing_to_do;
@@ -294,18 +294,18 @@ class ReuseScenario {
         const std::uint64_t chosen = count > 1 ? machine.choose(count) : 0;
         switch (task(world, chosen)) {
           case hear:
-            state.set.let_go(state.connected, state.to_daemon.pop());
+            state.set.acknowledge(state.connected, state.to_daemon.pop());
             break;
           case orphan_publisher:
             state.publisher_state = orphan;
-            show(world, abi::MemberState::orphan);
+            show(world, abi::BoardState::orphan);
             break;
           case free_it:
-            if (state.told[state.life] == state.set.generation() &&
+            if (state.notified[state.life] == state.set.generation() &&
                 (state.linked_generations >> state.set.generation() & 1) == 0)
               machine.fail("the last messages of a publisher are lost");
             state.publisher_state = free_index;
-            show(world, abi::MemberState::free);
+            show(world, abi::BoardState::free);
             break;
           case create:
             state.set.begin(state.set.generation() + 1);
@@ -313,7 +313,7 @@ class ReuseScenario {
             state.publisher_alive = 1;
             state.region_owner = state.set.generation();  // the same memory, in place
             world.memory[address_map.find(publisher_region, 0)] = abi::pack_entry(first, 0);
-            show(world, abi::MemberState::active);
+            show(world, abi::BoardState::active);
             for (std::uint64_t field = 0; field < 3; ++field) {
               if (line(world, field) != 0)
                 machine.fail("a publisher begins on the line of an older one");
@@ -322,7 +322,7 @@ class ReuseScenario {
           case announce:
             state.addressee = state.life;
             state.set.tell(state.life);  // (a) logged; sent in a separate step
-            state.told[state.life] = state.set.generation();
+            state.notified[state.life] = state.set.generation();
             thread.pc = send_announcement;
             break;
           case reap:
@@ -381,7 +381,7 @@ class ReuseScenario {
         thread.pc = serving;
         break;
       case unlink_line:
-        if (!plan_.says_unlinked_first) let_go_of(state.unlinked_generation);
+        if (!plan_.says_unlinked_first) unmap(state.unlinked_generation);
         state.book.unlinked(
             state.unlinked_generation);  // (b) the link is gone; reported in a separate step
         thread.pc = say_unlinked;
@@ -393,7 +393,7 @@ class ReuseScenario {
           break;
         }
         state.to_daemon.push(state.unlinked_generation);
-        if (plan_.says_unlinked_first) let_go_of(state.unlinked_generation);
+        if (plan_.says_unlinked_first) unmap(state.unlinked_generation);
         state.unlinked_generation = 0;
         thread.pc = serving;
         break;

@@ -9,6 +9,6 @@
 #define AGNOCAST_MODEL_STEPS(X)                         \
   X(S3_news, "has something been published meanwhile?") \
   X(D3_ring, "ring every subscription of the topic")    \
-  X(R8_again, "announce again to every member after a reconnect")
+  X(R8_again, "announce again to every client after a reconnect")
 
 AGNOCAST_STEPS(model, 768, AGNOCAST_MODEL_STEPS)

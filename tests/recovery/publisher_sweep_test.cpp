@@ -28,13 +28,13 @@ const Script scripts[] = {
     {"overrun while held", {keep_last(2, true), keep_last(2, true)}, "japptpppprpptrx"},
     {"history for late joiners", {keep_last(3, true), keep_last(2, true)}, "pppppjapttrrpptrtrx"},
     {"growth", {keep_last(2), keep_last(4)}, "japtgtrrgptrtrx"},
-    {"sleeper is rung once", {keep_last(1), keep_last(3)}, "jazppwtrzpwtrtrx"},
+    {"wait set is rung once", {keep_last(1), keep_last(3)}, "jazppwtrzpwtrtrx"},
     {"joins, leaves and joins again", {keep_last(1), keep_last(3)}, "ppjatptrludppjaptrx"},
     {"leaves while holding", {keep_last(1), keep_last(3)}, "jappttlpprrudppx"},
     {"keep-all",
      {{2, false, true, true, false}, {2, false, true, true, false}},
      "jappptrptrptrtrtrx"},
-    {"lazy passes", {keep_last(1), keep_last(4), 2}, "japppptrtrpptrppptrtrx"},
+    {"deferred scans", {keep_last(1), keep_last(4), 2}, "japppptrtrpptrppptrtrx"},
     {"withdrawn while it holds, then served again",
      {keep_last(1), keep_last(3)},
      "japppttepp0pprrxspTrpTrx"},
@@ -43,7 +43,7 @@ const Script scripts[] = {
      {keep_last(2), keep_last(2)},
      "pjppeppippaspTrpTrx"},
     {"nobody there", {keep_last(2, true), keep_last(1)}, "pppppx"},
-    {"member seen but not mapped yet", {keep_last(1), keep_last(2)}, "ppjpppaptrx"},
+    {"endpoint seen but not mapped yet", {keep_last(1), keep_last(2)}, "ppjpppaptrx"},
 };
 
 class PublisherSweep : public testing::TestWithParam<Script> {};
@@ -66,7 +66,7 @@ bool run(const Script& script, std::uint64_t n, Totals& totals) {
         case 'g':
           return publisher.publish(what == 'g') == dataplane::PublishOutcome::published ? '+' : '-';
         case 'x':
-          publisher.pass();
+          publisher.scan();
           return '+';
         case 'a':
           publisher.attach(++generation);
@@ -166,13 +166,13 @@ bool run(const Script& script, std::uint64_t n, Totals& totals) {
         subscriber->disarm();
         break;
       case 'l':
-        stage.board_steps().set_subscription(0, generation, abi::MemberState::leaving);
+        stage.board_steps().set_subscription(0, generation, abi::BoardState::leaving);
         leaving = true;
         break;
       case 'u':
         subscriber->unlink();
         linked = false;
-        stage.board_steps().set_subscription(0, generation, abi::MemberState::free);
+        stage.board_steps().set_subscription(0, generation, abi::BoardState::free);
         break;
       default:
         ADD_FAILURE() << "unknown command " << *at;

@@ -72,7 +72,7 @@ inline bool intact(const Message& message, std::uint64_t number) {
 struct Setup {
   abi::Qos offered;
   abi::Qos requested;
-  std::uint64_t lazy_limit = 0;
+  std::uint64_t deferred_limit = 0;
 };
 
 class Stage {
@@ -112,7 +112,7 @@ class Stage {
 
   dataplane::PublisherCore<M>::Identity publisher_identity() const {
     return {topic(),          words(),        0,          publisher_generation,
-            first_sequence(), setup_.offered, slot_count, setup_.lazy_limit};
+            first_sequence(), setup_.offered, slot_count, setup_.deferred_limit};
   }
   dataplane::LinkCore<M>::Identity link_identity() const {
     return {topic(),
@@ -174,29 +174,29 @@ class PublisherSide {
     if (outcome != dataplane::PublishOutcome::published) free(address);
     return outcome;
   }
-  void pass() {
+  void scan() {
     Environment environment{*this};
-    core_.pass(environment);
+    core_.scan(environment);
   }
   void attach(std::uint64_t generation) {
     Environment environment{*this};
     core_.attach(0, generation, stage_.subscriber_region(), subscription_extent, armed_offset, 0,
                  environment);
-    core_.pass(environment);
+    core_.scan(environment);
   }
   void detach(std::uint64_t generation) {
     core_.detach(0, generation);
-    pass();
+    scan();
   }
   /// Withdraws the subscription; then its holds no longer count; then it is served as before.
   bool withdraw(std::uint64_t generation) {
     const bool withdrawn = core_.withdraw(0, generation, abi::Withdrawal::over_share);
-    pass();
+    scan();
     return withdrawn;
   }
   void disregard(std::uint64_t generation) {
     core_.disregard(0, generation);
-    pass();
+    scan();
   }
   bool serve_again(std::uint64_t generation) {
     Environment environment{*this};

@@ -29,7 +29,7 @@ const Script scripts[] = {
     {"keep-all",
      {{2, false, true, true, false}, {2, false, true, true, false}},
      "Lapppttprrptrtru"},
-    {"lazy passes", {keep_last(1), keep_last(3), 2}, "Lappptrpptrtrpptru"},
+    {"deferred scans", {keep_last(1), keep_last(3), 2}, "Lappptrpptrtrpptru"},
 };
 
 class SubscriberSweep : public testing::TestWithParam<Script> {};
@@ -91,7 +91,7 @@ bool run(const Script& script, std::uint64_t n, unsigned& points) {
         publish(*at == 'g');
         break;
       case 'x':
-        publisher.pass();
+        publisher.scan();
         break;
       case 'a':
         publisher.attach(generation);
@@ -117,12 +117,12 @@ bool run(const Script& script, std::uint64_t n, unsigned& points) {
     // The publisher does not know yet and is not blocked: a keep-all publisher reports it at once
     // instead of waiting.
     publish(false);
-    stage.board_steps().set_subscription(0, generation, abi::MemberState::dead);
+    stage.board_steps().set_subscription(0, generation, abi::BoardState::dead);
   } else {
-    stage.board_steps().set_subscription(0, generation, abi::MemberState::free);
+    stage.board_steps().set_subscription(0, generation, abi::BoardState::free);
   }
-  publisher.pass();
-  publisher.pass();
+  publisher.scan();
+  publisher.scan();
   publisher.detach(generation);
   EXPECT_EQ(journal::verify_queue(stage.words(), Stage::first_sequence(), slot_count, true),
             journal::Invariant::none);
@@ -150,7 +150,7 @@ bool run(const Script& script, std::uint64_t n, unsigned& points) {
   EXPECT_EQ(received, with_history
                           ? std::min<std::uint64_t>({history + 1, script.setup.requested.depth})
                           : 1u);
-  publisher.pass();
+  publisher.scan();
   EXPECT_EQ(stage.verify(), journal::Invariant::none) << sentence_of(stage.verify());
   return alive;
 }

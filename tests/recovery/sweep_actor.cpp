@@ -14,7 +14,7 @@
 //   take ID → none | PUBLISHER:NUMBER, held · drain ID → all, by batches, not held
 //   heard ID → messages of the callback
 //   release · drop → ok | nothing      the oldest held message; release checks it once more
-//   island → why this session is orphaned, once it is
+//   orphaned → why this session is orphaned, once it is
 //   connected · moved · settled   waits until the daemon knows this process; until all its
 //                                 publishers have moved there; until no previous session is left
 //   unpub ID · unsub ID           held messages stay
@@ -68,7 +68,7 @@ class Actor {
     if (what == "sync") return sync();
     if (what == "release") return release();
     if (what == "drop") return drop();
-    if (what == "island") return await_island();
+    if (what == "orphaned") return await_orphaned();
     if (what == "fork") return fork_child();
     if (what == "connected" || what == "moved" || what == "settled") return await_move(what);
     line >> id;
@@ -192,9 +192,9 @@ class Actor {
     return "ok";
   }
 
-  static std::string await_island() {
-    for (int i = 0; i < 10'000 && island_reason() == Errc::ok; ++i) ::usleep(1000);
-    return sentence_of(island_reason());
+  static std::string await_orphaned() {
+    for (int i = 0; i < 10'000 && orphan_reason() == Errc::ok; ++i) ::usleep(1000);
+    return sentence_of(orphan_reason());
   }
 
   static std::size_t count_threads(const char* name) {
@@ -217,7 +217,7 @@ class Actor {
       ::usleep(1000);
     }
     return "bad: it is not " + how_far + ", with " + std::to_string(count_threads("agnocast-ctl")) +
-           " memberships";
+           " sessions";
   }
 
   void listen(std::uint64_t id, const std::string& topic, const QoS& qos) {

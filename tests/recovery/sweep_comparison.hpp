@@ -55,7 +55,7 @@ inline std::string Performance::judge(const Run& run, std::uint64_t subscription
     return text;
   };
   if (publishers_.at(publisher).owner != 'V')
-    return got == wanted ? "" : say("a survivor's messages");
+    return got == wanted ? "" : say("a remaining peer's messages");
   const std::uint64_t acknowledged = number_in(run.acknowledged, publisher);
   if (got.size() > wanted.size() || !std::equal(got.begin(), got.end(), wanted.begin()))
     return say("no prefix");

@@ -6,7 +6,7 @@
 #pragma once
 
 #include <daemon/death/reaper.hpp>
-#include <daemon/lifecycle/membership.hpp>
+#include <daemon/lifecycle/endpoint_manager.hpp>
 #include <daemon/state/steps.hpp>
 #include <tests/support/crash_point.hpp>
 
@@ -56,13 +56,13 @@ class KeptMemory {
 };
 
 /// One incarnation of the daemon.
-class Core final : private Post {
+class Core final : private ClientChannel {
  public:
-  Core(KeptMemory& memory, const std::string& bells, References& references)
+  Core(KeptMemory& memory, const std::string& doorbells, References& references)
       : regions_(memory.regions()),
         registry_(regions_.memory()),
-        doorbells_(bells, memory.store()),
-        membership_(registry_, regions_, doorbells_, *this),
+        doorbells_(doorbells, memory.store()),
+        endpoint_manager_(registry_, regions_, doorbells_, *this),
         sessions_(core_client_count),
         references_(references) {}
 
@@ -82,7 +82,7 @@ class Core final : private Post {
     const ClientIndex index{client};
     if (again && registry_.client(index).window_count > window) return;
     registry_.open_window(index, {core_window_base(client, window), core_window_bytes, 0});
-    membership_.announce_window(index);
+    endpoint_manager_.announce_window(index);
   }
   void open_executor(std::uint32_t client) {
     ring_at(client);
@@ -100,8 +100,8 @@ class Core final : private Post {
     asked.topic = topic;
     asked.type = "tests/Type";
     asked.node = "/node";
-    if (!again || !membership_.answer_again(ClientIndex{client}, asked))
-      require(static_cast<bool>(membership_.create(ClientIndex{client}, asked)), "a creation");
+    if (!again || !endpoint_manager_.answer_again(ClientIndex{client}, asked))
+      require(static_cast<bool>(endpoint_manager_.create(ClientIndex{client}, asked)), "a creation");
     const auto ref = registry_.find_creation(ClientIndex{client}, kind, request);
     require(ref.has_value(), "an endpoint is not where its creation says");
     wire::Reference reference{};
@@ -115,13 +115,13 @@ class Core final : private Post {
     LeaveRequest asked;
     asked.again = again;
     asked.reference = references_.at(request);
-    require(static_cast<bool>(membership_.leave(ClientIndex{client}, asked)), "leave");
+    require(static_cast<bool>(endpoint_manager_.leave(ClientIndex{client}, asked)), "leave");
   }
   void drained(std::uint32_t client, std::uint64_t request, bool again) {
     DrainedRequest asked;
     asked.again = again;
     asked.reference = references_.at(request);
-    require(static_cast<bool>(membership_.drained(ClientIndex{client}, asked)), "drained");
+    require(static_cast<bool>(endpoint_manager_.drained(ClientIndex{client}, asked)), "drained");
   }
   /// `by` acknowledges the unmap of what that request created.
   void unlinked(std::uint32_t by, std::uint64_t request) {
@@ -132,7 +132,7 @@ class Core final : private Post {
     statement.index = of.index;
     statement.generation = of.generation;
     statement.seen = sessions_[by]->packet_count();
-    require(static_cast<bool>(membership_.unlinked(ClientIndex{by}, statement)), "unlinked");
+    require(static_cast<bool>(endpoint_manager_.unlinked(ClientIndex{by}, statement)), "unlinked");
   }
   void unlinked_region(std::uint32_t by, std::uint32_t client) {
     wire::Unlinked statement{};
@@ -140,7 +140,7 @@ class Core final : private Post {
     statement.index = client;
     statement.generation = registry_.client(ClientIndex{client}).generation;
     statement.seen = sessions_[by]->packet_count();
-    require(static_cast<bool>(membership_.unlinked(ClientIndex{by}, statement)), "let go");
+    require(static_cast<bool>(endpoint_manager_.unlinked(ClientIndex{by}, statement)), "let go");
   }
   /// Leaves what a process leaves that dies in a publish, before or after its commit. Not an
   /// operation of the daemon: it has no crash points.
@@ -160,18 +160,18 @@ class Core final : private Post {
   }
   void reap(std::uint32_t client) {
     sessions_[client].reset();
-    end_membership(client, journal::DeathReason::died);
+    end_session(client, journal::DeathReason::died);
   }
   /// The process lives and keeps its place.
   void revoke(std::uint32_t client) {
     sessions_[client].reset();
-    end_membership(client, journal::DeathReason::revoked);
+    end_session(client, journal::DeathReason::revoked);
   }
   /// Ends a revoked process.
   void end(std::uint32_t client) {
     const ClientIndex index{client};
     if (registry_.is_revoked(index)) registry_.client_died(index, journal::DeathReason::died);
-    membership_.run(membership_.endings().free_unused_client(index));
+    endpoint_manager_.run(endpoint_manager_.endings().free_unused_client(index));
   }
 
   /// Resumes as a new daemon does: completes the change and the deaths under way and those that it
@@ -183,12 +183,12 @@ class Core final : private Post {
       if (ended.count(i) != 0 && registry_.is_revoked(ClientIndex{i})) end(i);
       if (is_dying(i) || ended.count(i) != 0) reap(i);
     }
-    membership_.carry_out_what_is_owed();
+    endpoint_manager_.carry_out_what_is_owed();
     for (std::uint32_t i = 0; i < registry_.client_high(); ++i) {
       if (!registry_.is_alive(ClientIndex{i})) continue;
       if (registry_.client(ClientIndex{i}).executors != 0) ring_at(i);
       connect(i);
-      membership_.welcome_back(ClientIndex{i});
+      endpoint_manager_.welcome_back(ClientIndex{i});
     }
   }
 
@@ -214,11 +214,11 @@ class Core final : private Post {
   static void require(bool holds, const char* what) {
     if (!holds) throw std::runtime_error(what);
   }
-  void end_membership(std::uint32_t client, journal::DeathReason reason) {
+  void end_session(std::uint32_t client, journal::DeathReason reason) {
     const ClientIndex index{client};
     if (!registry_.is_alive(index) && !is_dying(client)) return;
     Reaping reaping(index, is_dying(client) ? registry_.client(index).reason : reason, registry_,
-                    regions_, doorbells_, membership_);
+                    regions_, doorbells_, endpoint_manager_);
     while (!reaping.go_on(UINT64_MAX)) {
     }
   }
@@ -231,7 +231,7 @@ class Core final : private Post {
   }
   void ring_at(std::uint32_t client) {
     if (!doorbells_.is_open(ClientIndex{client}, 0))
-      require(static_cast<bool>(doorbells_.open(ClientIndex{client}, 0, 0)), "bells");
+      require(static_cast<bool>(doorbells_.open(ClientIndex{client}, 0, 0)), "doorbells");
   }
 
   Session* session_of(ClientIndex client) override { return sessions_[number(client)].get(); }
@@ -249,7 +249,7 @@ class Core final : private Post {
   Regions& regions_;
   Registry registry_;
   Doorbells doorbells_;
-  Membership membership_;
+  EndpointManager endpoint_manager_;
   std::vector<std::unique_ptr<Session>> sessions_;
   References& references_;
 };
@@ -276,9 +276,9 @@ inline std::string Core::state(Generations generations) const {
                               : static_cast<std::uint64_t>(std::distance(all.begin(), found)) + 1;
   };
   std::ostringstream text;
-  const auto set = [&](const AnnounceSet& told) {
-    for (std::uint32_t i = 0; i < core_client_count; ++i) text << (told.contains(i) ? '1' : '0');
-    text << " of " << shown(told.generation());
+  const auto set = [&](const AnnounceSet& notified) {
+    for (std::uint32_t i = 0; i < core_client_count; ++i) text << (notified.contains(i) ? '1' : '0');
+    text << " of " << shown(notified.generation());
   };
   const auto member = [&](std::uint64_t word) {
     text << ' ' << shown(abi::generation_of(word)) << '/' << static_cast<int>(abi::state_of(word));
@@ -295,7 +295,7 @@ inline std::string Core::state(Generations generations) const {
       for (std::uint64_t w = 0; w < client.window_count; ++w)
         text << ' ' << client.window[w].base << '+' << client.window[w].bytes;
       text << " known to ";
-      set(client.told);
+      set(client.notified);
       text << " has " << registry.endpoints_of(ClientIndex{i}).size();
     }
     text << '\n';
@@ -332,7 +332,7 @@ inline std::string Core::state(Generations generations) const {
                                         offsetof(Entry, extent), offsetof(Entry, slot_count)})
           text << ' ' << word(field);
         text << " told ";
-        set(record.told);
+        set(record.notified);
         // Its repair has no record: the state is open until all records are there.
         if (generations == Generations::order && record.state == EndpointState::orphan)
           text << queue_of(record);
@@ -355,7 +355,7 @@ inline std::string Core::state(Generations generations) const {
               offsetof(Entry, quota), offsetof(Entry, executor)})
           text << ' ' << word(field);
         text << " told ";
-        set(record.told);
+        set(record.notified);
       }
       text << '\n';
     }

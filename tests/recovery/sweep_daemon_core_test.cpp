@@ -128,7 +128,7 @@ class CoreSweep : public testing::Test {
     crash_points::use(*control_);
   }
 
-  const std::string& bells() {
+  const std::string& doorbells() {
     for (const auto& entry : std::filesystem::directory_iterator(directory_.path()))
       std::filesystem::remove(entry);
     return directory_.path();
@@ -138,7 +138,7 @@ class CoreSweep : public testing::Test {
   void rehearse() {
     crash_points::arm(0);
     KeptMemory memory;
-    Core core(memory, bells(), references_);
+    Core core(memory, doorbells(), references_);
     core.registry().create(1);
     for (const Operation& operation : script) {
       operation.run(core, false);
@@ -179,7 +179,7 @@ class CoreSweep : public testing::Test {
     return death;
   }
   Death first_life(KeptMemory& memory, std::uint64_t n) {
-    const std::string& directory = bells();
+    const std::string& directory = doorbells();
     return dies(n, [&] {
       Core core(memory, directory, references_);
       core.registry().create(1);
@@ -246,7 +246,7 @@ TEST_F(CoreSweep, AfterADeathAtAnyStoreTheNextDaemonContinues) {
     };
     const auto complete = [&](KeptMemory& left, bool to_the_end) {
       try {
-        Core core(left, bells(), references_);
+        Core core(left, doorbells(), references_);
         repeat(core, at);
         if (!expect_equal(core.state(Core::Generations::order), after_[at],
                           "the operation asked for again"))
@@ -263,7 +263,7 @@ TEST_F(CoreSweep, AfterADeathAtAnyStoreTheNextDaemonContinues) {
       }
     };
     {
-      Core core(memory, bells(), references_);
+      Core core(memory, doorbells(), references_);
       ASSERT_TRUE(core.registry().open().has_value()) << where;
       created = true;
       const std::uint64_t lsn = core.registry().log().committed_lsn();
@@ -278,7 +278,7 @@ TEST_F(CoreSweep, AfterADeathAtAnyStoreTheNextDaemonContinues) {
     for (std::uint64_t m = 1; with_pairs && violations < 5;) {
       KeptMemory again;
       (void)first_life(again, n);
-      const std::string& directory = bells();
+      const std::string& directory = doorbells();
       const Death second = dies(m, [&] {
         Core core(again, directory, references_);
         repeat(core, at);

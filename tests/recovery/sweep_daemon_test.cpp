@@ -400,11 +400,11 @@ TEST(DaemonSweep, ABroughtWindowExistsOnceWhereverItsDaemonDies) {
 }
 
 /// A publisher of one user that rings a subscription of another, while daemons die and restart.
-class BellsOfTwoUsers {
+class DoorbellsOfTwoUsers {
  public:
   static constexpr uid_t other_uid = 65534;
 
-  BellsOfTwoUsers() {
+  DoorbellsOfTwoUsers() {
     EXPECT_EQ(receiver_->ask("cb 1 /s 20"), "ok");
     EXPECT_EQ(sender_->ask("pub 2 /s 20"), "ok");
     // A sync makes a doorbell that is not used afterwards.
@@ -415,9 +415,9 @@ class BellsOfTwoUsers {
   SweepStage& stage() { return stage_; }
   /// Kills the next daemon where `arm` says. Returns what is wrong, or nothing.
   std::string renew(const std::function<void(ControlPage&)>& arm) {
-    const std::set<std::string> names = stage_.bell_names();
+    const std::set<std::string> names = stage_.doorbell_names();
     const std::set<std::uint32_t> before = rung();
-    if (!stage_.remove_bells_and_restart(arm))
+    if (!stage_.remove_doorbells_and_restart(arm))
       return "no doorbell had a name, or no daemon continues";
     const auto is_another = [&] {
       const std::set<std::uint32_t> now = rung();
@@ -434,7 +434,7 @@ class BellsOfTwoUsers {
     if (sender_->ask("publish 2 1") != "1") return "nothing is published";
     if (!test::eventually([&] { return receiver_->ask("heard 1") == heard_; }))
       return "heard " + receiver_->ask("heard 1").value_or("nothing") + ", wanted " + heard_;
-    if (stage_.bell_names() != names) return "the names of the doorbells have changed";
+    if (stage_.doorbell_names() != names) return "the names of the doorbells have changed";
     if (!test::eventually([&] { return is_audible(); }))
       return "the daemon takes the subscription for mute";
     if (stage_.daemon().log().find(" client lost ") != std::string::npos) return "client lost";
@@ -464,7 +464,7 @@ class BellsOfTwoUsers {
 TEST(DaemonSweep, ADoorbellIsRecreatedWhereverTheDaemonThatMakesItDies) {
   if (::geteuid() != 0) GTEST_SKIP() << "needs root and a second uid";
   if (!test::datagram_peers()) GTEST_SKIP() << "needs the kernel's list of sockets";
-  BellsOfTwoUsers bells;
+  DoorbellsOfTwoUsers doorbells;
   ASSERT_FALSE(HasFailure());
   std::uint64_t deaths = 0;
   std::map<Step, std::uint64_t> died_at;
@@ -472,21 +472,21 @@ TEST(DaemonSweep, ADoorbellIsRecreatedWhereverTheDaemonThatMakesItDies) {
   // return.
   for (const bool is_behind : {false, true}) {
     for (std::uint64_t n = 1;; ++n) {
-      const std::string wrong = bells.renew([&](ControlPage& daemon) {
+      const std::string wrong = doorbells.renew([&](ControlPage& daemon) {
         is_behind ? daemon.arm_from(steps::B_bell_bind, n)
                   : daemon.arm_until(steps::B_bell_bind, n);
       });
-      const auto death = bells.stage().daemon_control().died_at();
+      const auto death = doorbells.stage().daemon_control().died_at();
       ASSERT_EQ(wrong, "") << "point " << n << (is_behind ? " behind" : " before")
                            << " the doorbell" << (death ? std::string(", ") + name_of(*death) : "")
                            << "\nagnocastd wrote:\n"
-                           << bells.stage().daemon().log();
+                           << doorbells.stage().daemon().log();
       if (!death) break;
       ++deaths;
       ++died_at[*death];
     }
   }
-  std::printf("bells that are made anew: %ju deaths at %zu names\n", std::uintmax_t{deaths},
+  std::printf("doorbells that are made anew: %ju deaths at %zu names\n", std::uintmax_t{deaths},
               died_at.size());
   for (const Step step :
        {steps::B_accepted, steps::B_bell_bind, steps::B_bell_bound, steps::B_send, steps::B_sent})

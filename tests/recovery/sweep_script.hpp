@@ -58,9 +58,9 @@ class Performance {
                                      [&](const Command& command) { return command.who == who; });
       if (!plays) continue;
       pages_.push_back(std::make_unique<ControlPage>(stage_.directory() + "/" + who));
-      survivors_[who] = stage_.make(*pages_.back());
+      remaining_peers_[who] = stage_.make(*pages_.back());
     }
-    stage_.set_living(survivors_.size());
+    stage_.set_living(remaining_peers_.size());
     for (int i = 0; i < 2; ++i) {
       stage_.daemon_control().arm(0);
       daemon_deadly_ = {0, 0};
@@ -210,13 +210,13 @@ class Performance {
         await_everybody(command.what, run);
       } else if (command.text == "stop" || command.text == "cont") {
         run.answers[at_] = command.text;
-        survivors_.at(command.who)->signal(command.text == "stop" ? SIGSTOP : SIGCONT);
+        remaining_peers_.at(command.who)->signal(command.text == "stop" ? SIGSTOP : SIGCONT);
         stopped_.clear();
         if (command.text == "stop") stopped_.insert(command.who);  // one at a time
       } else if (command.who == '*') {
         sync(run);
       } else if (command.who != 'V') {
-        tell_survivor(command, run);
+        tell_remaining_peer(command, run);
       } else if (!run.noticed_dead) {
         tell_victim(command, n, run);
       }
@@ -289,8 +289,8 @@ class Performance {
   void await_everybody(const std::string& what, Run& run) {
     run.answers[at_] = what;
     await_registration();
-    for (auto& [who, survivor] : survivors_) {
-      const std::string answer = survivor->ask(what).value_or("it has ended");
+    for (auto& [who, remaining_peer] : remaining_peers_) {
+      const std::string answer = remaining_peer->ask(what).value_or("it has ended");
       if (answer != "ok") return complain(run, std::string(1, who) + ": " + answer);
     }
     if (victim_ != nullptr) {
@@ -313,7 +313,7 @@ class Performance {
       const auto all = windows();
       const bool has_victim = victim_ == nullptr || all.count('V') != 0 || victim_->is_dead();
       return has_victim &&
-             std::all_of(survivors_.begin(), survivors_.end(), [&](const auto& entry) {
+             std::all_of(remaining_peers_.begin(), remaining_peers_.end(), [&](const auto& entry) {
                return all.count(entry.first) != 0 || stopped_.count(entry.first) != 0;
              });
     });
@@ -336,7 +336,7 @@ class Performance {
 
   /// V is dead: the daemon must handle that before the script continues.
   void mourn(Run& run, bool by_crash = true) {
-    for (const auto& [who, survivor] : survivors_) survivor->signal(SIGCONT);
+    for (const auto& [who, remaining_peer] : remaining_peers_) remaining_peer->signal(SIGCONT);
     stopped_.clear();
     if (!victim_->wait_for_end()) run.wrong = "V neither answers nor ends";
     if (by_crash && !control_.died_at()) return complain(run, "V ended, and not at a crash point");
@@ -348,12 +348,12 @@ class Performance {
     sync(run);
   }
 
-  void tell_survivor(const Command& command, Run& run) {
+  void tell_remaining_peer(const Command& command, Run& run) {
     if (command.what == "sub" || command.what == "cb") run.joined[command.id] = at_;
-    SweepProcess& survivor = *survivors_.at(command.who);
+    SweepProcess& remaining_peer = *remaining_peers_.at(command.who);
     std::string answer;
     const auto ask = [&] {
-      answer = survivor.ask(command.text).value_or("bad: it has ended");
+      answer = remaining_peer.ask(command.text).value_or("bad: it has ended");
       return answer.rfind("bad", 0) == 0 || command.what != "heard" ||
              count_of(answer) >= expected(command.id, run);
     };
@@ -396,8 +396,8 @@ class Performance {
   }
 
   void sync(Run& run) {
-    for (auto& [who, survivor] : survivors_) {
-      const std::string answer = survivor->ask("sync").value_or("it has ended");
+    for (auto& [who, remaining_peer] : remaining_peers_) {
+      const std::string answer = remaining_peer->ask("sync").value_or("it has ended");
       if (answer != "ok") return complain(run, std::string(1, who) + " sync: " + answer);
     }
     if (victim_ != nullptr) {
@@ -447,8 +447,8 @@ class Performance {
   }
 
   char name_of_process(std::uint32_t pid) const {
-    for (const auto& [who, survivor] : survivors_) {
-      if (static_cast<std::uint32_t>(survivor->pid()) == pid) return who;
+    for (const auto& [who, remaining_peer] : remaining_peers_) {
+      if (static_cast<std::uint32_t>(remaining_peer->pid()) == pid) return who;
     }
     return victim_ != nullptr && static_cast<std::uint32_t>(victim_->pid()) == pid ? 'V' : '?';
   }
@@ -533,7 +533,7 @@ class Performance {
   ControlPage control_;
   std::map<std::uint64_t, Publisher> publishers_;
   std::vector<std::unique_ptr<ControlPage>> pages_;
-  std::map<char, std::unique_ptr<SweepProcess>> survivors_;
+  std::map<char, std::unique_ptr<SweepProcess>> remaining_peers_;
   std::unique_ptr<SweepProcess> victim_;
   std::size_t at_ = 0;
   bool left_something_ = false, revoked_ = false;

@@ -48,7 +48,7 @@ inline const Script scripts[] = {
      "V cb 2 /s 20; V cb 5 /t 20; V pub 3 /u 20; A cb 1 /u 20; A pub 4 /s 20; sync; A publish 4 1;"
      "V sync; A publish 4 1; V publish 3 1; A sync; V publish 3 1; V unsub 5; V unsub 2; V unpub 3;"
      "V sync; V quit; A heard 1; A unsub 1; A unpub 4"},
-    {"more sleepers than publish rings by itself",
+    {"more wait sets than publish rings by itself",
      "V cb 2 /s 20; A cb 1 /s 20; B cb 4 /s 20; V pub 3 /s 20; sync; V publish 3 1; A sync; V "
      "publish 3 1;"
      "V unsub 2; V publish 3 1; V unpub 3; V sync; V quit; A heard 1; B heard 4; A unsub 1; B "
@@ -97,7 +97,7 @@ inline const Script scripts[] = {
      "unsub 1"},
     {"one that is revoked, and lives on",
      "A sub 1 /s 20; B sub 4 /s 20; A pub 5 /t 20; sync; V pub 2 /s 20; V sub 3 /t 20; V cb 6 /t "
-     "20; sync; V publish 2 2; A publish 5 2; V take 3; A take 1; V arm; revoke; V island; V "
+     "20; sync; V publish 2 2; A publish 5 2; V take 3; A take 1; V arm; revoke; V orphaned; V "
      "publish 2 1; V take 3; A sync; B sync; A drain 1; B drain 4; A publish 5 1; A release; V "
      "drop; V unsub 3; V unpub 2; V quit; A unpub 5; A unsub 1; B unsub 4"},
     {"a daemon that is killed and goes on",

@@ -263,20 +263,20 @@ class SweepStage {
   /// Removes the names of all doorbells, as a cleaner of temporary files does, and kills the
   /// daemon. Calls `arm` when this daemon's points no longer count and the next one's do not yet.
   /// Returns false if there was no name, or no daemon serves afterwards.
-  bool remove_bells_and_restart(const std::function<void(ControlPage&)>& arm) {
-    const std::set<std::string> names = bell_names();
+  bool remove_doorbells_and_restart(const std::function<void(ControlPage&)>& arm) {
+    const std::set<std::string> names = doorbell_names();
     const auto former = static_cast<pid_t>(look_in_time().daemon.pid);
     observer_.reset();
     ::kill(former, SIGSTOP);
-    for (const std::string& name : names) ::unlink((bells_directory() + "/" + name).c_str());
+    for (const std::string& name : names) ::unlink((doorbells_directory() + "/" + name).c_str());
     arm(daemon_control_);
     ::kill(former, SIGKILL);
     return !names.empty() && daemon_->wait_for_next(former);
   }
-  std::set<std::string> bell_names() const {
+  std::set<std::string> doorbell_names() const {
     std::set<std::string> names;
     std::error_code gone;
-    for (const auto& name : std::filesystem::directory_iterator(bells_directory(), gone))
+    for (const auto& name : std::filesystem::directory_iterator(doorbells_directory(), gone))
       names.insert(name.path().filename().string());
     return names;
   }
@@ -297,7 +297,7 @@ class SweepStage {
   void set_living(std::uint64_t count) { living_ = count; }
 
  private:
-  std::string bells_directory() const { return daemon_->socket_path() + ".bells"; }
+  std::string doorbells_directory() const { return daemon_->socket_path() + ".bells"; }
   test::DaemonOptions daemon_options() const {
     return {.config =
                 "[daemon]\nsocket_mode = \"0666\"\n[limits]\ndepth_max = 100\n"

@@ -17,9 +17,9 @@ namespace agnocast::test {
 struct DaemonCore {
   /// Only clients for which a test makes a session are connected; the session counts their
   /// packets.
-  class Connections final : public daemon::Post {
+  class Connections final : public daemon::ClientChannel {
    public:
-    using daemon::Post::send;
+    using daemon::ClientChannel::send;
     daemon::Session* session_of(daemon::ClientIndex client) override {
       const auto found = sessions.find(client);
       return found == sessions.end() ? nullptr : &found->second;
@@ -42,7 +42,7 @@ struct DaemonCore {
       : regions(daemon::Regions::create(store).value()),
         registry(regions.memory(), capacity),
         doorbells(directory.path(), store),
-        membership(registry, regions, doorbells, post) {
+        endpoint_manager(registry, regions, doorbells, channel) {
     registry.create(1);
   }
 
@@ -64,13 +64,13 @@ struct DaemonCore {
     request.node = "node";
     request.qos = {1, false, true, false, false};
     request.quota = 1;
-    const auto created = membership.create(client, request);
+    const auto created = endpoint_manager.create(client, request);
     EXPECT_TRUE(created) << (created ? "" : detail_of(created.error()));
     return registry.find_creation(client, kind, request.request).value_or(daemon::EndpointRef());
   }
   void end(daemon::ClientIndex client) {
     daemon::Reaping reaping(client, journal::DeathReason::died, registry, regions, doorbells,
-                            membership);
+                            endpoint_manager);
     EXPECT_TRUE(reaping.go_on(UINT64_MAX));
   }
 
@@ -78,9 +78,9 @@ struct DaemonCore {
   daemon::DescriptorStore store;
   daemon::Regions regions;
   daemon::Registry registry;
-  Connections post;
+  Connections channel;
   daemon::Doorbells doorbells;
-  daemon::Membership membership;
+  daemon::EndpointManager endpoint_manager;
   std::uint64_t last_request = 0;
 };
 

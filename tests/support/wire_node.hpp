@@ -114,9 +114,9 @@ class WireNode {
     free(address);
     return false;
   }
-  void pass() {
+  void scan() {
     Environment environment{*this};
-    core_->pass(environment);
+    core_->scan(environment);
   }
   region::PublisherWords<M> queue() const { return {region_.base(), publisher_.extent}; }
   std::uint64_t allocated_count() const { return core_->allocated_count(); }
@@ -126,7 +126,7 @@ class WireNode {
   bool create_subscription(const char* topic_name, const abi::Qos& qos) {
     Incoming opened = wire_.open_executor();
     if (opened.opcode() != wire::Opcode::executor_opened || opened.fds.size() != 2) return false;
-    bells_ = DoorbellReceiver(std::move(opened.fds[0]), std::move(opened.fds[1]));
+    doorbells_ = DoorbellReceiver(std::move(opened.fds[0]), std::move(opened.fds[1]));
     const Incoming created = wire_.create_subscription(topic_name, qos);
     if (created.opcode() != wire::Opcode::endpoint_created) return false;
     subscription_ = created.as<wire::EndpointCreated>();
@@ -164,7 +164,7 @@ class WireNode {
     links_.at(held.publisher).core.release(held.slot);
     return true;
   }
-  const DoorbellReceiver& bells() const noexcept { return bells_; }
+  const DoorbellReceiver& doorbells() const noexcept { return doorbells_; }
   /// Returns the first broken invariant of the queues of orphans, as their reader sees them.
   journal::Invariant verify_orphans() const {
     for (const auto& [index, link] : links_) {
@@ -205,9 +205,9 @@ class WireNode {
       orphaned_.erase(at->second.generation);
       at = links_.erase(at);
     }
-    if (and_regions) let_go_of_regions();
+    if (and_regions) unmap_regions();
   }
-  void let_go_of_regions() {
+  void unmap_regions() {
     for (auto at = peers_.begin(); at != peers_.end();) {
       bool used = false;
       for (const auto& [index, link] : links_) used = used || link.client == at->first;
@@ -253,9 +253,9 @@ class WireNode {
         const auto body = packet.as<wire::Reference>();
         core_->detach(body.index, body.generation);
         attached_.erase(body.index);
-        pass();
+        scan();
         wire_.unlinked(wire::Kind::subscription, body.topic, body.index, body.generation);
-        let_go_of_regions();
+        unmap_regions();
         break;
       }
       case wire::Opcode::orphaned: {
@@ -267,7 +267,7 @@ class WireNode {
         break;
       }
       case wire::Opcode::kick:
-        if (core_) pass();
+        if (core_) scan();
         break;
       default:
         ADD_FAILURE() << "unexpected packet " << static_cast<unsigned>(packet.opcode()) << " "
@@ -362,7 +362,7 @@ class WireNode {
           offsetof(abi::ClientRegionHeader, executor) + body.executor * sizeof(abi::ExecutorLine),
           body.index, environment);
       attached_[body.index] = body.client;
-      pass();
+      scan();
     }
   }
 
@@ -375,7 +375,7 @@ class WireNode {
   std::vector<std::uint64_t> blocks_;
   std::unique_ptr<dataplane::PublisherCore<M>> core_;
   abi::Qos requested_;
-  DoorbellReceiver bells_;
+  DoorbellReceiver doorbells_;
   std::map<std::uint64_t, Peer> peers_;              // by client
   std::map<std::uint64_t, Link> links_;              // by publisher index
   std::map<std::uint64_t, std::uint64_t> attached_;  // subscription index → client

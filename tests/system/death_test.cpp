@@ -250,7 +250,7 @@ TEST_F(Death, AStoppedSubscriberBlocksNobodyIsReportedAndCanBeRevoked) {
   EXPECT_TRUE(idle->eventually("active", "0 0"));
   EXPECT_EQ(idle->ask("matched"), "0");
   EXPECT_TRUE(idle->eventually("events", "2 0")) << "the application is notified";
-  EXPECT_THAT(idle->ask("sub /another 1 1"), StartsWith("refused the membership of this process"));
+  EXPECT_THAT(idle->ask("sub /another 1 1"), StartsWith("refused the session of this process"));
   EXPECT_THAT(idle->ask("sub /another 1 1"), HasSubstr("revoked by user "));
   EXPECT_NE(idle->ask("drop"), "(it has ended)") << "the held messages are still mapped";
   EXPECT_EQ(publisher->ask("publish 1"), "ok");
@@ -260,7 +260,7 @@ TEST_F(Death, AStoppedSubscriberBlocksNobodyIsReportedAndCanBeRevoked) {
     const auto counters = ctl({"status"})["counters"];
     EXPECT_EQ(counters["processes_revoked"], 1);
     EXPECT_EQ(counters["processes_died"], 0);
-    EXPECT_EQ(counters["processes_let_go"], 0);
+    EXPECT_EQ(counters["processes_unmapped"], 0);
     EXPECT_EQ(counters["processes_reaped"], 1);
   };
   counted_once();
@@ -270,7 +270,7 @@ TEST_F(Death, AStoppedSubscriberBlocksNobodyIsReportedAndCanBeRevoked) {
   EXPECT_TRUE(eventually([&] { return process(gone).is_null(); }));
   counted_once();
   const CtlResult status = run_ctl(daemon_.socket_path(), {"status"});
-  EXPECT_THAT(status.out, HasSubstr("1 process: 0 died, 0 let go, 1 revoked"));
+  EXPECT_THAT(status.out, HasSubstr("1 process: 0 died, 0 unmapped, 1 revoked"));
 }
 
 TEST_F(Death, OfTheDaemonKeepsARevocationAndAStoppedProcessLearnsOfItWhenItGoesOn) {
@@ -300,7 +300,7 @@ TEST_F(Death, OfTheDaemonKeepsARevocationAndAStoppedProcessLearnsOfItWhenItGoesO
   stop(*second);
   restart();
   EXPECT_EQ(process(first->pid())["state"], "revoked");
-  EXPECT_THAT(first->ask("sub /another 1 1"), StartsWith("refused the membership of this process"));
+  EXPECT_THAT(first->ask("sub /another 1 1"), StartsWith("refused the session of this process"));
   EXPECT_EQ(revoke(*second), 0) << "the process has no connection";
   restart();
   EXPECT_EQ(process(first->pid())["state"], "revoked");
@@ -310,7 +310,7 @@ TEST_F(Death, OfTheDaemonKeepsARevocationAndAStoppedProcessLearnsOfItWhenItGoesO
   EXPECT_TRUE(second->eventually("active", "0 0"));
   EXPECT_EQ(second->ask("matched"), "0");
   EXPECT_THAT(second->ask("sub /another 1 1"),
-              StartsWith("refused the membership of this process"));
+              StartsWith("refused the session of this process"));
   EXPECT_EQ(publisher->ask("publish 1"), "ok");
   EXPECT_EQ(busy->ask("expect 5 5"), "ok");
   EXPECT_EQ(busy->ask("lost"), "0");

@@ -12,8 +12,8 @@ namespace {
 class Mayfly {
  public:
   Mayfly(Here here, std::uint64_t seed)
-      : here_(here), random_(seed), node_("mayfly"), hosted_(random_.chance(50)) {
-    if (hosted_) executor_.emplace().add_node(node_);
+      : here_(here), random_(seed), node_("mayfly"), assigned_(random_.chance(50)) {
+    if (assigned_) executor_.emplace().add_node(node_);
   }
 
   void live() {
@@ -80,7 +80,7 @@ class Mayfly {
   Here here_;
   Random random_;
   Node node_;
-  const bool hosted_;
+  const bool assigned_;
   std::optional<SingleThreadedExecutor> executor_;
   std::vector<std::unique_ptr<Writer>> writers_;
   std::vector<std::unique_ptr<Reader>> readers_;

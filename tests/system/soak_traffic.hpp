@@ -265,7 +265,7 @@ class Reader {
       }
     }
     const std::lock_guard lock(mutex_);
-    let_go(now_ns(), held_max);
+    release_some(now_ns(), held_max);
   }
 
   /// Returns the held messages.
@@ -322,7 +322,7 @@ class Reader {
   void called(ipc_shared_ptr<const Parcel> message) {
     const std::lock_guard lock(mutex_);
     took(std::move(message));
-    let_go(now_ns(), held_max);
+    release_some(now_ns(), held_max);
   }
   std::uint64_t lost_now() const {
     if (subscription_ != nullptr) return subscription_->get_lost_count();
@@ -392,7 +392,7 @@ class Reader {
     complain_of_missing();
   }
 
-  void let_go(std::uint64_t now, std::size_t most) {
+  void release_some(std::uint64_t now, std::size_t most) {
     while (!held_.empty() && (held_.size() > most || held_.front().until_ns <= now)) {
       verify(here_, held_.front(), "release");
       held_.pop_front();

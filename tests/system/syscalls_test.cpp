@@ -76,15 +76,15 @@ class Syscalls : public testing::Test {
 };
 
 /// A process whose callback thread sleeps; stopped, it stays asleep.
-class Sleeper {
+class WaitSet {
  public:
-  explicit Sleeper(std::unique_ptr<SteeredProcess> process) : process_(std::move(process)) {
+  explicit WaitSet(std::unique_ptr<SteeredProcess> process) : process_(std::move(process)) {
     EXPECT_EQ(process_->ask("callback"), "ok");
   }
   SteeredProcess& process() { return *process_; }
-  ~Sleeper() { wake(); }
-  Sleeper(const Sleeper&) = delete;
-  Sleeper& operator=(const Sleeper&) = delete;
+  ~WaitSet() { wake(); }
+  WaitSet(const WaitSet&) = delete;
+  WaitSet& operator=(const WaitSet&) = delete;
 
   [[nodiscard]] bool stop_asleep() {
     return eventually([&] {
@@ -163,16 +163,16 @@ TEST_F(Syscalls, PublishMakesOneForEachOfTwoSleepingReceiversAndThreeForMore) {
   ASSERT_EQ(publisher->ask("publish 50 0"), "ok");
   for (int i = 0; i < 100; ++i) ASSERT_TRUE(tracer.next());
 
-  std::vector<std::unique_ptr<Sleeper>> sleepers;
+  std::vector<std::unique_ptr<WaitSet>> wait_sets;
   std::vector<std::uint64_t> received;
   for (const std::size_t count : {1u, 2u, 3u, 6u}) {
-    while (sleepers.size() < count) {
-      sleepers.push_back(std::make_unique<Sleeper>(subject(false)));
+    while (wait_sets.size() < count) {
+      wait_sets.push_back(std::make_unique<WaitSet>(subject(false)));
       received.push_back(0);
     }
     ASSERT_TRUE(publisher->eventually("subs", std::to_string(count)));
     for (int repetition = 0; repetition < 10; ++repetition) {
-      for (const auto& sleeper : sleepers) ASSERT_TRUE(sleeper->stop_asleep());
+      for (const auto& wait_set : wait_sets) ASSERT_TRUE(wait_set->stop_asleep());
       auto calls = trace(*publisher, tracer, "publish 1 0", 2)[label_publish][0];
       std::erase(calls, SYS_futex);
       EXPECT_THAT(calls, testing::Each(SYS_write));
@@ -181,10 +181,10 @@ TEST_F(Syscalls, PublishMakesOneForEachOfTwoSleepingReceiversAndThreeForMore) {
       calls = trace(*publisher, tracer, "publish 1 0", 2)[label_publish][0];
       std::erase(calls, SYS_futex);
       EXPECT_LE(calls.size(), count > 2 ? 1u : 0u) << "already rung";
-      for (std::size_t i = 0; i < sleepers.size(); ++i) {
-        sleepers[i]->wake();
+      for (std::size_t i = 0; i < wait_sets.size(); ++i) {
+        wait_sets[i]->wake();
         received[i] += 2;
-        EXPECT_TRUE(sleepers[i]->process().eventually("received", std::to_string(received[i])))
+        EXPECT_TRUE(wait_sets[i]->process().eventually("received", std::to_string(received[i])))
             << "receiver " << i << " of " << count;
       }
     }

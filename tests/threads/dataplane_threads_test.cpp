@@ -122,7 +122,7 @@ class World {
           core->detach(detach_.front().first, detach_.front().second);
       }
       if (free_.empty()) {
-        core->pass(environment);
+        core->scan(environment);
         std::this_thread::yield();
         continue;
       }
@@ -142,9 +142,9 @@ class World {
       if (published % 8 == 0) std::this_thread::yield();
     }
     stop_ = true;
-    while (done_ < scenario_.requested.size()) core->pass(environment), std::this_thread::yield();
-    core->pass(environment);
-    core->pass(environment);
+    while (done_ < scenario_.requested.size()) core->scan(environment), std::this_thread::yield();
+    core->scan(environment);
+    core->scan(environment);
     const std::uint64_t history = scenario_.offered.transient_local ? scenario_.offered.depth : 0;
     EXPECT_LE(core->allocated_count(), history)
         << "messages stay allocated that no subscription can take";
@@ -190,14 +190,14 @@ class World {
       {
         const std::lock_guard lock(control_);
         journal::BoardSteps<M>(topic()).set_subscription(s, own_generation,
-                                                         abi::MemberState::leaving);
+                                                         abi::BoardState::leaving);
       }
       while (!held.empty()) release_oldest(link, held);
       EXPECT_EQ(link.malformed(), 0u);
       lost += link.lost();
       link.unlink();
       const std::lock_guard lock(control_);
-      journal::BoardSteps<M>(topic()).set_subscription(s, own_generation, abi::MemberState::free);
+      journal::BoardSteps<M>(topic()).set_subscription(s, own_generation, abi::BoardState::free);
       detach_.emplace_back(s, own_generation);
     } while (!stop_);
     ++done_;

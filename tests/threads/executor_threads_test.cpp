@@ -85,9 +85,9 @@ struct Node {
     int pair[2];
     if (::socketpair(AF_UNIX, SOCK_DGRAM | SOCK_CLOEXEC | SOCK_NONBLOCK, 0, pair) != 0) abort();
     datagram.reset(pair[1]);
-    callbacks = std::make_shared<NodeCallbacks>("/node", Sleeper::make().value());
-    EXPECT_TRUE(callbacks->sleeper()->add(
-        this, std::make_shared<Sleeper::Place>(
+    callbacks = std::make_shared<NodeCallbacks>("/node", WaitSet::make().value());
+    EXPECT_TRUE(callbacks->wait_set()->add(
+        this, std::make_shared<WaitSet::Place>(
                   region.base(), 0,
                   DoorbellReceiver(UniqueFd(::dup(eventfd.get())), UniqueFd(pair[0])))));
     const std::set<pid_t> before = callback_threads();
@@ -316,22 +316,22 @@ TEST(ExecutorThreads, ACycleSeesSourcesAndNodesThatCameAndWent) {
     for (std::uint64_t i = 0; i < 100; ++i) queue->push(i);
     return queue;
   };
-  const auto run_turn = [&] { return core->run_turn(ExecutorCore::Clock::time_point::max()); };
+  const auto run_cycle = [&] { return core->run_cycle(ExecutorCore::Clock::time_point::max()); };
   ASSERT_TRUE(core->adopt(one.callbacks));
-  EXPECT_EQ(run_turn(), 0u);
+  EXPECT_EQ(run_cycle(), 0u);
   const auto first = full(), second = full(), third = full();
   one.callbacks->add(first);
-  EXPECT_EQ(run_turn(), 1u) << "a source was added";
-  EXPECT_EQ(run_turn(), 1u) << "the same list again";
+  EXPECT_EQ(run_cycle(), 1u) << "a source was added";
+  EXPECT_EQ(run_cycle(), 1u) << "the same list again";
   one.callbacks->add(second);
-  EXPECT_EQ(run_turn(), 2u) << "another source was added";
+  EXPECT_EQ(run_cycle(), 2u) << "another source was added";
   one.callbacks->remove(*first, nullptr);
-  EXPECT_EQ(run_turn(), 1u) << "the first source was removed";
+  EXPECT_EQ(run_cycle(), 1u) << "the first source was removed";
   ASSERT_TRUE(core->adopt(other.callbacks));
   other.callbacks->add(third);
-  EXPECT_EQ(run_turn(), 2u) << "a node was added";
+  EXPECT_EQ(run_cycle(), 2u) << "a node was added";
   core->drop(*one.callbacks);
-  EXPECT_EQ(run_turn(), 1u) << "a node was removed";
+  EXPECT_EQ(run_cycle(), 1u) << "a node was removed";
   EXPECT_EQ(first->taken(), 3u);
   EXPECT_EQ(second->taken(), 3u);
   EXPECT_EQ(third->taken(), 2u);
@@ -341,11 +341,11 @@ TEST(ExecutorThreads, ACycleSeesSourcesAndNodesThatCameAndWent) {
     const auto last = full();
     gone = last;
     other.callbacks->add(last);
-    EXPECT_EQ(run_turn(), 1u);
+    EXPECT_EQ(run_cycle(), 1u);
     other.callbacks->remove(*last, nullptr);
   }
   EXPECT_TRUE(gone.expired()) << "a list keeps nothing alive";
-  EXPECT_EQ(run_turn(), 0u);
+  EXPECT_EQ(run_cycle(), 0u);
   core->drop(*other.callbacks);
 }
 

@@ -25,7 +25,7 @@ struct BoardHeader {
 inline constexpr std::uint64_t board_magic = 0x6472616f622e6761;  // "ag.board" in memory order
 static_assert(sizeof(BoardHeader) == 24 && sizeof(BoardHeader) <= page_bytes);
 
-//    0  epoch              u64  +1 after every membership change
+//    0  epoch              u64  +1 after every change of an endpoint
 //                               [sync:join] seq_cst store at J3, acquire at P7
 //    8  word               u64  generation | state of the topic
 //   64  publisher_high     u64  publisher indexes ever used: bound of every loop over them

@@ -41,9 +41,9 @@ static_assert(sizeof(QueueSlot) == 32 && offsetof(QueueSlot, address) == 8 &&
 //
 //    0  head      u64  sequence<<16 | slot of the newest message
 //                      [sync:publish] COMMIT: release at P5, acquire at T1
-//    8  lineage   u64  0: not said yet; the same for the endpoints by which one publisher is in several
-//                      memberships of its process, one after the other
-//   16  inherited u64  sequence up to which messages were published in an earlier membership: history,
+//    8  persistent_id u64  0: not said yet; the same for the endpoints by which one publisher is in several
+//                      sessions of its process, one after the other
+//   16  inherited u64  sequence up to which messages were published in a previous session: history,
 //                      for those that ask for it; 0 = none
 //   24  published_bytes u64  of all messages together, what a reader may touch; for people
 //   64  intent         op, sequence, slot; read by the daemon after the owner's death
@@ -56,7 +56,7 @@ static_assert(sizeof(QueueSlot) == 32 && offsetof(QueueSlot, address) == 8 &&
 //    …  slot[N]        QueueSlot, from 320 + R×8
 struct PublisherEndpoint {
   alignas(cache_line_bytes) SharedWord head;
-  SharedWord lineage;
+  SharedWord persistent_id;
   SharedWord inherited;
   SharedWord published_bytes;
   alignas(cache_line_bytes) SharedWord intent_op;
@@ -71,7 +71,7 @@ struct PublisherEndpoint {
 };
 static_assert(subscription_count_max % withdrawals_per_word == 0);
 static_assert(sizeof(PublisherEndpoint) == 320 && offsetof(PublisherEndpoint, withdrawn) == 128);
-static_assert(offsetof(PublisherEndpoint, head) == 0 && offsetof(PublisherEndpoint, lineage) == 8 &&
+static_assert(offsetof(PublisherEndpoint, head) == 0 && offsetof(PublisherEndpoint, persistent_id) == 8 &&
               offsetof(PublisherEndpoint, inherited) == 16 &&
               offsetof(PublisherEndpoint, published_bytes) == 24 &&
               offsetof(PublisherEndpoint, intent_op) == 64 &&
@@ -109,18 +109,18 @@ static_assert(sizeof(LinkLine) == 64 && offsetof(LinkLine, cursor) == 8 &&
 //    0  lost         u64  messages that fell out of its depth, or were gone when it looked
 //    8  malformed    u64  of them, what no honest publisher writes
 //   16  unreachable  u64  of them, what lies where this process cannot map it
-//   24  lineage      u64  not 0; the same for the endpoints by which one subscription is in several
-//                         memberships of its process
+//   24  persistent_id u64  not 0; the same for the endpoints by which one subscription is in several
+//                         sessions of its process
 struct alignas(cache_line_bytes) SubscriptionCounters {
   SharedWord lost;
   SharedWord malformed;
   SharedWord unreachable;
-  SharedWord lineage;
+  SharedWord persistent_id;
 };
 static_assert(sizeof(SubscriptionCounters) == 64 &&
               offsetof(SubscriptionCounters, malformed) == 8 &&
               offsetof(SubscriptionCounters, unreachable) == 16 &&
-              offsetof(SubscriptionCounters, lineage) == 24);
+              offsetof(SubscriptionCounters, persistent_id) == 24);
 
 // Subscription endpoint: link lines of all publisher indexes, counters, then the hold words of
 // slots 384… of each. All zero at join.

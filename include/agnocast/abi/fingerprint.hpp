@@ -53,21 +53,21 @@ constexpr std::uint64_t fingerprint() noexcept {
   // Packing of words, by the results for probe values.
   sum.add(pack_entry(0x123456789abc, 0xdef0), sequence_of(0xfedcba9876543210),
           slot_of(0xfedcba9876543210), retired_mark, first_sequence_of(0x12345),
-          pack_member(0x123456789abc, MemberState::leaving), generation_of(0xfedcba9876543210),
+          pack_board_word(0x123456789abc, BoardState::leaving), generation_of(0xfedcba9876543210),
           pack_qos({0x1234, true, false, false, false}), pack_qos({0, false, true, false, false}),
           pack_qos({0, false, false, true, false}), window_of({7, false, true, true, false}),
           intent_idle, intent_publish, intent_moved, cursor_aside,
           pack_withdrawal(35, Withdrawal::not_attached), Withdrawal::none, Withdrawal::over_quota,
           Withdrawal::over_share);
   sum.add(QosPolicy::none, QosPolicy::durability, QosPolicy::reliability);
-  sum.add(MemberState::free, MemberState::active, MemberState::leaving, MemberState::orphan,
-          MemberState::revoked, MemberState::dead);
+  sum.add(BoardState::free, BoardState::active, BoardState::leaving, BoardState::orphan,
+          BoardState::revoked, BoardState::dead);
   sum.add(order_offset(3), slot_offset(ring_count, 3), link_offset(3), far_hold_offset(5, 3, 1),
           publisher_entry_offset(3), subscription_entry_offset(5, 3), topic_offset(3), topic_bytes);
   sum.add(sizeof(QueueSlot), offsetof(QueueSlot, id), offsetof(QueueSlot, address),
           offsetof(QueueSlot, stamp_ns), offsetof(QueueSlot, size));
   sum.add(sizeof(PublisherEndpoint), offsetof(PublisherEndpoint, head),
-          offsetof(PublisherEndpoint, lineage), offsetof(PublisherEndpoint, inherited),
+          offsetof(PublisherEndpoint, persistent_id), offsetof(PublisherEndpoint, inherited),
           offsetof(PublisherEndpoint, published_bytes), offsetof(PublisherEndpoint, intent_op),
           offsetof(PublisherEndpoint, intent_sequence), offsetof(PublisherEndpoint, intent_slot),
           offsetof(PublisherEndpoint, adopted_messages), offsetof(PublisherEndpoint, adopted_bytes),
@@ -77,7 +77,7 @@ constexpr std::uint64_t fingerprint() noexcept {
           offsetof(PublisherEndpoint, withdrawn));
   sum.add(subscription_counters_offset(5), sizeof(SubscriptionCounters),
           offsetof(SubscriptionCounters, lost), offsetof(SubscriptionCounters, malformed),
-          offsetof(SubscriptionCounters, unreachable), offsetof(SubscriptionCounters, lineage));
+          offsetof(SubscriptionCounters, unreachable), offsetof(SubscriptionCounters, persistent_id));
   sum.add(sizeof(LinkLine), offsetof(LinkLine, publisher_generation), offsetof(LinkLine, cursor),
           offsetof(LinkLine, hold));
   sum.add(sizeof(ExecutorLine), offsetof(ExecutorLine, armed));
@@ -137,8 +137,8 @@ constexpr std::uint64_t fingerprint() noexcept {
           offsetof(wire::MoveHeap, header), offsetof(wire::MoveHeap, window),
           offsetof(wire::Announcement::Window, base), offsetof(wire::Announcement::Window, bytes),
           offsetof(wire::Announcement::Window, first));
-  sum.add(sizeof(wire::BellsRenewed), offsetof(wire::BellsRenewed, header),
-          offsetof(wire::BellsRenewed, executor));
+  sum.add(sizeof(wire::DoorbellsRenewed), offsetof(wire::DoorbellsRenewed, header),
+          offsetof(wire::DoorbellsRenewed, executor));
   sum.add(sizeof(wire::ExecutorRequest), offsetof(wire::ExecutorRequest, header),
           offsetof(wire::ExecutorRequest, executor));
   sum.add(sizeof(wire::CreateEndpoint), offsetof(wire::CreateEndpoint, header),
@@ -205,7 +205,7 @@ constexpr std::uint64_t fingerprint() noexcept {
           offsetof(wire::JournalEnd, newest), offsetof(wire::JournalEnd, now_ns));
   sum.add(sizeof(wire::DaemonCounters), offsetof(wire::DaemonCounters, clients_registered),
           offsetof(wire::DaemonCounters, clients_died),
-          offsetof(wire::DaemonCounters, clients_let_go),
+          offsetof(wire::DaemonCounters, clients_unmapped),
           offsetof(wire::DaemonCounters, clients_revoked),
           offsetof(wire::DaemonCounters, clients_rejoined),
           offsetof(wire::DaemonCounters, intents_rolled_back),
@@ -261,7 +261,7 @@ constexpr std::uint64_t fingerprint() noexcept {
   sum.add(sizeof(wire::DumpEndpoint), offsetof(wire::DumpEndpoint, header),
           offsetof(wire::DumpEndpoint, kind), offsetof(wire::DumpEndpoint, topic),
           offsetof(wire::DumpEndpoint, index), offsetof(wire::DumpEndpoint, generation),
-          offsetof(wire::DumpEndpoint, member), offsetof(wire::DumpEndpoint, client),
+          offsetof(wire::DumpEndpoint, board_word), offsetof(wire::DumpEndpoint, client),
           offsetof(wire::DumpEndpoint, client_generation), offsetof(wire::DumpEndpoint, qos),
           offsetof(wire::DumpEndpoint, extent), offsetof(wire::DumpEndpoint, slot_count),
           offsetof(wire::DumpEndpoint, first_sequence), offsetof(wire::DumpEndpoint, quota),

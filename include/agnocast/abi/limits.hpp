@@ -25,9 +25,9 @@ static_assert(ring_count > depth_max + 1 && (ring_count & (ring_count - 1)) == 0
 // hold. 32 B each = 64 KiB.
 inline constexpr std::uint32_t slot_count_max = 2048;
 static_assert(slot_count_max <= 0x10000, "a slot index is 16 bits of the commit word");
-// Consecutive publishes that may skip the reclamation scan (docs/protocol.md, lazy pass): each
+// Consecutive publishes that may skip the reclamation scan (docs/protocol.md, deferred scan): each
 // needs one slot that the scan would have freed.
-inline constexpr std::uint32_t lazy_pass_count_max = 32;
+inline constexpr std::uint32_t deferred_scan_count_max = 32;
 // Slots whose hold bits share the link line; 6 words are left in one line beside generation and
 // cursor.
 inline constexpr std::uint32_t near_slot_count = 384;

@@ -85,7 +85,7 @@ struct AccessIs {
   std::uint32_t rule_count;  // of the whole configuration
   Name pattern;              // of the rule
   char principals
-      [512];  // allowed users and groups, as written, separated by commas; "..." at the end: more
+      [512];  // allowed users and window sets, as written, separated by commas; "..." at the end: more
 };
 enum class JournalState : std::uint32_t {
   applied = 1,
@@ -123,7 +123,7 @@ static_assert(sizeof(JournalRecord) <= packet_bytes_max);
 struct DaemonCounters {
   std::uint64_t clients_registered;
   std::uint64_t clients_died;
-  std::uint64_t clients_let_go;   // alive, without a trace of their regions
+  std::uint64_t clients_unmapped;   // alive, without a trace of their regions
   std::uint64_t clients_revoked;  // alive, session ended from outside
   std::uint64_t clients_rejoined;
   std::uint64_t intents_rolled_back;
@@ -228,7 +228,7 @@ struct DumpEndpoint {
   std::uint32_t topic;
   std::uint64_t index;
   std::uint64_t generation;
-  std::uint64_t member;  // generation and state as the board must have them; free: only its owner
+  std::uint64_t board_word;  // generation and state as the board must have them; free: only its owner
                          // still has it
   std::uint64_t client;
   std::uint64_t client_generation;

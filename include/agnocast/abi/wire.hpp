@@ -39,7 +39,7 @@
 //   notice                Notice             incompatible QoS, type mismatch, …
 //   own                   Own                after rejoined: your endpoint, as the daemon knows it
 //   region                Reference          after rejoined: a region that was announced to you
-//   bells_renewed         BellsRenewed       eventfd, datagram socket: an executor's new doorbells
+//   doorbells_renewed         DoorbellsRenewed       eventfd, datagram socket: an executor's new doorbells
 //   revoked               Refused            your session is over; the connection ends
 #pragma once
 
@@ -117,7 +117,7 @@ enum class Opcode : std::uint32_t {
   region = 208,
   revoked = 209,
   move_heap = 211,
-  bells_renewed = 212,
+  doorbells_renewed = 212,
 };
 
 /// The object of a Reference or Unlinked. A region is everything that belongs to one process:
@@ -250,7 +250,7 @@ struct ExecutorRequest {
   std::uint64_t executor;
 };
 /// Replaces the doorbells of an executor.
-struct BellsRenewed {
+struct DoorbellsRenewed {
   Header header;
   std::uint64_t executor;
 };

@@ -39,7 +39,7 @@ constexpr std::uint64_t first_sequence_of(std::uint64_t generation) noexcept {
 //   +---------------------------------------+--------+--------+
 //   |              generation               | flags  | state  |
 //   +---------------------------------------+--------+--------+
-enum class MemberState : std::uint8_t {
+enum class BoardState : std::uint8_t {
   free = 0,
   active = 1,
   leaving = 2,  // a subscription that takes no more; its holds still count
@@ -47,12 +47,12 @@ enum class MemberState : std::uint8_t {
   revoked = 4,  // a subscription ended by the daemon
   dead = 5,     // its process is dead
 };
-constexpr std::uint64_t pack_member(std::uint64_t generation, MemberState state) noexcept {
+constexpr std::uint64_t pack_board_word(std::uint64_t generation, BoardState state) noexcept {
   return generation << 16 | static_cast<std::uint64_t>(state);
 }
-constexpr std::uint64_t generation_of(std::uint64_t member) noexcept { return member >> 16; }
-constexpr MemberState state_of(std::uint64_t member) noexcept {
-  return static_cast<MemberState>(member & 0xff);
+constexpr std::uint64_t generation_of(std::uint64_t board_word) noexcept { return board_word >> 16; }
+constexpr BoardState state_of(std::uint64_t board_word) noexcept {
+  return static_cast<BoardState>(board_word & 0xff);
 }
 
 // --- quality of service word, evaluated by both sides of a match

@@ -25,7 +25,7 @@ constexpr Capacity capacity{8, 4, 6, 8, abi::slot_count_max};
 constexpr Arena arena{arena_base, window_count* window_bytes, window_bytes};
 
 /// For the doorbells of wait sets, of all inputs.
-const std::string& bells_directory() {
+const std::string& doorbells_directory() {
   static const test::TemporaryDirectory directory;
   return directory.path();
 }
@@ -37,10 +37,10 @@ FakeBroker::FakeBroker()
       registry_(regions_.memory(), capacity),
       plan_(arena),
       obstacles_(arena),
-      doorbells_(bells_directory(), store_),
-      membership_(registry_, regions_, doorbells_, *this) {
+      doorbells_(doorbells_directory(), store_),
+      endpoint_manager_(registry_, regions_, doorbells_, *this) {
   registry_.create(incarnation);
-  membership_.on_client_freed = [this](ClientIndex client) {
+  endpoint_manager_.on_client_freed = [this](ClientIndex client) {
     regions_.close_client(client);
     const ClientRecord& record = registry_.client(client);
     for (std::uint64_t w = 0; w < record.window_count; ++w)
@@ -98,11 +98,11 @@ void FakeBroker::serve(Process& from, std::span<const std::byte> packet, const E
   } else if (const auto* const endpoint = std::get_if<CreateRequest>(&request)) {
     create(from, *endpoint);
   } else if (const auto* const leave = std::get_if<LeaveRequest>(&request)) {
-    oracle_.leave_served(from, *leave, membership_.leave(*from.client, *leave).has_value());
+    oracle_.leave_served(from, *leave, endpoint_manager_.leave(*from.client, *leave).has_value());
   } else if (const auto* const drained = std::get_if<DrainedRequest>(&request)) {
-    oracle_.drained_served(from, *drained, membership_.drained(*from.client, *drained).has_value());
+    oracle_.drained_served(from, *drained, endpoint_manager_.drained(*from.client, *drained).has_value());
   } else if (const auto* const unlinked = std::get_if<wire::Unlinked>(&request)) {
-    if (membership_.unlinked(*from.client, *unlinked)) oracle_.unlinked(from, *unlinked);
+    if (endpoint_manager_.unlinked(*from.client, *unlinked)) oracle_.unlinked(from, *unlinked);
   }
   // A client cannot send an observer's requests: decode() has refused them.
   AGNOCAST_CHECK(from.session->role() != Role::observer);
@@ -138,7 +138,7 @@ void FakeBroker::rejoin(Process& from, const wire::Rejoin& request) {
   const auto packet = make_body<wire::Rejoined>(Opcode::rejoined, request.header.request);
   send(*from.client, packet_of(packet), {});
   oracle_.begin_welcome_back(from);
-  membership_.welcome_back(*from.client);
+  endpoint_manager_.welcome_back(*from.client);
   oracle_.end_welcome_back(from);
 }
 
@@ -173,7 +173,7 @@ void FakeBroker::bring_window(Process& from, const wire::BringWindow& request,
 void FakeBroker::begin_window(Process& owner, const WindowRecord& window) {
   oracle_.window_given(owner, window_at(window.base));
   registry_.open_window(*owner.client, window);
-  membership_.announce_window(*owner.client);
+  endpoint_manager_.announce_window(*owner.client);
 }
 
 void FakeBroker::block(Process& from, const wire::Blocked& request) {
@@ -192,12 +192,12 @@ void FakeBroker::open_executor(const Process& from, const ExecutorRequest& reque
 void FakeBroker::create(Process& from, const CreateRequest& request) {
   if (const Endpoint* const before = oracle_.created_before(from, request)) {
     if (!request.again || before->left) return;  // a client uses no id twice, nor a lower one
-    AGNOCAST_CHECK(membership_.answer_again(*from.client, request));
+    AGNOCAST_CHECK(endpoint_manager_.answer_again(*from.client, request));
     return oracle_.check_answered_again(*before);
   }
   if (from.created.contains(request.request)) return;
-  if (request.again) AGNOCAST_CHECK(!membership_.answer_again(*from.client, request));
-  oracle_.create_served(from, request, membership_.create(*from.client, request).has_value());
+  if (request.again) AGNOCAST_CHECK(!endpoint_manager_.answer_again(*from.client, request));
+  oracle_.create_served(from, request, endpoint_manager_.create(*from.client, request).has_value());
 }
 
 // --- an observer's packets
@@ -231,7 +231,7 @@ void FakeBroker::revoke(const wire::Revoke& request) {
   process->session.reset();
   oracle_.revoked(*process);
   obstacles_.forget(client);
-  Reaping reaping(client, journal::DeathReason::revoked, registry_, regions_, doorbells_, membership_);
+  Reaping reaping(client, journal::DeathReason::revoked, registry_, regions_, doorbells_, endpoint_manager_);
   while (!reaping.go_on(UINT64_MAX)) {
   }
   AGNOCAST_CHECK(registry_.is_revoked(client));
@@ -245,11 +245,11 @@ void FakeBroker::die(Process& process) {
   const ClientIndex client = *dead.client;
   if (dead.revoked) {
     registry_.client_died(client, journal::DeathReason::died);
-    membership_.run(membership_.endings().free_unused_client(client));
+    endpoint_manager_.run(endpoint_manager_.endings().free_unused_client(client));
     return;
   }
   obstacles_.forget(client);
-  Reaping reaping(client, journal::DeathReason::died, registry_, regions_, doorbells_, membership_);
+  Reaping reaping(client, journal::DeathReason::died, registry_, regions_, doorbells_, endpoint_manager_);
   while (!reaping.go_on(UINT64_MAX)) {
   }
 }

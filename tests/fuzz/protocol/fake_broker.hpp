@@ -10,7 +10,7 @@
 #pragma once
 
 #include <base/unique_fd.hpp>
-#include <daemon/lifecycle/membership.hpp>
+#include <daemon/lifecycle/endpoint_manager.hpp>
 #include <daemon/state/address_plan.hpp>
 #include <daemon/state/obstacles.hpp>
 
@@ -30,7 +30,7 @@ struct BroughtWindow {
   std::uint32_t uid = 0;
 };
 
-class FakeBroker final : public Post {
+class FakeBroker final : public ClientChannel {
  public:
   FakeBroker();
 
@@ -51,7 +51,7 @@ class FakeBroker final : public Post {
   void die(Process& process);
 
   // --- the client channel
-  using Post::send;
+  using ClientChannel::send;
   Session* session_of(ClientIndex client) override;
   std::uint64_t user_namespace_of(ClientIndex) override { return 1; }
   void send(ClientIndex client, Outgoing packet) override;
@@ -76,7 +76,7 @@ class FakeBroker final : public Post {
   AddressPlan plan_;
   Obstacles obstacles_;
   Doorbells doorbells_;
-  Membership membership_;
+  EndpointManager endpoint_manager_;
   Processes processes_;
   Oracle oracle_{processes_};
   Session observer_{PacketSocket(), PeerIdentity{}};

@@ -55,8 +55,8 @@ auto own_of(const Process& who, std::uint64_t generation) {
 }
 
 /// Returns whether a statement is about this notification, and not about an older announcement.
-bool is_about(const wire::Unlinked& statement, const Told& told) {
-  return told.generation == statement.generation && told.packet <= statement.seen;
+bool is_about(const wire::Unlinked& statement, const Notified& notified) {
+  return notified.generation == statement.generation && notified.packet <= statement.seen;
 }
 
 }  // namespace
@@ -103,12 +103,12 @@ void Oracle::hear_announcement(Process& to, const wire::Announcement& body, std:
                                std::size_t fd_count) const {
   const bool publisher = body.kind == Kind::publisher;
   AGNOCAST_CHECK(fd_count == 1 + (publisher ? body.window_count : body.doorbell_count));
-  const Told told{number, body.generation, body.client, extent_of(body.kind, body.extent),
+  const Notified notified{number, body.generation, body.client, extent_of(body.kind, body.extent),
                   abi::unpack_qos(body.qos)};
-  Told& place = to.told[{body.kind, body.topic, body.index}];
+  Notified& place = to.notified[{body.kind, body.topic, body.index}];
   AGNOCAST_CHECK(place.generation == 0 || place.generation == body.generation);
-  place = told;
-  Told& region = to.regions[body.client];
+  place = notified;
+  Notified& region = to.regions[body.client];
   AGNOCAST_CHECK(region.generation == 0 || region.generation == body.client_generation);
   region = {number, body.client_generation, body.client, {}, {}};
   if (publisher) {
@@ -122,8 +122,8 @@ void Oracle::hear_announcement(Process& to, const wire::Announcement& body, std:
   if (own == to.own.end()) return;  // it is being created and not in the list yet
   AGNOCAST_CHECK(own->topic == body.topic && own->index == body.own_index &&
                  own->kind != body.kind);
-  AGNOCAST_CHECK(publisher ? abi::qos_match(told.qos, own->qos)
-                           : abi::qos_match(own->qos, told.qos));
+  AGNOCAST_CHECK(publisher ? abi::qos_match(notified.qos, own->qos)
+                           : abi::qos_match(own->qos, notified.qos));
 }
 
 void Oracle::hear_own(const Process& to, const wire::Own& body) {
@@ -134,7 +134,7 @@ void Oracle::hear_own(const Process& to, const wire::Own& body) {
     return;
   }
   AGNOCAST_CHECK(known->creation == body.creation && known->left == (body.active == 0));
-  ++own_said_;
+  ++own_reported_;
 }
 
 void Oracle::check_whole(const std::vector<Outgoing>& packets, Opcode last) {
@@ -165,16 +165,16 @@ void Oracle::check_rejoin(const Process& who, const wire::Rejoin& request,
 }
 
 void Oracle::begin_welcome_back(Process& who) {
-  for (auto& [subject, told] : who.told) told.packet = 0;
-  for (auto& [owner, told] : who.regions) told.packet = 0;
-  own_said_ = 0;
+  for (auto& [subject, notified] : who.notified) notified.packet = 0;
+  for (auto& [owner, notified] : who.regions) notified.packet = 0;
+  own_reported_ = 0;
 }
 
 void Oracle::end_welcome_back(const Process& who) const {
-  AGNOCAST_CHECK(own_said_ == who.own.size());
+  AGNOCAST_CHECK(own_reported_ == who.own.size());
   // A process is notified of its own region only with its endpoints.
-  for (const auto& [owner, told] : who.regions)
-    AGNOCAST_CHECK(told.packet != 0 || owner == number(*who.client));
+  for (const auto& [owner, notified] : who.regions)
+    AGNOCAST_CHECK(notified.packet != 0 || owner == number(*who.client));
 }
 
 void Oracle::check_not_blocked(const Process& who, const Range& window) {
@@ -213,11 +213,11 @@ void Oracle::create_served(Process& who, const CreateRequest& request, bool was_
   AGNOCAST_CHECK(extent.from >= abi::page_bytes && extent.to <= Registry::client_region_bytes);
   for (const Process& process : processes_) {
     if (!process.client) continue;
-    const auto same = process.told.find({request.kind, created_.topic, created_.index});
-    if (same != process.told.end()) AGNOCAST_CHECK(same->second.generation == created_.generation);
-    for (const auto& [subject, told] : process.told) {
-      if (told.generation != created_.generation && told.owner == number(*who.client))
-        AGNOCAST_CHECK(!told.extent.meets(extent));
+    const auto same = process.notified.find({request.kind, created_.topic, created_.index});
+    if (same != process.notified.end()) AGNOCAST_CHECK(same->second.generation == created_.generation);
+    for (const auto& [subject, notified] : process.notified) {
+      if (notified.generation != created_.generation && notified.owner == number(*who.client))
+        AGNOCAST_CHECK(!notified.extent.meets(extent));
     }
   }
   for (const Endpoint& other : who.own) AGNOCAST_CHECK(!other.extent.meets(extent));
@@ -245,14 +245,14 @@ void Oracle::drained_served(Process& who, const DrainedRequest& request, bool ac
   who.drained.insert(endpoint.generation);
   who.own.erase(gone);
   const Kind others = endpoint.kind == Kind::publisher ? Kind::subscription : Kind::publisher;
-  for (auto at = who.told.begin(); at != who.told.end();) {
-    const auto& [subject, told] = *at;
+  for (auto at = who.notified.begin(); at != who.notified.end();) {
+    const auto& [subject, notified] = *at;
     bool over = subject.kind == others && subject.topic == endpoint.topic;
     for (const Endpoint& other : who.own) {
       if (!over || other.topic != endpoint.topic || other.kind != endpoint.kind) continue;
-      over = others == Kind::publisher ? !abi::qos_match(told.qos, other.qos) : false;
+      over = others == Kind::publisher ? !abi::qos_match(notified.qos, other.qos) : false;
     }
-    at = over ? who.told.erase(at) : std::next(at);
+    at = over ? who.notified.erase(at) : std::next(at);
   }
 }
 
@@ -264,13 +264,13 @@ void Oracle::unlinked(Process& who, const wire::Unlinked& statement) {
     who.windows.erase(statement.index);
     return;
   }
-  const auto found = who.told.find({statement.kind, statement.topic, statement.index});
-  if (found != who.told.end() && is_about(statement, found->second)) who.told.erase(found);
+  const auto found = who.notified.find({statement.kind, statement.topic, statement.index});
+  if (found != who.notified.end() && is_about(statement, found->second)) who.notified.erase(found);
 }
 
 void Oracle::revoked(Process& who) {
   who.revoked = true;
-  who.told.clear();
+  who.notified.clear();
   who.regions.clear();
   who.windows.clear();
   who.own.clear();

@@ -65,7 +65,7 @@ class Oracle {
   Processes& processes_;
   wire::EndpointCreated created_{};
   bool done_ = false;
-  std::size_t own_said_ = 0;  // endpoints reported to a process that has come back
+  std::size_t own_reported_ = 0;  // endpoints reported to a process that has come back
   std::uint64_t last_generation_ = 0;
 };
 

@@ -38,7 +38,7 @@ struct Range {
 inline Range window_at(std::uint64_t base) { return {base, base + window_bytes}; }
 
 /// A notification of another process's endpoint or region.
-struct Told {
+struct Notified {
   std::uint64_t packet = 0, generation = 0;
   std::uint64_t owner = 0;  // client
   Range extent;             // in the owner's region
@@ -61,8 +61,8 @@ struct Process {
   std::optional<ClientIndex> client;
   std::uint64_t generation = 0;
   std::uint32_t uid = 0;
-  std::map<Announced, Told> told;
-  std::map<std::uint64_t, Told> regions;                // by client
+  std::map<Announced, Notified> notified;
+  std::map<std::uint64_t, Notified> regions;                // by client
   std::map<std::uint64_t, std::vector<Range>> windows;  // by client
   std::vector<Endpoint> own;
   std::vector<Range> heap;          // its own windows

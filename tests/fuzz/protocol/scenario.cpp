@@ -232,15 +232,15 @@ void Scenario::say_leave_or_drained(Process& process) {
 
 void Scenario::say_unlinked_endpoint(Process& process) {
   const Process& whose = mostly(process);
-  if (whose.told.empty() || !process.session) return;
-  const auto& [subject, told] = one_of(whose.told);
-  say_unlinked(process, subject, told.generation);
+  if (whose.notified.empty() || !process.session) return;
+  const auto& [subject, notified] = one_of(whose.notified);
+  say_unlinked(process, subject, notified.generation);
 }
 
 void Scenario::say_unlinked_region(Process& process) {
   if (process.regions.empty() || !process.session) return;
-  const auto& [owner, told] = one_of(process.regions);
-  say_unlinked(process, {Kind::region, 0, owner}, told.generation);
+  const auto& [owner, notified] = one_of(process.regions);
+  say_unlinked(process, {Kind::region, 0, owner}, notified.generation);
 }
 
 void Scenario::say_unlinked(Process& process, const Announced& subject, std::uint64_t generation) {

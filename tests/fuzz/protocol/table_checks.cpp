@@ -14,17 +14,17 @@ namespace agnocast::daemon::fuzz {
 
 namespace {
 
-abi::MemberState as_publisher(EndpointState state) {
-  return state == EndpointState::active   ? abi::MemberState::active
-         : state == EndpointState::orphan ? abi::MemberState::orphan
-                                          : abi::MemberState::free;
+abi::BoardState as_publisher(EndpointState state) {
+  return state == EndpointState::active   ? abi::BoardState::active
+         : state == EndpointState::orphan ? abi::BoardState::orphan
+                                          : abi::BoardState::free;
 }
 
-abi::MemberState as_subscription(EndpointState state) {
-  return state == EndpointState::active    ? abi::MemberState::active
-         : state == EndpointState::leaving ? abi::MemberState::leaving
-         : state == EndpointState::dead    ? abi::MemberState::dead
-                                           : abi::MemberState::free;
+abi::BoardState as_subscription(EndpointState state) {
+  return state == EndpointState::active    ? abi::BoardState::active
+         : state == EndpointState::leaving ? abi::BoardState::leaving
+         : state == EndpointState::dead    ? abi::BoardState::dead
+                                           : abi::BoardState::free;
 }
 
 }  // namespace

@@ -108,13 +108,13 @@ TEST_F(Anew, NeverMixesTopics) {
     ASSERT_TRUE(other_.eventually([&] {
       const auto now = graph.wait(100ms);
       if (!now || !*now) return false;
-      std::size_t publishers = 0, taps = 0;
+      std::size_t publishers = 0, local_readers = 0;
       for (const EndpointInfo& endpoint : (*now)->endpoints) {
         if (!endpoint.topic.starts_with(topic())) continue;
-        taps += bridge::is_bridge(endpoint);
+        local_readers += bridge::is_bridge(endpoint);
         publishers += !bridge::is_bridge(endpoint);
       }
-      return publishers == 2 * pairs && taps == 2 * pairs;
+      return publishers == 2 * pairs && local_readers == 2 * pairs;
     }));
     for (int i = 0; i < 3; ++i) ASSERT_TRUE(all_flow());
     EXPECT_EQ(::kill(bridge, 0), 0) << "the bridge has died";

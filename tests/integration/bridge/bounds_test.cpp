@@ -19,7 +19,7 @@
 namespace agnocast::test {
 namespace {
 
-using bridge::sources_per_topic_max;
+using bridge::remote_publishers_per_topic_max;
 using std_msgs::msg::String;
 
 class Bounds : public BridgeTest {
@@ -47,15 +47,15 @@ class Bounds : public BridgeTest {
 TEST_F(Bounds, LeaveHalfOfATopicsPlacesToThePublishersOfThisHost) {
   auto subscription = create_subscription<String>(PlainNode(), topic(), 1000);
   std::vector<DdsWriter*> writers;
-  for (std::size_t i = 0; i < sources_per_topic_max + 20; ++i)
+  for (std::size_t i = 0; i < remote_publishers_per_topic_max + 20; ++i)
     writers.push_back(&other_.writes(dds_topic(), dds_type_name<String>(), keep_last(1)));
   const auto source_count = [&] {
     const std::string now = status();
-    const std::size_t begin = now.find("\"sources\":["), end = now.find("\"taps\":[");
+    const std::size_t begin = now.find("\"remote_publishers\":["), end = now.find("\"local_readers\":[");
     return begin == now.npos ? 0 : count_of(now.substr(begin, end - begin), "\"topic\"");
   };
   ASSERT_TRUE(other_.eventually([&] {
-    return source_count() == sources_per_topic_max &&
+    return source_count() == remote_publishers_per_topic_max &&
            status().find("\"why\":\"too_many\"") != std::string::npos;
   }));
   EXPECT_TRUE(other_.eventually([&] { return said("not bridged what=\"writers of ") == 1; }));
@@ -79,12 +79,12 @@ TEST_F(Bounds, LeaveHalfOfATopicsPlacesToThePublishersOfThisHost) {
       }
       other_.look(std::chrono::milliseconds(5));
       while (const auto message = subscription->take()) heard.insert(message->data);
-      return heard.size() >= sources_per_topic_max;
+      return heard.size() >= remote_publishers_per_topic_max;
     });
   };
   EXPECT_TRUE(hear(first));
   EXPECT_TRUE(hear(later));
-  EXPECT_EQ(first.size(), sources_per_topic_max);
+  EXPECT_EQ(first.size(), remote_publishers_per_topic_max);
   EXPECT_EQ(first, later);
 }
 
@@ -134,10 +134,10 @@ TEST_F(Bounds, OfTimeApplyToWaitingMessagesOfADeadWriter) {
       other_.participant().create_writer(dds_topic(), dds_type_name<String>(), keep_all).value();
   ASSERT_TRUE(other_.eventually([&] { return writer->matched() == 1; }));
   for (int i = 1; i <= 50; ++i) ASSERT_TRUE(Other::write(*writer, String(), i));
-  const auto has_source = [] { return status().find("\"sources\":[]") == std::string::npos; };
-  ASSERT_TRUE(other_.eventually(has_source));
+  const auto has_remote_publisher = [] { return status().find("\"remote_publishers\":[]") == std::string::npos; };
+  ASSERT_TRUE(other_.eventually(has_remote_publisher));
   writer.reset();
-  EXPECT_TRUE(other_.eventually([&] { return !has_source(); }));
+  EXPECT_TRUE(other_.eventually([&] { return !has_remote_publisher(); }));
   EXPECT_EQ(said("message not published"), 1u) << "the log reports the dropped message";
 }
 

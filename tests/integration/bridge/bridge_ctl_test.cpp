@@ -202,17 +202,17 @@ TEST_F(BridgeCtl, ShowsTheCurrentHistoryAndNodesOfEndpoints) {
   };
   const auto nodes = [&] {
     const auto all = bridges();
-    return all.empty() || all[0]["inlets"].empty() ? nlohmann::json()
-                                                   : all[0]["inlets"][0]["nodes"];
+    return all.empty() || all[0]["dds_readers"].empty() ? nlohmann::json()
+                                                   : all[0]["dds_readers"][0]["nodes"];
   };
   ASSERT_TRUE(eventually([&] {
     const auto all = bridges();
-    return !all.empty() && all[0]["endpoints"].size() == 1 && all[0]["inlets"].size() == 1;
+    return !all.empty() && all[0]["endpoints"].size() == 1 && all[0]["dds_readers"].size() == 1;
   }));
   const auto now = bridges()[0];
   EXPECT_EQ(now["endpoints"][0]["qos"]["history"], "keep_all");
-  EXPECT_EQ(now["inlets"][0]["qos"]["history"], "keep_all");
-  EXPECT_EQ(now["inlets"][0]["nodes"], nlohmann::json({"/ns/node"}));
+  EXPECT_EQ(now["dds_readers"][0]["qos"]["history"], "keep_all");
+  EXPECT_EQ(now["dds_readers"][0]["nodes"], nlohmann::json({"/ns/node"}));
   Node other("other", "/ns");
   auto second = create_subscription<String>(other, topic(), QoS(5).keep_all());
   EXPECT_TRUE(eventually([&] {
@@ -220,7 +220,7 @@ TEST_F(BridgeCtl, ShowsTheCurrentHistoryAndNodesOfEndpoints) {
   })) << nodes();
   first.reset();
   EXPECT_TRUE(eventually([&] { return nodes() == nlohmann::json({"/ns/other"}); })) << nodes();
-  EXPECT_EQ(bridges()[0]["inlets"][0]["guid"], now["inlets"][0]["guid"]) << "it is the same one";
+  EXPECT_EQ(bridges()[0]["dds_readers"][0]["guid"], now["dds_readers"][0]["guid"]) << "it is the same one";
 }
 
 TEST_F(BridgeCtl, ShowsTheBridgesOfAllDomainsAndReportsThatThereIsNone) {

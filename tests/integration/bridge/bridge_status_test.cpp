@@ -114,12 +114,12 @@ TEST_F(BridgeCtl, NamesTheStandbyBridgeAndItsLosses) {
         R"("discovery_info":"iron","participants":0,"has_daemon":true,"standby_for":11,)"
         R"("announced":6,"lost_early":3,"discovery_info_refused":4,)"
         R"("limits":[{"limit":"endpoints","most":9,"refused":7},{"limit":"x","most":1,"refused":0}],)"
-        R"("outlets":[],"sources":[],)"
-        R"("taps":[{"topic":"/t","type":"p/msg/T","lost":5,"qos":{"reliability":"reliable",)"
+        R"("dds_writers":[],"remote_publishers":[],)"
+        R"("local_readers":[{"topic":"/t","type":"p/msg/T","lost":5,"qos":{"reliability":"reliable",)"
         R"("durability":"volatile","history":"keep_last","depth":2}}],)"
-        R"("inlets":[{"topic":"/i","type":"p/msg/T","nodes":[],"guid":"0","qos":{)"
+        R"("dds_readers":[{"topic":"/i","type":"p/msg/T","nodes":[],"guid":"0","qos":{)"
         R"("reliability":"reliable","durability":"volatile","history":"keep_last","depth":2},)"
-        R"("matched":0,"incompatible":0,"malformed":0,"without_source":0,"overflow":8}],)"
+        R"("matched":0,"incompatible":0,"malformed":0,"without_remote_publisher":0,"overflow":8}],)"
         R"("services":[],"unbridged":[],"failures":[]})");
   }));
   const std::string text = ctl({"list", "-d", "0.05"}).out;
@@ -139,8 +139,8 @@ TEST_F(BridgeCtl, NamesTheStandbyBridgeAndItsLosses) {
   EXPECT_EQ(said["routes"][0]["topic"], "/i");
   EXPECT_EQ(said["routes"][0]["overflow"], 8);
   EXPECT_THAT(text, HasSubstr("/i")) << "a route that only drops is shown";
-  const auto inlet = ctl({"info", "/i", "-j"}).json()["bridges"][0]["inlets"][0];
-  EXPECT_EQ(inlet["overflow"], 8);
+  const auto dds_reader = ctl({"info", "/i", "-j"}).json()["bridges"][0]["dds_readers"][0];
+  EXPECT_EQ(dds_reader["overflow"], 8);
   EXPECT_THAT(
       ctl({"info", "/i"}).out,
       HasSubstr("Dropped: 0 malformed, 0 of writers without a publisher here, 8 over a limit"));
@@ -174,8 +174,8 @@ TEST_F(BridgeCtl, RefusesAnswersThatNoBridgeGives) {
   };
   const std::string right =
       R"({"schema":"agnocast.bridge-status/1","version":"1","pid":1,"domain":1,"uptime_ns":1,)"
-      R"("discovery_info":"iron","participants":0,"has_daemon":true,"outlets":[],"sources":[],)"
-      R"("taps":[],"inlets":[],"services":[],"unbridged":[],"failures":[)";
+      R"("discovery_info":"iron","participants":0,"has_daemon":true,"dds_writers":[],"remote_publishers":[],)"
+      R"("local_readers":[],"dds_readers":[],"services":[],"unbridged":[],"failures":[)";
   for (const std::string& lie :
        {std::string("hello"), std::string("[]"), std::string("{\"schema\":1}"),
         std::string(200'000, '['), right + "{\"what\":1,\"why\":\"\"}]}",

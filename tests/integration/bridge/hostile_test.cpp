@@ -119,8 +119,8 @@ TEST_F(HostileDds, MalformedPayloadsOfEveryTypeAreCountedAndNothingElse) {
       PlainNode(), topic() + "_m", QoS(10));
   const auto malformed = [&](const std::string& name) {
     const Json now = status();
-    for (const Json& inlet : now.is_object() ? now["inlets"] : Json::array())
-      if (inlet["topic"] == name) return inlet["malformed"].get<std::size_t>();
+    for (const Json& dds_reader : now.is_object() ? now["dds_readers"] : Json::array())
+      if (dds_reader["topic"] == name) return dds_reader["malformed"].get<std::size_t>();
     return std::size_t{0};
   };
   const struct {
@@ -189,14 +189,14 @@ TEST_F(HostileDds, EndpointsThatComeAndGoFastDelayNobody) {
 TEST_F(HostileDds, OneParticipantLeavesPlacesOfATopicToOthers) {
   const auto subscription = create_subscription<String>(PlainNode(), topic(), QoS(1000));
   ASSERT_EQ(ask("others " + dds_topic() + " " + string_type + " 200"), "made");
-  const auto sources = [&] {
+  const auto remote_publishers = [&] {
     const Json now = status();
     std::size_t count = 0;
-    for (const Json& source : now.is_object() ? now["sources"] : Json::array())
-      count += source["topic"] == topic();
+    for (const Json& remote_publisher : now.is_object() ? now["remote_publishers"] : Json::array())
+      count += remote_publisher["topic"] == topic();
     return count;
   };
-  ASSERT_TRUE(other_.eventually([&] { return sources() == bridge::sources_per_topic_max; }));
+  ASSERT_TRUE(other_.eventually([&] { return remote_publishers() == bridge::remote_publishers_per_topic_max; }));
   DdsWriter& writer = other_.writes(dds_topic(), string_type, keep_last(10));
   String message;
   message.data = "honest";
@@ -237,7 +237,7 @@ TEST_F(HostileDds, AHistoryTakesNoMoreOfTheHeapThanItsShare) {
   EXPECT_EQ(ask("history " + dds_topic() + " " + string_type +
                 " reliable,transient,1000 2000000 200"),
             "sent 200");
-  EXPECT_TRUE(other_.eventually([&] { return refused(Limit::history_bytes_of_source) > 0; }));
+  EXPECT_TRUE(other_.eventually([&] { return refused(Limit::history_bytes_of_remote_publisher) > 0; }));
   EXPECT_TRUE(is_still_bridging());
   EXPECT_TRUE(take_soon(subscription)) << "the newest messages still arrive";
 }
@@ -257,8 +257,8 @@ TEST_F(HostileDds, LiesAboutNodesCostABoundedGraphAndOnlyTheirOwnNames) {
   EXPECT_TRUE(is_still_bridging());
   EXPECT_TRUE(other_.eventually([&] {
     const Json now = status();
-    for (const Json& source : now.is_object() ? now["sources"] : Json::array())
-      if (source["topic"] == beside() + "_in" && source["node"] == "/honest") return true;
+    for (const Json& remote_publisher : now.is_object() ? now["remote_publishers"] : Json::array())
+      if (remote_publisher["topic"] == beside() + "_in" && remote_publisher["node"] == "/honest") return true;
     return false;
   }));
   EXPECT_LT(peak_bytes(), 400 * mebibyte);

@@ -38,7 +38,7 @@ class Standby : public BridgeTest {
   bool is_active(int number) {
     const std::string status = status_at(status_path(number));
     return status.find("\"standby_for\":null") != std::string::npos &&
-           status.find("\"outlets\":[]") == std::string::npos;
+           status.find("\"dds_writers\":[]") == std::string::npos;
   }
 };
 

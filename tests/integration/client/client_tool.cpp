@@ -5,10 +5,10 @@
 // integration tests.
 //
 //   sub TOPIC DEPTH [tl] [all] · pub TOPIC DEPTH [tl] [all]    → ok | error CODE WHAT
-//   lineage                      → persistent endpoint id of the publisher
-//   forge LINEAGE                → ok      claims to be that publisher, and to have moved
+//   persistent_id                      → persistent endpoint id of the publisher
+//   forge ID                → ok      claims to be that publisher, and to have moved
 //   connect                      → ok | error …
-//   state                        → connected | reconnecting | island CODE | …
+//   state                        → connected | reconnecting | orphaned CODE | …
 //   publish COUNT ELEMENTS       → ok | error …          numbers continue from 1
 //   take                         → none | NUMBER | damaged       holds the message
 //   release                      → ok | damaged | none   the oldest held message
@@ -93,7 +93,7 @@ class Tool {
       return held_.empty() ? "none" : std::to_string(held_.front().taken.address);
     if (what == "links") return std::to_string(subscription_->link_count());
     if (what == "allocated") return std::to_string(publisher_->allocated_count());
-    if (what == "lineage") return std::to_string(publisher_->lineage());
+    if (what == "persistent_id") return std::to_string(publisher_->persistent_id());
     if (what == "forge") return forge(line);
     if (what == "state") return state();
     if (what == "fork") return fork_child();
@@ -125,10 +125,10 @@ class Tool {
         return "connected";
       case ConnectionState::reconnecting:
         return "reconnecting";
-      case ConnectionState::island:
+      case ConnectionState::orphaned:
         break;
     }
-    return "island " + std::to_string(static_cast<int>(island_reason()));
+    return "orphaned " + std::to_string(static_cast<int>(orphan_reason()));
   }
   // Makes an unmatched endpoint, gone at once.
   static std::string connect() {
@@ -138,7 +138,7 @@ class Tool {
     request.type = "tests/Cloud";
     request.node = "/client_tool";
     request.quota = 1;
-    const auto idle = Context::instance().idle_sleeper();
+    const auto idle = Context::instance().idle_wait_set();
     if (!idle) return text_of(idle.error());
     const auto created = Context::instance().create_subscription(request, *idle);
     if (!created) return text_of(created.error());
@@ -170,10 +170,10 @@ class Tool {
     return std::to_string(pid);
   }
   std::string forge(std::istringstream& line) {
-    std::uint64_t lineage = 0;
-    line >> lineage;
+    std::uint64_t persistent_id = 0;
+    line >> persistent_id;
     const auto& words = publisher_->identity().words;
-    words.lineage().store(lineage, std::memory_order_relaxed);
+    words.persistent_id().store(persistent_id, std::memory_order_relaxed);
     words.intent_op().store(abi::intent_moved, std::memory_order_release);
     return "ok";
   }
@@ -189,16 +189,16 @@ class Tool {
   }
 
   std::string subscribe(std::istringstream& line) {
-    if (sleeper_ == nullptr) {
-      auto sleeper = Context::instance().create_sleeper();
-      if (!sleeper) return text_of(sleeper.error());
-      sleeper_ = *sleeper;
+    if (wait_set_ == nullptr) {
+      auto wait_set = Context::instance().create_wait_set();
+      if (!wait_set) return text_of(wait_set.error());
+      wait_set_ = *wait_set;
       epoll_.reset(::epoll_create1(EPOLL_CLOEXEC));
-      if (const auto added = sleeper_->add_to(epoll_.get(), 1, 2); !added)
+      if (const auto added = wait_set_->add_to(epoll_.get(), 1, 2); !added)
         return text_of(added.error());
     }
     std::string topic;
-    auto created = Context::instance().create_subscription(request(line, topic), sleeper_);
+    auto created = Context::instance().create_subscription(request(line, topic), wait_set_);
     if (!created) return text_of(created.error());
     subscription_ = *created;
     return "ok";
@@ -259,21 +259,21 @@ class Tool {
     int milliseconds = 0;
     line >> milliseconds;
     for (;;) {
-      sleeper_->arm();
+      wait_set_->arm();
       if (subscription_->has_news()) {
-        sleeper_->disarm();
+        wait_set_->disarm();
         return "news";
       }
       epoll_event event{};
       const int count = ::epoll_wait(epoll_.get(), &event, 1, milliseconds);
-      sleeper_->disarm();
+      wait_set_->disarm();
       if (count == 0) return "timeout";
-      if (count > 0 && event.data.u64 == 2) sleeper_->drain();
+      if (count > 0 && event.data.u64 == 2) wait_set_->drain();
       if (subscription_->has_news()) return "news";
     }
   }
 
-  std::shared_ptr<Sleeper> sleeper_;
+  std::shared_ptr<WaitSet> wait_set_;
   UniqueFd epoll_;
   std::shared_ptr<SubscriptionEndpoint> subscription_;
   std::shared_ptr<PublisherEndpoint> publisher_;

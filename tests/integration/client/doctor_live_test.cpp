@@ -36,7 +36,7 @@ class DoctorLive : public testing::Test {
     const auto publishers = info.json()["publishers"];
     return !publishers.empty() && publishers[0]["published_messages"] > 3;
   }
-  bool has_members(std::size_t count) {
+  bool has_processes(std::size_t count) {
     return soon([&] {
       return run_ctl(daemon_.socket_path(), {"processes", "-j"}).json()["process_count"] == count;
     });
@@ -67,7 +67,7 @@ TEST_F(DoctorLive, FindsNothingWhereMessagesArrive) {
 TEST_F(DoctorLive, ReportsThatTheLoaderSkippedTheHook) {
   const SteeredProcess listener({listener_, "--count", "3"},
                                 with({"LD_PRELOAD=/nonexistent/libagnocast_heaphook.so"}));
-  ASSERT_TRUE(has_members(1));
+  ASSERT_TRUE(has_processes(1));
   const Findings findings = doctor_.look();
   ASSERT_THAT(findings.ids(), ElementsAre("hook-not-loaded"));
   EXPECT_EQ(findings.remedies[0], "kill " + std::to_string(listener.pid()) + " && agnocast-run " +
@@ -101,13 +101,13 @@ TEST_F(DoctorLive, NamesAProcessThatIsSwitchedOff) {
   ASSERT_THAT(findings.all,
               ElementsAre("process-switched-off: process " + pid + " runs with AGNOCAST=off"));
   const Remedy remedy(findings.remedies[0], with({}));
-  EXPECT_TRUE(has_members(1));
+  EXPECT_TRUE(has_processes(1));
   EXPECT_TRUE(finds_nothing());
 }
 
 TEST_F(DoctorLive, RestartsARevokedProcess) {
   const SteeredProcess listener({listener_}, with({}));
-  ASSERT_TRUE(has_members(1));
+  ASSERT_TRUE(has_processes(1));
   ASSERT_EQ(
       run_ctl(daemon_.socket_path(), {"process", "revoke", std::to_string(listener.pid())}).status,
       0);
@@ -116,7 +116,7 @@ TEST_F(DoctorLive, RestartsARevokedProcess) {
   ASSERT_THAT(findings.ids(), ElementsAre("process-revoked"));
   const Remedy remedy(findings.remedies[0], with({}));
   EXPECT_TRUE(finds_nothing());
-  EXPECT_TRUE(has_members(1));
+  EXPECT_TRUE(has_processes(1));
 }
 
 }  // namespace

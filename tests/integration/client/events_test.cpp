@@ -76,7 +76,7 @@ TEST_F(Events, AnEndpointLearnsThatTheDaemonIsAwayAndBack) {
   EXPECT_TRUE(eventually([&] { return told.last().state == ConnectionState::connected; }));
   EXPECT_TRUE(eventually([&] { return also_told.last().state == ConnectionState::connected; }));
   EXPECT_EQ(told.infos.size(), 2u);
-  EXPECT_EQ(island_reason(), Errc::ok);
+  EXPECT_EQ(orphan_reason(), Errc::ok);
 }
 
 TEST_F(Events, ASubscriptionIsNotifiedOfPublishersThatComeLeaveAndDie) {

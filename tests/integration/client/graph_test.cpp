@@ -7,7 +7,7 @@
 #include <agnocast/graph.hpp>
 #include <tests/integration/ctl_node.hpp>
 #include <tests/support/daemon_process.hpp>
-#include <tests/support/member.hpp>
+#include <tests/support/node_process.hpp>
 #include <tests/support/wire_dump.hpp>
 
 #include <gmock/gmock.h>
@@ -25,7 +25,7 @@ namespace {
 using namespace std::chrono_literals;
 using test::CtlNode;
 using test::DaemonProcess;
-using test::Member;
+using test::NodeProcess;
 using testing::ElementsAre;
 using testing::IsEmpty;
 using testing::SizeIs;
@@ -122,7 +122,7 @@ TEST_F(GraphTest, ReportsAgainWhenAnEndpointComesLeavesOrDies) {
   until_there_are(2);
   nothing_changes();
 
-  Member other(daemon_.socket_path(), [](CtlNode& member) { member.publisher("/others"); });
+  NodeProcess other(daemon_.socket_path(), [](CtlNode& process) { process.publisher("/others"); });
   const GraphSnapshot three = until_there_are(3);
   EXPECT_EQ(three.endpoints[2].topic, "/others");
   EXPECT_EQ(three.endpoints[2].pid, static_cast<std::uint32_t>(other.pid()));

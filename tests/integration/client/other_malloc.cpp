@@ -1,7 +1,7 @@
 // SPDX-License-Identifier: Apache-2.0
 //
 // Another allocator, preloaded in front of the heap hook, as tcmalloc or jemalloc would be. It
-// passes every call to libc.
+// scans every call to libc.
 
 #include <cstddef>
 

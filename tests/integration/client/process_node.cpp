@@ -496,8 +496,8 @@ int closes(const std::string& where) {
     }
   }
   if (where != "forked") {
-    wait_until([] { return agnocast::connection_state() == agnocast::ConnectionState::island; });
-    tell(agnocast::word_of(agnocast::island_reason()));
+    wait_until([] { return agnocast::connection_state() == agnocast::ConnectionState::orphaned; });
+    tell(agnocast::word_of(agnocast::orphan_reason()));
     const int before = all.calls;
     while (all.calls < before + 3) {
       all.publish();

@@ -177,7 +177,7 @@ TEST_F(ReregistrationOfNodes, ConnectionCallbacksReportTheLoss) {
     const std::lock_guard lock(mutex);
     return !told.empty() && told.back() == ConnectionState::connected;
   }));
-  EXPECT_EQ(island_reason(), Errc::ok);
+  EXPECT_EQ(orphan_reason(), Errc::ok);
 }
 
 }  // namespace

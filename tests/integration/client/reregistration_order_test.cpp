@@ -266,14 +266,14 @@ TEST_F(Reregistration, AFalsePersistentIdDelaysNobody) {
   end();
   begin({.more_config = OneStays::config});
   ASSERT_NO_FATAL_FAILURE(stage.come_to_next());
-  const std::string lineage = stage.moves.ask("lineage");
+  const std::string persistent_id = stage.moves.ask("persistent_id");
   ASSERT_EQ(stage.stays.ask("publish 20 10"), "ok");
-  ASSERT_EQ(stage.stays.ask("forge " + lineage), "ok");
+  ASSERT_EQ(stage.stays.ask("forge " + persistent_id), "ok");
   ASSERT_EQ(stage.moves.ask("publish 1 10"), "ok");
   bool heard = false;
   for (int i = 0; i < 60 && !heard; ++i) {
     ASSERT_EQ(stage.stays.ask("publish 1 10"), "ok");
-    ASSERT_EQ(stage.stays.ask("forge " + lineage), "ok");
+    ASSERT_EQ(stage.stays.ask("forge " + persistent_id), "ok");
     heard = stage.subscriber.ask("take") == "1" && i > 0;
     ASSERT_EQ(stage.subscriber.ask("release"), "ok");
   }

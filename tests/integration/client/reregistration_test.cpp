@@ -269,8 +269,8 @@ TEST_F(Reregistration, AddressesThatAreInUseAreNotMappedOver) {
   EXPECT_EQ(subscriber.ask("unreachable"), "1");
   EXPECT_EQ(subscriber.ask("release"), "ok");
   ::kill(publisher->pid(), SIGCONT);
-  const std::string island = "island " + std::to_string(static_cast<int>(Errc::arena_occupied));
-  EXPECT_TRUE(publisher->eventually("state", island));
+  const std::string orphaned = "orphaned " + std::to_string(static_cast<int>(Errc::arena_occupied));
+  EXPECT_TRUE(publisher->eventually("state", orphaned));
   ASSERT_EQ(publisher->ask("publish 1 1000"), "ok");
   EXPECT_EQ(subscriber.ask("wait 10000"), "news");
   EXPECT_EQ(subscriber.ask("take"), "3") << "an orphaned session goes on";
@@ -311,9 +311,9 @@ TEST_F(Reregistration, AnotherLayoutLeavesAnOrphanedSession) {
   ASSERT_TRUE(meet(subscriber, "sub /t 100", publisher, "pub /t 10"));
   end();
   begin({.program = AGNOCAST_TEST_OTHER_LAYOUT});
-  const std::string island = "island " + std::to_string(static_cast<int>(Errc::layout_mismatch));
-  ASSERT_TRUE(publisher.eventually("state", island));
-  ASSERT_TRUE(subscriber.eventually("state", island));
+  const std::string orphaned = "orphaned " + std::to_string(static_cast<int>(Errc::layout_mismatch));
+  ASSERT_TRUE(publisher.eventually("state", orphaned));
+  ASSERT_TRUE(subscriber.eventually("state", orphaned));
   ASSERT_EQ(publisher.ask("publish 3 10"), "ok");
   EXPECT_EQ(take_all(subscriber), "1 2 3 ");
   // The user who installed that daemon restores the right one.
@@ -372,11 +372,11 @@ TEST_F(Reregistration, ADamagedStoreLeavesAnOrphanedSessionUntilAnotherDaemonBeg
     ClientTool publisher(socket()), subscriber(socket());
     ASSERT_TRUE(meet(subscriber, "sub /t 100", publisher, "pub /t 10"));
     end();
-    const std::string island = "island " + std::to_string(static_cast<int>(Errc::store_damaged));
+    const std::string orphaned = "orphaned " + std::to_string(static_cast<int>(Errc::store_damaged));
     {
       const Refusing refusing(socket(), to_rejoin, Errc::store_damaged);
-      ASSERT_TRUE(publisher.eventually("state", island));
-      ASSERT_TRUE(subscriber.eventually("state", island));
+      ASSERT_TRUE(publisher.eventually("state", orphaned));
+      ASSERT_TRUE(subscriber.eventually("state", orphaned));
       ASSERT_EQ(publisher.ask("publish 3 10"), "ok");
       EXPECT_EQ(take_all(subscriber), "1 2 3 ");
     }
@@ -402,11 +402,11 @@ TEST_F(Reregistration, EndpointsDestroyedDuringARefusalHaveLeftAfterwards) {
   std::filesystem::rename(socket(), away);
   {
     const Refusing refusing(socket(), Errc::permission_denied, Errc::permission_denied);
-    const std::string island =
-        "island " + std::to_string(static_cast<int>(Errc::permission_denied));
+    const std::string orphaned =
+        "orphaned " + std::to_string(static_cast<int>(Errc::permission_denied));
     for (ClientTool* const tool : {&publisher, &subscriber}) {
       ASSERT_TRUE(test::end_connection(tool->pid()));
-      ASSERT_TRUE(tool->eventually("state", island));
+      ASSERT_TRUE(tool->eventually("state", orphaned));
     }
     ASSERT_EQ(publisher.ask("unpub"), "ok");
     ASSERT_EQ(subscriber.ask("unsub"), "ok");  // and still holds a message

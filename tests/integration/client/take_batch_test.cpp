@@ -241,7 +241,7 @@ TEST_F(TakeBatch, MessagesAreReleasedByOtherThreadsMeanwhile) {
   std::vector<Message> handed_over;
   bool is_over = false;
   std::uint64_t damaged = 0;
-  const auto let_go = [&] {
+  const auto release = [&] {
     std::unique_lock lock(mutex);
     for (;;) {
       changed.wait(lock, [&] { return is_over || !handed_over.empty(); });
@@ -255,7 +255,7 @@ TEST_F(TakeBatch, MessagesAreReleasedByOtherThreadsMeanwhile) {
       damaged += !is_intact;
     }
   };
-  std::thread one(let_go), two(let_go);
+  std::thread one(release), two(release);
   std::uint64_t published = 0, expected = 1;
   std::array<Message, 16> messages;
   bool in_order = true;

@@ -213,12 +213,12 @@ TEST_F(Services, AClientThatDoesNotReadDelaysNoOther) {
   SingleThreadedExecutor nobody_spins;
   nobody_spins.add_node(sleeps);
   auto service = server.create_service<Repeat>("slow", kept.keep(), 4);
-  auto sleeper = sleeps.create_client<Repeat>("slow", 4);
+  auto wait_set = sleeps.create_client<Repeat>("slow", 4);
   auto reader = reads.create_client<Repeat>("slow", 4);
-  ASSERT_TRUE(sleeper->wait_for_service(patience));
+  ASSERT_TRUE(wait_set->wait_for_service(patience));
   ASSERT_TRUE(reader->wait_for_service(patience));
   for (std::size_t i = 0; i < 6; ++i) {
-    (void)sleeper->async_send_request(ask_for(sleeper, i));
+    (void)wait_set->async_send_request(ask_for(wait_set, i));
     ASSERT_TRUE(eventually([&] { return kept.count() == i + 1; }));
   }
   for (std::size_t i = 0; i < 4; ++i) EXPECT_EQ(kept.answer(service, i), Errc::ok);

@@ -39,14 +39,14 @@ extern "C" [[gnu::no_sanitize_address]] long syscall(long number, ...) noexcept 
 namespace agnocast {
 namespace {
 
-std::array<UniqueFd, 2> bell() {
+std::array<UniqueFd, 2> doorbell() {
   int ends[2];
   EXPECT_EQ(::socketpair(AF_UNIX, SOCK_DGRAM | SOCK_CLOEXEC, 0, ends), 0);
   return {UniqueFd(ends[0]), UniqueFd(ends[1])};
 }
 
 TEST(Closing, DiscardsADatagramOnlyFromItsOwnSocket) {
-  auto first = bell(), second = bell();
+  auto first = doorbell(), second = doorbell();
   const int number = first[1].get();
   ASSERT_EQ(::send(first[0].get(), "1", 1, 0), 1);
   ASSERT_EQ(::send(second[0].get(), "2", 1, 0), 1);

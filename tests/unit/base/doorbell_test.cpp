@@ -40,19 +40,19 @@ constexpr std::uint64_t datagram_tag = 2;
 
 struct Executor {
   test::TemporaryDirectory directory;
-  DoorbellReceiver bells;
+  DoorbellReceiver doorbells;
   UniqueFd epoll{::epoll_create1(EPOLL_CLOEXEC)};
 
   Executor() {
-    bells = std::move(make_doorbell(directory.path(), "bell").value());
-    EXPECT_TRUE(bells.add_to(epoll.get(), eventfd_tag, datagram_tag));
+    doorbells = std::move(make_doorbell(directory.path(), "doorbell").value());
+    EXPECT_TRUE(doorbells.add_to(epoll.get(), eventfd_tag, datagram_tag));
   }
   Doorbell same_user() const {
-    return Doorbell(connect_doorbell(directory.path(), "bell").value(),
-                    UniqueFd(::dup(bells.eventfd())));
+    return Doorbell(connect_doorbell(directory.path(), "doorbell").value(),
+                    UniqueFd(::dup(doorbells.eventfd())));
   }
   Doorbell other_user() const {
-    return Doorbell(connect_doorbell(directory.path(), "bell").value());
+    return Doorbell(connect_doorbell(directory.path(), "doorbell").value());
   }
   // Returns the tags that are ready now.
   std::vector<std::uint64_t> ready(int timeout_ms = 0) const {
@@ -65,9 +65,9 @@ struct Executor {
 };
 
 // Sends until the kernel says that the queue is full.
-std::size_t fill_queue(const Doorbell& bell) {
+std::size_t fill_queue(const Doorbell& doorbell) {
   std::size_t count = 0;
-  while (::send(bell.datagram_fd(), "x", 1, MSG_DONTWAIT | MSG_NOSIGNAL) == 1) ++count;
+  while (::send(doorbell.datagram_fd(), "x", 1, MSG_DONTWAIT | MSG_NOSIGNAL) == 1) ++count;
   EXPECT_EQ(errno, EAGAIN);
   return count;
 }
@@ -79,10 +79,10 @@ void fill_eventfd(int fd) {
 
 TEST(Doorbell, SameUserWakesOncePerSleepWithoutAnyRead) {
   Executor executor;
-  const Doorbell bell = executor.same_user();
+  const Doorbell doorbell = executor.same_user();
   EXPECT_THAT(executor.ready(), IsEmpty());
   for (int sleep = 0; sleep < 1000; ++sleep) {
-    ASSERT_EQ(bell.ring(), Rung::rung);
+    ASSERT_EQ(doorbell.ring(), Rung::rung);
     ASSERT_THAT(executor.ready(10'000), ElementsAre(eventfd_tag)) << sleep;
     ASSERT_THAT(executor.ready(), IsEmpty()) << "woken twice by one ring, sleep " << sleep;
   }
@@ -90,8 +90,8 @@ TEST(Doorbell, SameUserWakesOncePerSleepWithoutAnyRead) {
 
 TEST(Doorbell, ManyRingsBetweenTwoSleepsAreOneWakeUp) {
   Executor executor;
-  const Doorbell bell = executor.same_user();
-  for (int i = 0; i < 100; ++i) ASSERT_EQ(bell.ring(), Rung::rung);
+  const Doorbell doorbell = executor.same_user();
+  for (int i = 0; i < 100; ++i) ASSERT_EQ(doorbell.ring(), Rung::rung);
   EXPECT_THAT(executor.ready(), ElementsAre(eventfd_tag));
   EXPECT_THAT(executor.ready(), IsEmpty());
 }
@@ -100,55 +100,55 @@ TEST(Doorbell, SameUserSendsNoDatagram) {
   Executor executor;
   EXPECT_EQ(executor.same_user().ring(), Rung::rung);
   char byte = 0;
-  EXPECT_EQ(::recv(executor.bells.datagram_fd(), &byte, 1, MSG_DONTWAIT), -1);
+  EXPECT_EQ(::recv(executor.doorbells.datagram_fd(), &byte, 1, MSG_DONTWAIT), -1);
   EXPECT_EQ(errno, EAGAIN);
 }
 
 TEST(Doorbell, RingsAThreadThatSleepsInAnotherProcess) {
   Executor executor;
   for (const bool same_user : {true, false}) {
-    const Doorbell bell = same_user ? executor.same_user() : executor.other_user();
-    test::Child child([&] { return bell.ring() == Rung::rung ? 0 : 1; });
+    const Doorbell doorbell = same_user ? executor.same_user() : executor.other_user();
+    test::Child child([&] { return doorbell.ring() == Rung::rung ? 0 : 1; });
     EXPECT_THAT(executor.ready(10'000), ElementsAre(same_user ? eventfd_tag : datagram_tag));
-    executor.bells.drain();
+    executor.doorbells.drain();
     EXPECT_EQ(child.wait(), 0);
   }
 }
 
 TEST(Doorbell, OtherUserIsReadableUntilDrained) {
   Executor executor;
-  const Doorbell bell = executor.other_user();
-  EXPECT_EQ(bell.ring(), Rung::rung);
+  const Doorbell doorbell = executor.other_user();
+  EXPECT_EQ(doorbell.ring(), Rung::rung);
   EXPECT_THAT(executor.ready(), ElementsAre(datagram_tag));
   EXPECT_THAT(executor.ready(), ElementsAre(datagram_tag));
-  executor.bells.drain();
+  executor.doorbells.drain();
   EXPECT_THAT(executor.ready(), IsEmpty());
-  executor.bells.drain();
-  EXPECT_EQ(bell.ring(), Rung::rung);
+  executor.doorbells.drain();
+  EXPECT_EQ(doorbell.ring(), Rung::rung);
   EXPECT_THAT(executor.ready(), ElementsAre(datagram_tag));
 }
 
 TEST(Doorbell, FullQueueOfDatagramsCountsAsRung) {
   Executor executor;
-  const Doorbell bell = executor.other_user();
-  EXPECT_GT(fill_queue(bell), 0U);
-  EXPECT_EQ(bell.ring(), Rung::rung);
+  const Doorbell doorbell = executor.other_user();
+  EXPECT_GT(fill_queue(doorbell), 0U);
+  EXPECT_EQ(doorbell.ring(), Rung::rung);
   EXPECT_THAT(executor.ready(), ElementsAre(datagram_tag));
-  executor.bells.drain();
+  executor.doorbells.drain();
   EXPECT_THAT(executor.ready(), IsEmpty()) << "one drain empties a full queue";
 }
 
 // All holders share the open file description, and any of them may change its flags.
 TEST(Doorbell, RingDoesNotBlockWhenAHolderClearedTheNonBlockingFlag) {
   Executor executor;
-  const Doorbell bell = executor.other_user();
-  fill_queue(bell);
-  ASSERT_EQ(::fcntl(bell.datagram_fd(), F_SETFL, 0), 0);
-  ASSERT_EQ(::fcntl(executor.bells.datagram_fd(), F_SETFL, 0), 0);
+  const Doorbell doorbell = executor.other_user();
+  fill_queue(doorbell);
+  ASSERT_EQ(::fcntl(doorbell.datagram_fd(), F_SETFL, 0), 0);
+  ASSERT_EQ(::fcntl(executor.doorbells.datagram_fd(), F_SETFL, 0), 0);
   test::Child child([&] {
     ::alarm(10);  // ends a child that blocks
-    if (bell.ring() != Rung::rung) return 1;
-    executor.bells.drain();
+    if (doorbell.ring() != Rung::rung) return 1;
+    executor.doorbells.drain();
     return executor.ready().empty() ? 0 : 2;
   });
   EXPECT_EQ(child.wait(), 0);
@@ -161,9 +161,9 @@ TEST(Doorbell, OneDrainEmptiesALongQueue) {
     const UniqueFd length(::open("/proc/sys/net/unix/max_dgram_qlen", O_WRONLY | O_CLOEXEC));
     if (!length || ::write(length.get(), "200", 3) != 3) return 77;
     Executor executor;
-    const Doorbell bell = executor.other_user();
-    if (fill_queue(bell) < 100) return 1;
-    executor.bells.drain();
+    const Doorbell doorbell = executor.other_user();
+    if (fill_queue(doorbell) < 100) return 1;
+    executor.doorbells.drain();
     return executor.ready().empty() ? 0 : 2;
   });
   const int status = child.wait();
@@ -173,20 +173,20 @@ TEST(Doorbell, OneDrainEmptiesALongQueue) {
 
 TEST(Doorbell, FilledEventfdIsBackedByADatagram) {
   Executor executor;
-  const Doorbell bell = executor.same_user();
-  fill_eventfd(bell.eventfd());
+  const Doorbell doorbell = executor.same_user();
+  fill_eventfd(doorbell.eventfd());
   executor.ready();  // the wake-up by the filling itself
-  EXPECT_EQ(bell.ring(), Rung::rung);
+  EXPECT_EQ(doorbell.ring(), Rung::rung);
   EXPECT_THAT(executor.ready(), ElementsAre(datagram_tag));
 }
 
 TEST(Doorbell, WorksAfterItsNameIsGone) {
   Executor executor;
-  const Doorbell bell = executor.other_user();
-  ASSERT_EQ(::unlink(executor.directory.path("bell").c_str()), 0);
-  EXPECT_EQ(bell.ring(), Rung::rung);
+  const Doorbell doorbell = executor.other_user();
+  ASSERT_EQ(::unlink(executor.directory.path("doorbell").c_str()), 0);
+  EXPECT_EQ(doorbell.ring(), Rung::rung);
   EXPECT_THAT(executor.ready(), ElementsAre(datagram_tag));
-  const auto later = connect_doorbell(executor.directory.path(), "bell");
+  const auto later = connect_doorbell(executor.directory.path(), "doorbell");
   ASSERT_FALSE(later);
   EXPECT_EQ(later.error().code, Errc::endpoint_gone);
 }
@@ -198,7 +198,7 @@ TEST(Doorbell, OneSenderCannotSilenceAnother) {
   fill_queue(hostile);
   EXPECT_EQ(honest.ring(), Rung::rung) << "a flood only makes the socket readable";
   EXPECT_THAT(executor.ready(), ElementsAre(datagram_tag));
-  executor.bells.drain();
+  executor.doorbells.drain();
 
   ASSERT_EQ(::shutdown(hostile.datagram_fd(), SHUT_RDWR), 0);
   EXPECT_EQ(hostile.ring(), Rung::gone);
@@ -208,16 +208,16 @@ TEST(Doorbell, OneSenderCannotSilenceAnother) {
 
 TEST(Doorbell, RingingAClosedReceiverSaysGone) {
   Executor executor;
-  const Doorbell bell = executor.other_user();
-  executor.bells = DoorbellReceiver();
-  EXPECT_EQ(bell.ring(), Rung::gone);
-  EXPECT_EQ(bell.ring(), Rung::gone);
+  const Doorbell doorbell = executor.other_user();
+  executor.doorbells = DoorbellReceiver();
+  EXPECT_EQ(doorbell.ring(), Rung::gone);
+  EXPECT_EQ(doorbell.ring(), Rung::gone);
   EXPECT_EQ(Doorbell().ring(), Rung::gone);
 }
 
 TEST(Doorbell, DescriptorsSentThroughADoorbellDoNotLeak) {
   Executor executor;
-  const Doorbell bell = executor.other_user();
+  const Doorbell doorbell = executor.other_user();
   const std::size_t before = test::open_descriptor_count();
   alignas(cmsghdr) char control[CMSG_SPACE(sizeof(int))]{};
   char byte = 0;
@@ -234,19 +234,19 @@ TEST(Doorbell, DescriptorsSentThroughADoorbellDoNotLeak) {
   const int number = 0;
   std::memcpy(CMSG_DATA(part), &number, sizeof number);
   // Linux 6.16 refuses the descriptor for us; on older kernels drain() discards it.
-  if (::sendmsg(bell.datagram_fd(), &message, MSG_DONTWAIT) < 0) {
+  if (::sendmsg(doorbell.datagram_fd(), &message, MSG_DONTWAIT) < 0) {
     EXPECT_EQ(errno, EPERM);
   }
-  executor.bells.drain();
+  executor.doorbells.drain();
   EXPECT_THAT(executor.ready(), IsEmpty());
   EXPECT_EQ(test::open_descriptor_count(), before);
 }
 
 TEST(Doorbell, DoorbellsAreCloseOnExecAndNonBlocking) {
   Executor executor;
-  const Doorbell bell = executor.other_user();
+  const Doorbell doorbell = executor.other_user();
   for (const int fd :
-       {executor.bells.eventfd(), executor.bells.datagram_fd(), bell.datagram_fd()}) {
+       {executor.doorbells.eventfd(), executor.doorbells.datagram_fd(), doorbell.datagram_fd()}) {
     EXPECT_TRUE(test::is_close_on_exec(fd));
     EXPECT_TRUE(test::is_non_blocking(fd));
   }
@@ -254,20 +254,20 @@ TEST(Doorbell, DoorbellsAreCloseOnExecAndNonBlocking) {
 
 TEST(Doorbell, SenderCanBeMadeFromOnlyTheReceiver) {
   Executor executor;
-  const Doorbell bell(connect_doorbell(executor.bells.datagram_fd()).value());
-  EXPECT_EQ(bell.ring(), Rung::rung);
+  const Doorbell doorbell(connect_doorbell(executor.doorbells.datagram_fd()).value());
+  EXPECT_EQ(doorbell.ring(), Rung::rung);
   EXPECT_THAT(executor.ready(), ElementsAre(datagram_tag));
 }
 
 TEST(Doorbell, LeftoverOfAPreviousIncarnationIsReplaced) {
   Executor executor;
-  const Doorbell old_bell = executor.other_user();
-  const auto replacement = make_doorbell(executor.directory.path(), "bell");
+  const Doorbell old_doorbell = executor.other_user();
+  const auto replacement = make_doorbell(executor.directory.path(), "doorbell");
   ASSERT_TRUE(replacement);
-  const Doorbell new_bell = executor.other_user();
-  EXPECT_EQ(new_bell.ring(), Rung::rung);
+  const Doorbell new_doorbell = executor.other_user();
+  EXPECT_EQ(new_doorbell.ring(), Rung::rung);
   EXPECT_THAT(executor.ready(), IsEmpty()) << "the new doorbell does not ring the old receiver";
-  EXPECT_EQ(old_bell.ring(), Rung::rung);
+  EXPECT_EQ(old_doorbell.ring(), Rung::rung);
   EXPECT_THAT(executor.ready(), ElementsAre(datagram_tag));
 }
 
@@ -276,8 +276,8 @@ TEST(Doorbell, OtherUsersCannotConnectThroughThePrivateDirectory) {
   Executor executor;
   test::Child child([&] {
     if (::setuid(65534) != 0) return 1;
-    const auto bell = connect_doorbell(executor.directory.path(), "bell");
-    return !bell && bell.error().os_errno == EACCES ? 0 : 2;
+    const auto doorbell = connect_doorbell(executor.directory.path(), "doorbell");
+    return !doorbell && doorbell.error().os_errno == EACCES ? 0 : 2;
   });
   EXPECT_EQ(child.wait(), 0);
 }
@@ -285,24 +285,24 @@ TEST(Doorbell, OtherUsersCannotConnectThroughThePrivateDirectory) {
 TEST(Doorbell, DirectoryThatOthersMayEnterIsRefused) {
   test::TemporaryDirectory directory;
   ASSERT_EQ(::chmod(directory.path().c_str(), 0710), 0);
-  const auto bells = make_doorbell(directory.path(), "bell");
-  ASSERT_FALSE(bells);
-  EXPECT_EQ(bells.error().code, Errc::permission_denied);
+  const auto doorbells = make_doorbell(directory.path(), "doorbell");
+  ASSERT_FALSE(doorbells);
+  EXPECT_EQ(doorbells.error().code, Errc::permission_denied);
 }
 
 TEST(Doorbell, BadNamesAreRefused) {
   test::TemporaryDirectory directory;
   for (const std::string& name : {std::string(), std::string("a/b"), std::string(100, 'x')}) {
-    const auto bells = make_doorbell(directory.path(), name);
-    ASSERT_FALSE(bells);
-    EXPECT_EQ(bells.error().code, Errc::invalid_argument);
+    const auto doorbells = make_doorbell(directory.path(), name);
+    ASSERT_FALSE(doorbells);
+    EXPECT_EQ(doorbells.error().code, Errc::invalid_argument);
   }
 }
 
 // As on a kernel before 6.16: a peer sends a socket whose close() blocks. The sender then exits,
 // so the doorbell holds the last reference, and a blocking close() would not return.
 void send_lingering_socket(const Executor& executor, const test::DeafPeer& peer) {
-  const UniqueFd sender = connect_doorbell(executor.directory.path(), "bell").value();
+  const UniqueFd sender = connect_doorbell(executor.directory.path(), "doorbell").value();
   test::Child child([&] {
     const int socket = peer.lingering_socket(1'000'000).release();
     iovec data{const_cast<char*>("x"), 1};
@@ -325,13 +325,13 @@ void send_lingering_socket(const Executor& executor, const test::DeafPeer& peer)
 TEST(Doorbell, DrainDoesNotWaitForTheCloseOfSentDescriptors) {
   const test::DeafPeer peer;
   Executor executor;
-  accept_descriptors(executor.bells.datagram_fd());
+  accept_descriptors(executor.doorbells.datagram_fd());
   const std::size_t before = test::open_descriptor_count();
   for (int round = 0; round < 3; ++round) {
     send_lingering_socket(executor, peer);
     executor.other_user().ring();
     EXPECT_THAT(executor.ready(), ElementsAre(datagram_tag));
-    EXPECT_TRUE(executor.bells.drain());
+    EXPECT_TRUE(executor.doorbells.drain());
     EXPECT_THAT(executor.ready(), IsEmpty());
   }
   EXPECT_EQ(test::open_descriptor_count(), before)
@@ -339,7 +339,7 @@ TEST(Doorbell, DrainDoesNotWaitForTheCloseOfSentDescriptors) {
   EXPECT_EQ(executor.other_user().ring(), Rung::rung);
   EXPECT_THAT(executor.ready(), ElementsAre(datagram_tag)) << "the doorbell still works";
   send_lingering_socket(executor, peer);
-  executor.bells = DoorbellReceiver();  // while it still contains a datagram
+  executor.doorbells = DoorbellReceiver();  // while it still contains a datagram
 }
 
 }  // namespace

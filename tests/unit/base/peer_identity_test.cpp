@@ -144,11 +144,11 @@ TEST(PeerIdentity, PacketOfAnotherProcessConfirmsNothing) {
   Daemon daemon;
   Child child([&] {
     const auto client = PacketSocket::connect(daemon.path());
-    Child heir([&] {
+    Child successor([&] {
       const std::byte byte{};
       return client->send({&byte, 1}).value() == Sent::sent ? 0 : 1;
     });
-    if (heir.wait() != 0) return 1;
+    if (successor.wait() != 0) return 1;
     return test::sleep_for_ever();
   });
   daemon.accept();

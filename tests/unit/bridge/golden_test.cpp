@@ -40,7 +40,7 @@ bool has_library(const std::string& type) {
 #endif
 }
 
-/// Runs `check` on each sample with each source of its type's table.
+/// Runs `check` on each sample with each remote publisher of its type's table.
 void for_every_sample(const std::function<void(const Sample&, const IntrospectedType&)>& check) {
   const std::vector<Sample> samples = test::samples_with("cdr_hex");
   ASSERT_FALSE(samples.empty());

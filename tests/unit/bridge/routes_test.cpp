@@ -78,7 +78,7 @@ class Routes : public testing::Test {
                       return type == string_type ? std::nullopt
                                                  : std::optional<std::string>("not found");
                     },
-                    otherwise_, [this](const Guid& guid) { return has_source_.contains(guid); },
+                    otherwise_, [this](const Guid& guid) { return has_remote_publisher_.contains(guid); },
                     announce_});
   }
 
@@ -87,13 +87,13 @@ class Routes : public testing::Test {
   std::vector<Rule> rules_;
   Direction otherwise_ = Direction::both;
   bool announce_ = false;
-  std::set<Guid> has_source_;
+  std::set<Guid> has_remote_publisher_;
   std::uint64_t generation_ = 0;
   int asked_ = 0;
 };
 
 const TopicKey chatter{"/chatter", string_type};
-ReaderKey tap(const QosClass& qos_class, std::size_t depth, bool keep_all = false) {
+ReaderKey local_reader(const QosClass& qos_class, std::size_t depth, bool keep_all = false) {
   return {{chatter, qos_class}, depth, keep_all};
 }
 
@@ -105,21 +105,21 @@ TEST_F(Routes, BeyondAParticipantsShareGiveWayToOtherParticipants) {
     return guid;
   };
   // All of its writers already have remote publishers.
-  for (std::size_t i = 0; i < sources_per_topic_max + 10; ++i) has_source_.insert(owned_by(1));
+  for (std::size_t i = 0; i < remote_publishers_per_topic_max + 10; ++i) has_remote_publisher_.insert(owned_by(1));
   const auto count_of = [&](std::uint8_t participant) {
     std::size_t count = 0;
-    for (const auto& [guid, source] : plan().sources)
+    for (const auto& [guid, remote_publisher] : plan().remote_publishers)
       count += remotes_[guid].participant.bytes[0] == participant;
     return count;
   };
-  EXPECT_EQ(count_of(1), sources_per_topic_max) << "no other participant wants a place";
+  EXPECT_EQ(count_of(1), remote_publishers_per_topic_max) << "no other participant wants a place";
   std::set<Guid> honest;
   for (std::size_t i = 0; i < 10; ++i) honest.insert(owned_by(2));
   EXPECT_EQ(count_of(2), honest.size());
-  EXPECT_EQ(count_of(1), sources_per_topic_max - honest.size());
+  EXPECT_EQ(count_of(1), remote_publishers_per_topic_max - honest.size());
   // Never less than its share.
   for (std::uint8_t other = 3; other < 100; ++other) owned_by(other);
-  EXPECT_EQ(count_of(1), sources_of_participant_share);
+  EXPECT_EQ(count_of(1), remote_publishers_of_participant_share);
 }
 
 TEST_F(Routes, AnnounceUnreadPublishersThatAReaderWouldGet) {
@@ -137,20 +137,20 @@ TEST_F(Routes, AnnounceUnreadPublishersThatAReaderWouldGet) {
              .to_dds = {.reliable = false, .transient_local = {}, .depth = 3}}};
   const Plan made = plan();
   ASSERT_THAT(made.announced, SizeIs(3)) << "the unread one, the one with too weak QoS, /cut";
-  const Outlet& announced = made.announced.at(alone);
-  EXPECT_EQ(announced.tap.of.key, chatter);
+  const DdsWriterPlan& announced = made.announced.at(alone);
+  EXPECT_EQ(announced.local_reader.of.key, chatter);
   EXPECT_EQ(announced.node, "/ns/talker");
   EXPECT_EQ(announced.depth, 7u);
   EXPECT_EQ(announced.offered, (QosClass{true, true}));
   EXPECT_TRUE(made.announced.contains(weak));
-  for (const auto& [generation, outlet] : made.announced) {
-    if (outlet.tap.of.key.topic != "/cut") continue;
-    EXPECT_FALSE(outlet.offered.reliable);
-    EXPECT_EQ(outlet.depth, 3u);
+  for (const auto& [generation, dds_writer] : made.announced) {
+    if (dds_writer.local_reader.of.key.topic != "/cut") continue;
+    EXPECT_FALSE(dds_writer.offered.reliable);
+    EXPECT_EQ(dds_writer.depth, 3u);
   }
-  ASSERT_THAT(made.outlets, SizeIs(1));
-  EXPECT_TRUE(made.outlets.contains(read));
-  EXPECT_THAT(made.taps, SizeIs(1)) << "announced topics have no local reader";
+  ASSERT_THAT(made.dds_writers, SizeIs(1));
+  EXPECT_TRUE(made.dds_writers.contains(read));
+  EXPECT_THAT(made.local_readers, SizeIs(1)) << "announced topics have no local reader";
   announce_ = false;
   EXPECT_THAT(plan().announced, IsEmpty());
 }
@@ -161,15 +161,15 @@ TEST_F(Routes, HaveOnlyADdsReaderForATopicThatIsHereOnly) {
   reader("rt/elsewhere");
   writer("rt/elsewhere");
   const Plan nothing = plan();
-  EXPECT_THAT(nothing.outlets, IsEmpty());
-  EXPECT_THAT(nothing.taps, IsEmpty());
-  EXPECT_THAT(nothing.sources, IsEmpty());
+  EXPECT_THAT(nothing.dds_writers, IsEmpty());
+  EXPECT_THAT(nothing.local_readers, IsEmpty());
+  EXPECT_THAT(nothing.remote_publishers, IsEmpty());
   // It tells other bridges that this host wants the topic.
-  ASSERT_THAT(nothing.inlets, SizeIs(1));
-  const auto& [key, inlet] = *nothing.inlets.begin();
+  ASSERT_THAT(nothing.dds_readers, SizeIs(1));
+  const auto& [key, dds_reader] = *nothing.dds_readers.begin();
   EXPECT_EQ(key, (ClassKey{{"/news", string_type}, {false, false}}));
-  EXPECT_EQ(inlet.depth, 200u);
-  EXPECT_THAT(inlet.nodes, ElementsAre("/ns/one"));
+  EXPECT_EQ(dds_reader.depth, 200u);
+  EXPECT_THAT(dds_reader.nodes, ElementsAre("/ns/one"));
   EXPECT_THAT(
       nothing.unbridged,
       ElementsAre(Unbridged{"/chatter", string_type, Direction::outward, WhyNot::no_reader, ""},
@@ -182,10 +182,10 @@ TEST_F(Routes, LeaveOutTheTopicsOfServices) {
   reader("rt/_service/request/add");
   writer("rt/_service/request/add");
   const Plan nothing = plan();
-  EXPECT_THAT(nothing.outlets, IsEmpty());
-  EXPECT_THAT(nothing.taps, IsEmpty());
-  EXPECT_THAT(nothing.inlets, IsEmpty());
-  EXPECT_THAT(nothing.sources, IsEmpty());
+  EXPECT_THAT(nothing.dds_writers, IsEmpty());
+  EXPECT_THAT(nothing.local_readers, IsEmpty());
+  EXPECT_THAT(nothing.dds_readers, IsEmpty());
+  EXPECT_THAT(nothing.remote_publishers, IsEmpty());
   EXPECT_THAT(nothing.unbridged, IsEmpty());
 }
 
@@ -195,14 +195,14 @@ TEST_F(Routes, MirrorEachPublisherInTheNameOfItsNode) {
   const auto third = publisher("/chatter", QoS(5).transient_local(), "map");
   reader("rt/chatter", false);
   const Plan all = plan();
-  ASSERT_THAT(all.outlets, SizeIs(3));
-  EXPECT_EQ(all.outlets.at(first).node, "/ns/talker");
-  EXPECT_EQ(all.outlets.at(first).depth, 7u);
-  EXPECT_EQ(all.outlets.at(first).tap.of.qos_class, (QosClass{true, false}));
-  EXPECT_EQ(all.outlets.at(second).tap.of.qos_class, (QosClass{false, false}));
-  EXPECT_EQ(all.outlets.at(third).tap.of.qos_class, (QosClass{true, true}));
-  EXPECT_THAT(all.taps,
-              ElementsAre(tap({false, false}, 3), tap({true, false}, 7), tap({true, true}, 5)));
+  ASSERT_THAT(all.dds_writers, SizeIs(3));
+  EXPECT_EQ(all.dds_writers.at(first).node, "/ns/talker");
+  EXPECT_EQ(all.dds_writers.at(first).depth, 7u);
+  EXPECT_EQ(all.dds_writers.at(first).local_reader.of.qos_class, (QosClass{true, false}));
+  EXPECT_EQ(all.dds_writers.at(second).local_reader.of.qos_class, (QosClass{false, false}));
+  EXPECT_EQ(all.dds_writers.at(third).local_reader.of.qos_class, (QosClass{true, true}));
+  EXPECT_THAT(all.local_readers,
+              ElementsAre(local_reader({false, false}, 3), local_reader({true, false}, 7), local_reader({true, true}, 5)));
   EXPECT_THAT(all.unbridged, IsEmpty());
 }
 
@@ -211,21 +211,21 @@ TEST_F(Routes, ShareALocalReaderAmongPublishersWithEqualQos) {
   publisher("/chatter", QoS(7), "other");
   reader("rt/chatter");
   const Plan all = plan();
-  EXPECT_THAT(all.outlets, SizeIs(2));
-  EXPECT_THAT(all.taps, ElementsAre(tap({true, false}, 7)));
+  EXPECT_THAT(all.dds_writers, SizeIs(2));
+  EXPECT_THAT(all.local_readers, ElementsAre(local_reader({true, false}, 7)));
 }
 
 TEST_F(Routes, KeepALocalReadersDepthWhenOtherPublishersCome) {
   const auto first = publisher("/chatter", QoS(7));
   reader("rt/chatter");
-  const Outlet before = plan().outlets.at(first);
+  const DdsWriterPlan before = plan().dds_writers.at(first);
   const auto deep = publisher("/chatter", QoS(900));
   const auto all_of_it = publisher("/chatter", QoS(1).keep_all(7));
   const Plan all = plan();
-  EXPECT_EQ(all.outlets.at(first).tap, before.tap) << "other publishers must not change the depth";
-  EXPECT_EQ(all.outlets.at(deep).tap, tap({true, false}, 900));
-  EXPECT_EQ(all.outlets.at(all_of_it).tap, tap({true, false}, 7, true));
-  EXPECT_THAT(all.taps, SizeIs(3));
+  EXPECT_EQ(all.dds_writers.at(first).local_reader, before.local_reader) << "other publishers must not change the depth";
+  EXPECT_EQ(all.dds_writers.at(deep).local_reader, local_reader({true, false}, 900));
+  EXPECT_EQ(all.dds_writers.at(all_of_it).local_reader, local_reader({true, false}, 7, true));
+  EXPECT_THAT(all.local_readers, SizeIs(3));
 }
 
 TEST_F(Routes, HaveDdsReadersOfFewDepths) {
@@ -233,17 +233,17 @@ TEST_F(Routes, HaveDdsReadersOfFewDepths) {
   for (const auto& [asked, made] :
        std::vector<std::pair<int, std::size_t>>{{1, 100}, {100, 100}, {101, 200}, {1000, 1600}}) {
     writer("rt/chatter", true, false, asked);
-    EXPECT_EQ(plan().inlets.begin()->second.depth, made) << asked;
+    EXPECT_EQ(plan().dds_readers.begin()->second.depth, made) << asked;
   }
 }
 
 TEST_F(Routes, GiveDdsWritersHalfOfATopicsPlacesAndLetThemKeepThese) {
   subscription("/chatter");
   std::set<Guid> all;
-  for (std::size_t i = 0; i < sources_per_topic_max; ++i) all.insert(writer("rt/chatter"));
-  EXPECT_THAT(plan().sources, SizeIs(sources_per_topic_max));
+  for (std::size_t i = 0; i < remote_publishers_per_topic_max; ++i) all.insert(writer("rt/chatter"));
+  EXPECT_THAT(plan().remote_publishers, SizeIs(remote_publishers_per_topic_max));
   EXPECT_THAT(plan().unbridged, IsEmpty());
-  has_source_ = all;
+  has_remote_publisher_ = all;
   for (int i = 0; i < 300; ++i) writer("rt/chatter");
   // Some of the new ones sort before some of the old ones.
   ASSERT_LT(remotes_.size(), 1000u);
@@ -252,14 +252,14 @@ TEST_F(Routes, GiveDdsWritersHalfOfATopicsPlacesAndLetThemKeepThese) {
   early.guid.bytes[15] = 1;
   remotes_[early.guid] = early;
   const Plan full = plan();
-  ASSERT_THAT(full.sources, SizeIs(sources_per_topic_max));
-  for (const auto& [guid, source] : full.sources) EXPECT_TRUE(all.contains(guid));
+  ASSERT_THAT(full.remote_publishers, SizeIs(remote_publishers_per_topic_max));
+  for (const auto& [guid, remote_publisher] : full.remote_publishers) EXPECT_TRUE(all.contains(guid));
   ASSERT_THAT(full.unbridged, SizeIs(1));
   EXPECT_EQ(full.unbridged[0].why, WhyNot::too_many);
   EXPECT_THAT(full.unbridged[0].detail, HasSubstr("301 of 428"));
   // A place that becomes free is given away.
   remotes_.erase(*all.begin());
-  EXPECT_TRUE(plan().sources.contains(early.guid));
+  EXPECT_TRUE(plan().remote_publishers.contains(early.guid));
 }
 
 TEST_F(Routes, ArePlannedQuicklyForThousandsOfEndpointsOfOneTopic) {
@@ -280,9 +280,9 @@ TEST_F(Routes, ArePlannedQuicklyForThousandsOfEndpointsOfOneTopic) {
   }
   // Comparing all pairs, each with its own text, would take 400 million comparisons: minutes.
   const Plan all = plan();
-  EXPECT_THAT(all.outlets, SizeIs(count));
-  EXPECT_THAT(all.sources, SizeIs(sources_per_topic_max));
-  EXPECT_THAT(all.inlets.begin()->second.nodes, SizeIs(count));
+  EXPECT_THAT(all.dds_writers, SizeIs(count));
+  EXPECT_THAT(all.remote_publishers, SizeIs(remote_publishers_per_topic_max));
+  EXPECT_THAT(all.dds_readers.begin()->second.nodes, SizeIs(count));
 }
 
 TEST_F(Routes, MirrorEachDdsWriterAndReadItOnceForAllSubscriptions) {
@@ -292,18 +292,18 @@ TEST_F(Routes, MirrorEachDdsWriterAndReadItOnceForAllSubscriptions) {
   const Guid second = writer("rt/chatter", true, false, 8);
   const Guid third = writer("rt/chatter", false, false, 0);  // no depth announced
   const Plan all = plan();
-  ASSERT_THAT(all.sources, SizeIs(3));
-  EXPECT_EQ(all.sources.at(first).depth, 6u);
-  EXPECT_EQ(all.sources.at(second).depth, 8u);
-  EXPECT_EQ(all.sources.at(third).depth, 10u);
-  EXPECT_EQ(all.sources.at(third).qos_class, (QosClass{false, false}));
-  ASSERT_THAT(all.inlets, SizeIs(2));
-  const Inlet& reliable = all.inlets.at({chatter, {true, false}});
+  ASSERT_THAT(all.remote_publishers, SizeIs(3));
+  EXPECT_EQ(all.remote_publishers.at(first).depth, 6u);
+  EXPECT_EQ(all.remote_publishers.at(second).depth, 8u);
+  EXPECT_EQ(all.remote_publishers.at(third).depth, 10u);
+  EXPECT_EQ(all.remote_publishers.at(third).qos_class, (QosClass{false, false}));
+  ASSERT_THAT(all.dds_readers, SizeIs(2));
+  const DdsReaderPlan& reliable = all.dds_readers.at({chatter, {true, false}});
   EXPECT_EQ(reliable.depth, 400u);
   EXPECT_FALSE(reliable.keep_all);
   EXPECT_THAT(reliable.nodes, ElementsAre("/ns/one", "/ns/two"));
   // A reliable subscription gets nothing from a best-effort writer.
-  const Inlet& best_effort = all.inlets.at({chatter, {false, false}});
+  const DdsReaderPlan& best_effort = all.dds_readers.at({chatter, {false, false}});
   EXPECT_THAT(best_effort.nodes, ElementsAre("/ns/two"));
   EXPECT_EQ(best_effort.depth, 400u);
 }
@@ -312,9 +312,9 @@ TEST_F(Routes, ReadOnceAWriterThatOffersMoreThanAnySubscriptionRequests) {
   subscription("/chatter", QoS(5).best_effort());
   const Guid all_of_it = writer("rt/chatter", true, true);
   const Plan all = plan();
-  ASSERT_THAT(all.inlets, SizeIs(1));
-  EXPECT_EQ(all.inlets.begin()->first.qos_class, (QosClass{false, false}));
-  EXPECT_EQ(all.sources.at(all_of_it).qos_class, (QosClass{true, true}))
+  ASSERT_THAT(all.dds_readers, SizeIs(1));
+  EXPECT_EQ(all.dds_readers.begin()->first.qos_class, (QosClass{false, false}));
+  EXPECT_EQ(all.remote_publishers.at(all_of_it).qos_class, (QosClass{true, true}))
       << "the QoS that the writer offers";
 }
 
@@ -324,16 +324,16 @@ TEST_F(Routes, KeepAllOfAWriterThatKeepsAll) {
   remotes_[all_of_it].qos.keep_all = true;
   const Guid last = writer("rt/chatter", true, false, 3);
   const Plan all = plan();
-  EXPECT_TRUE(all.sources.at(all_of_it).keep_all);
-  EXPECT_EQ(all.sources.at(all_of_it).depth, QoS(1).keep_all().depth());
-  EXPECT_FALSE(all.sources.at(last).keep_all);
-  EXPECT_TRUE(all.inlets.begin()->second.keep_all);
+  EXPECT_TRUE(all.remote_publishers.at(all_of_it).keep_all);
+  EXPECT_EQ(all.remote_publishers.at(all_of_it).depth, QoS(1).keep_all().depth());
+  EXPECT_FALSE(all.remote_publishers.at(last).keep_all);
+  EXPECT_TRUE(all.dds_readers.begin()->second.keep_all);
 }
 
 TEST_F(Routes, HaveRoomForMessagesWhileTheBridgeIsBusy) {
   subscription("/chatter", QoS(1));
   writer("rt/chatter", true, false, 1);
-  EXPECT_EQ(plan().inlets.begin()->second.depth, 100u);
+  EXPECT_EQ(plan().dds_readers.begin()->second.depth, 100u);
 }
 
 TEST_F(Routes, SayThatNoEndpointMatches) {
@@ -342,8 +342,8 @@ TEST_F(Routes, SayThatNoEndpointMatches) {
   reader("rt/chatter");
   writer("rt/chatter");
   const Plan nothing = plan();
-  EXPECT_THAT(nothing.outlets, IsEmpty());
-  EXPECT_THAT(nothing.sources, IsEmpty());
+  EXPECT_THAT(nothing.dds_writers, IsEmpty());
+  EXPECT_THAT(nothing.remote_publishers, IsEmpty());
   ASSERT_THAT(nothing.unbridged, SizeIs(2));
   EXPECT_EQ(nothing.unbridged[0].why, WhyNot::qos);
   EXPECT_EQ(nothing.unbridged[1].why, WhyNot::qos);
@@ -357,7 +357,7 @@ TEST_F(Routes, FollowTheDefaultWhereNoRuleMatches) {
   otherwise_ = Direction::none;
   rules_ = {{"/a", Direction::both, 1}};
   const Plan made = plan();
-  EXPECT_THAT(made.outlets, SizeIs(1));
+  EXPECT_THAT(made.dds_writers, SizeIs(1));
   ASSERT_THAT(made.unbridged, SizeIs(1));
   EXPECT_EQ(made.unbridged[0].topic, "/b");
   EXPECT_EQ(made.unbridged[0].why, WhyNot::rule);
@@ -368,9 +368,9 @@ TEST_F(Routes, ARuleForATypeLeavesOtherTypesToTheNextRule) {
   publisher("/a");
   reader("rt/a");
   rules_ = {{"/a", Direction::none, 1, "std_msgs/msg/Int32"}, {"/a", Direction::outward, 2}};
-  EXPECT_THAT(plan().outlets, SizeIs(1));
+  EXPECT_THAT(plan().dds_writers, SizeIs(1));
   rules_[0].type = string_type;
-  EXPECT_THAT(plan().outlets, IsEmpty());
+  EXPECT_THAT(plan().dds_writers, IsEmpty());
 }
 
 TEST_F(Routes, OfferTheRulesQosToDdsAndReadWithThePublishersQos) {
@@ -380,25 +380,25 @@ TEST_F(Routes, OfferTheRulesQosToDdsAndReadWithThePublishersQos) {
   rule.to_dds = {false, false, 2};
   rules_ = {rule};
   const Plan made = plan();
-  ASSERT_TRUE(made.outlets.contains(generation));
-  const Outlet& outlet = made.outlets.at(generation);
-  EXPECT_EQ(outlet.offered, (QosClass{false, false}));
-  EXPECT_EQ(outlet.depth, 2u);
-  EXPECT_EQ(outlet.tap, (ReaderKey{{{"/a", string_type}, {true, true}}, 7, false}));
-  EXPECT_THAT(made.taps, ElementsAre(outlet.tap));
+  ASSERT_TRUE(made.dds_writers.contains(generation));
+  const DdsWriterPlan& dds_writer = made.dds_writers.at(generation);
+  EXPECT_EQ(dds_writer.offered, (QosClass{false, false}));
+  EXPECT_EQ(dds_writer.depth, 2u);
+  EXPECT_EQ(dds_writer.local_reader, (ReaderKey{{{"/a", string_type}, {true, true}}, 7, false}));
+  EXPECT_THAT(made.local_readers, ElementsAre(dds_writer.local_reader));
 }
 
 TEST_F(Routes, MatchReadersAgainstTheQosOfTheRule) {
   publisher("/a", QoS(5).best_effort());
   reader("rt/a", true);
-  EXPECT_THAT(plan().outlets, IsEmpty());
+  EXPECT_THAT(plan().dds_writers, IsEmpty());
   Rule rule{"/a", Direction::both, 1};
   rule.to_dds.reliable = true;
   rules_ = {rule};
-  EXPECT_THAT(plan().outlets, SizeIs(1));
+  EXPECT_THAT(plan().dds_writers, SizeIs(1));
   rules_[0].to_dds.reliable = false;
   const Plan refused = plan();
-  EXPECT_THAT(refused.outlets, IsEmpty());
+  EXPECT_THAT(refused.dds_writers, IsEmpty());
   ASSERT_THAT(refused.unbridged, SizeIs(1));
   EXPECT_EQ(refused.unbridged[0].why, WhyNot::qos);
 }
@@ -411,33 +411,33 @@ TEST_F(Routes, RequestTheRulesQosFromDds) {
   rule.from_dds = {true, false, 3};
   rules_ = {rule};
   const Plan made = plan();
-  EXPECT_TRUE(made.sources.contains(reliable));
-  EXPECT_FALSE(made.sources.contains(best_effort)) << "the writer offers less";
-  ASSERT_THAT(made.inlets, SizeIs(1));
-  EXPECT_EQ(made.inlets.begin()->second.requested, (QosClass{true, false}));
-  EXPECT_EQ(made.inlets.begin()->second.depth, 3u);
+  EXPECT_TRUE(made.remote_publishers.contains(reliable));
+  EXPECT_FALSE(made.remote_publishers.contains(best_effort)) << "the writer offers less";
+  ASSERT_THAT(made.dds_readers, SizeIs(1));
+  EXPECT_EQ(made.dds_readers.begin()->second.requested, (QosClass{true, false}));
+  EXPECT_EQ(made.dds_readers.begin()->second.depth, 3u);
 }
 
 TEST_F(Routes, AlwaysHaveTheEndpointsOfARuleWithAlways) {
   const auto generation = publisher("/a");
   Rule rule{"/a", Direction::both, 1, string_type};
-  EXPECT_THAT(plan().outlets, IsEmpty());
+  EXPECT_THAT(plan().dds_writers, IsEmpty());
   rule.always = true;
   rules_ = {rule};
   Plan made = plan();
-  EXPECT_TRUE(made.outlets.contains(generation)) << "no DDS reader reads it";
-  ASSERT_THAT(made.inlets, SizeIs(1)) << "no endpoint is on either side";
-  EXPECT_EQ(made.inlets.begin()->second.requested, (QosClass{true, false}));
-  EXPECT_THAT(made.sources, IsEmpty());
+  EXPECT_TRUE(made.dds_writers.contains(generation)) << "no DDS reader reads it";
+  ASSERT_THAT(made.dds_readers, SizeIs(1)) << "no endpoint is on either side";
+  EXPECT_EQ(made.dds_readers.begin()->second.requested, (QosClass{true, false}));
+  EXPECT_THAT(made.remote_publishers, IsEmpty());
   EXPECT_THAT(made.unbridged, IsEmpty());
 
   const Guid remote = writer("rt/a", false, false);
   made = plan();
-  EXPECT_TRUE(made.sources.contains(remote)) << "no local subscription exists";
+  EXPECT_TRUE(made.remote_publishers.contains(remote)) << "no local subscription exists";
   rules_[0].direction = Direction::outward;
   made = plan();
-  EXPECT_THAT(made.sources, IsEmpty());
-  EXPECT_THAT(made.inlets, IsEmpty());
+  EXPECT_THAT(made.remote_publishers, IsEmpty());
+  EXPECT_THAT(made.dds_readers, IsEmpty());
 }
 
 TEST_F(Routes, FollowTheFirstRuleThatMatches) {
@@ -451,9 +451,9 @@ TEST_F(Routes, FollowTheFirstRuleThatMatches) {
     writer("rt" + std::string(topic));
   }
   const Plan some = plan();
-  EXPECT_THAT(some.outlets, SizeIs(2));
-  ASSERT_THAT(some.sources, SizeIs(1));
-  EXPECT_EQ(some.sources.begin()->second.key.topic, "/lidar/top/points");
+  EXPECT_THAT(some.dds_writers, SizeIs(2));
+  ASSERT_THAT(some.remote_publishers, SizeIs(1));
+  EXPECT_EQ(some.remote_publishers.begin()->second.key.topic, "/lidar/top/points");
   ASSERT_THAT(some.unbridged, SizeIs(3));
   for (const Unbridged& not_there : some.unbridged) EXPECT_EQ(not_there.why, WhyNot::rule);
   EXPECT_THAT(some.unbridged.back().detail, HasSubstr("line 3"));
@@ -477,7 +477,7 @@ TEST_F(Routes, LoadATypeOnceAndOnlyWhenItIsOnBothSides) {
            "foreign::msg::dds_::Type_");
   const Plan nothing = plan();
   EXPECT_EQ(asked_, 1);
-  EXPECT_THAT(nothing.outlets, IsEmpty());
+  EXPECT_THAT(nothing.dds_writers, IsEmpty());
   EXPECT_EQ(std::count_if(nothing.unbridged.begin(), nothing.unbridged.end(),
                           [](const Unbridged& one) { return one.why == WhyNot::unknown_type; }),
             5);
@@ -503,8 +503,8 @@ TEST_F(Routes, LeaveOutBridgesOtherDomainsServicesAndNamesOutsideRos) {
   remote(Remote::Kind::reader, "rq/addRequest");
   remote(Remote::Kind::reader, "no_ros_topic");
   const Plan nothing = plan();
-  EXPECT_THAT(nothing.outlets, IsEmpty());
-  EXPECT_THAT(nothing.inlets, IsEmpty());
+  EXPECT_THAT(nothing.dds_writers, IsEmpty());
+  EXPECT_THAT(nothing.dds_readers, IsEmpty());
   ASSERT_THAT(nothing.unbridged, SizeIs(2));
   EXPECT_EQ(nothing.unbridged[0].topic, "/add");
   EXPECT_EQ(nothing.unbridged[0].why, WhyNot::no_reader);
@@ -543,18 +543,18 @@ TEST_F(Routes, CarryEveryMessageOnceInAnySituation) {
           if (!matches(own.reliable, own.transient_local, theirs.reliable, theirs.transient_local))
             continue;
           // Its messages come only through the local reader of its QoS, to its own DDS writer.
-          ASSERT_TRUE(now.outlets.contains(endpoint.generation));
-          const ReaderKey tap{{{endpoint.topic, endpoint.type}, own}, endpoint.qos.depth(), false};
-          EXPECT_EQ(now.outlets.at(endpoint.generation).tap, tap);
-          EXPECT_TRUE(now.taps.contains(tap));
+          ASSERT_TRUE(now.dds_writers.contains(endpoint.generation));
+          const ReaderKey local_reader{{{endpoint.topic, endpoint.type}, own}, endpoint.qos.depth(), false};
+          EXPECT_EQ(now.dds_writers.at(endpoint.generation).local_reader, local_reader);
+          EXPECT_TRUE(now.local_readers.contains(local_reader));
         }
         if (endpoint.kind == EndpointKind::subscription && other.kind == Remote::Kind::writer &&
             matches(theirs.reliable, theirs.transient_local, own.reliable, own.transient_local)) {
-          ASSERT_TRUE(now.sources.contains(guid));
-          EXPECT_EQ(now.sources.at(guid).qos_class, theirs);
+          ASSERT_TRUE(now.remote_publishers.contains(guid));
+          EXPECT_EQ(now.remote_publishers.at(guid).qos_class, theirs);
           // One DDS reader matches the writer and requests all that the subscription does.
-          const QosClass read = now.sources.at(guid).inlet;
-          EXPECT_TRUE(now.inlets.contains({{endpoint.topic, endpoint.type}, read}));
+          const QosClass read = now.remote_publishers.at(guid).dds_reader;
+          EXPECT_TRUE(now.dds_readers.contains({{endpoint.topic, endpoint.type}, read}));
           EXPECT_TRUE(matches(theirs.reliable, theirs.transient_local, read.reliable,
                               read.transient_local));
           EXPECT_TRUE(
@@ -563,15 +563,15 @@ TEST_F(Routes, CarryEveryMessageOnceInAnySituation) {
       }
     }
     // Every part of the plan serves some endpoint.
-    for (const auto& [generation, outlet] : now.outlets) EXPECT_TRUE(now.taps.contains(outlet.tap));
-    for (const ReaderKey& tap : now.taps)
-      EXPECT_TRUE(std::any_of(now.outlets.begin(), now.outlets.end(),
-                              [&](const auto& outlet) { return outlet.second.tap == tap; }));
-    for (const auto& [key, inlet] : now.inlets) {
-      EXPECT_FALSE(inlet.nodes.empty());
+    for (const auto& [generation, dds_writer] : now.dds_writers) EXPECT_TRUE(now.local_readers.contains(dds_writer.local_reader));
+    for (const ReaderKey& local_reader : now.local_readers)
+      EXPECT_TRUE(std::any_of(now.dds_writers.begin(), now.dds_writers.end(),
+                              [&](const auto& dds_writer) { return dds_writer.second.local_reader == local_reader; }));
+    for (const auto& [key, dds_reader] : now.dds_readers) {
+      EXPECT_FALSE(dds_reader.nodes.empty());
       const bool is_written =
-          std::any_of(now.sources.begin(), now.sources.end(), [&](const auto& source) {
-            return source.second.key == key.key && source.second.inlet == key.qos_class;
+          std::any_of(now.remote_publishers.begin(), now.remote_publishers.end(), [&](const auto& remote_publisher) {
+            return remote_publisher.second.key == key.key && remote_publisher.second.dds_reader == key.qos_class;
           });
       const bool is_wanted = std::any_of(locals_.begin(), locals_.end(), [&](const auto& local) {
         return local.kind == EndpointKind::subscription && local.topic == key.key.topic &&
@@ -579,8 +579,8 @@ TEST_F(Routes, CarryEveryMessageOnceInAnySituation) {
       });
       EXPECT_TRUE(is_written || is_wanted);
     }
-    for (const auto& [guid, source] : now.sources)
-      EXPECT_TRUE(now.inlets.contains({source.key, source.inlet}));
+    for (const auto& [guid, remote_publisher] : now.remote_publishers)
+      EXPECT_TRUE(now.dds_readers.contains({remote_publisher.key, remote_publisher.dds_reader}));
     if (HasFailure()) return;
   }
 }

@@ -237,7 +237,7 @@ TEST(Reconnection, PausesLongerAndLongerUntilAConnectionLasts) {
   EXPECT_EQ(pause_after_end(), 1);
   reconnection.refused();
   reconnection.ended(now);
-  EXPECT_EQ(reconnection.state(), Reconnection::State::island);
+  EXPECT_EQ(reconnection.state(), Reconnection::State::orphaned);
   EXPECT_FALSE(reconnection.is_due(now + std::chrono::hours(1)));
 }
 
@@ -266,7 +266,7 @@ TEST(Departure, IsReportedOnceOnRequest) {
   EXPECT_FALSE(departure.is_due());
   departure.want();
   EXPECT_TRUE(departure.is_due());
-  departure.said();
+  departure.reported();
   EXPECT_FALSE(departure.is_due());
   EXPECT_FALSE(departure.is_known());
   departure.known();

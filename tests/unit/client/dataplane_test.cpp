@@ -304,7 +304,7 @@ TEST(Dataplane, ABitThatATakeUndoesIsNotMistakenForAHold) {
       publisher.line(0).hold(word).store(history[visits++ / 3][word]);
     }
   };
-  publisher.core->pass(publisher.environment);
+  publisher.core->scan(publisher.environment);
   EXPECT_EQ(publisher.core->withdrawal(0, 1), abi::Withdrawal::none);
   EXPECT_GT(visits, 3u) << "the publisher did not look twice";
 }
@@ -403,20 +403,20 @@ TEST(Dataplane, EverySlotOfAFullQueueCanBeHeldThenPublishFails) {
   EXPECT_EQ(held.size(), abi::slot_count_max) << "every slot can be held, including the far ones";
   EXPECT_EQ(environment.live.size(), abi::slot_count_max);
   for (const std::uint64_t slot : held) link.release(slot);
-  publisher->pass(environment);
+  publisher->scan(environment);
   EXPECT_EQ(publisher->allocated_count(), 0u);
   EXPECT_TRUE(environment.live.empty());
 }
 
-struct LazyPublisher : Pair {
-  static constexpr std::uint64_t lazy_limit = 7;
-  explicit LazyPublisher(std::uint64_t slots) : queue(std::uint64_t{1} << 18) {
+struct DeferringPublisher : Pair {
+  static constexpr std::uint64_t deferred_limit = 7;
+  explicit DeferringPublisher(std::uint64_t slots) : queue(std::uint64_t{1} << 18) {
     const region::PublisherWords<M> own{queue.base(), extent};
     own.head().store(abi::pack_entry(first(), 0));
     journal::BoardSteps<M>(topic()).add_publisher(0, generation,
                                                   {offered, 0, extent, slots, first()});
     core = std::make_unique<PublisherCore<M>>(PublisherCore<M>::Identity{
-        topic(), own, 0, generation, first(), offered, slots, lazy_limit});
+        topic(), own, 0, generation, first(), offered, slots, deferred_limit});
   }
   PublishOutcome publish(std::uint64_t bytes) {
     const std::uint64_t address = 0x100000 + ++number * 16;
@@ -433,8 +433,8 @@ struct LazyPublisher : Pair {
 
 // No subscription reads, so a full scan frees everything.
 TEST(Dataplane, DefersScansOnlyForSmallMessages) {
-  LazyPublisher publisher(64);
-  for (std::uint64_t i = 1; i <= LazyPublisher::lazy_limit; ++i) {
+  DeferringPublisher publisher(64);
+  for (std::uint64_t i = 1; i <= DeferringPublisher::deferred_limit; ++i) {
     ASSERT_EQ(publisher.publish(64), PublishOutcome::published);
     EXPECT_EQ(publisher.environment.live.size(), i);
   }
@@ -451,10 +451,10 @@ TEST(Dataplane, DefersScansOnlyForSmallMessages) {
 
 TEST(Dataplane, LeavesTheScanForALargeMessageToAnotherThreadOnce) {
   struct HandsOver : Freed {
-    bool passes_soon() const noexcept { return is_coming; }
+    bool scans_soon() const noexcept { return is_coming; }
     bool is_coming = true;
   };
-  LazyPublisher publisher(64);
+  DeferringPublisher publisher(64);
   HandsOver environment;
   const auto publish = [&] {
     const std::uint64_t address = 0x100000 + ++publisher.number * 16;
@@ -468,7 +468,7 @@ TEST(Dataplane, LeavesTheScanForALargeMessageToAnotherThreadOnce) {
   EXPECT_TRUE(environment.live.empty()) << "no other scan came in between";
   ASSERT_EQ(publish(), PublishOutcome::published);
   EXPECT_EQ(environment.live.size(), 1u);
-  publisher.core->pass(environment);
+  publisher.core->scan(environment);
   EXPECT_TRUE(environment.live.empty()) << "the scan of the other thread";
   ASSERT_EQ(publish(), PublishOutcome::published);
   EXPECT_EQ(environment.live.size(), 1u) << "the next scan may be left again";
@@ -479,7 +479,7 @@ TEST(Dataplane, LeavesTheScanForALargeMessageToAnotherThreadOnce) {
 
 TEST(Dataplane, DeferredScansRefuseNothingWhereSlotsAreFew) {
   constexpr std::uint64_t depth = 8;
-  LazyPublisher publisher(depth + 2);
+  DeferringPublisher publisher(depth + 2);
   Region reader(std::uint64_t{1} << 20);
   publisher.requested.depth = depth;
   journal::BoardSteps<M>(publisher.topic())
@@ -532,8 +532,8 @@ TEST(Dataplane, UsesThePublishersSlotsIncludingLaterOnes) {
   EXPECT_FALSE(publisher->has_reclaimable());
   publisher->keep_no_history();
   EXPECT_TRUE(publisher->has_reclaimable());
-  publisher->pass(environment);
-  publisher->pass(environment);
+  publisher->scan(environment);
+  publisher->scan(environment);
   EXPECT_EQ(publisher->allocated_count(), 0u) << "slots that it got later are freed too";
   EXPECT_TRUE(environment.live.empty());
 }

@@ -23,7 +23,7 @@ struct Withdrawing : Pair {
   void attach(std::uint64_t subscription_generation) {
     core->attach(0, subscription_generation, subscriber[0].base(), extent,
                  offsetof(abi::ClientRegionHeader, executor), 0, environment);
-    core->pass(environment);
+    core->scan(environment);
   }
   bool publish() {
     const std::uint64_t address = window.base + ++number * 16;
@@ -47,7 +47,7 @@ TEST(DataplaneWithdrawing, KeepsHeldMessagesUntilReleaseAndDeliversNothingMore) 
   ASSERT_TRUE(pair.publish());
   const auto held = reader.take(pair.window);
   ASSERT_TRUE(held);
-  const PublisherCore<M>::MemberId ids[] = {{0, 1}, {0, 1}};
+  const PublisherCore<M>::EndpointId ids[] = {{0, 1}, {0, 1}};
   EXPECT_EQ(pair.core->kept_bytes(ids), 100u) << "a duplicate id counts once";
   ASSERT_TRUE(pair.publish());
   EXPECT_EQ(pair.core->kept_bytes(ids), 200u) << "one is held, one unread";
@@ -60,7 +60,7 @@ TEST(DataplaneWithdrawing, KeepsHeldMessagesUntilReleaseAndDeliversNothingMore) 
   EXPECT_EQ(pair.core->withdrawal(0, 1), abi::Withdrawal::over_share);
   EXPECT_FALSE(pair.core->is_disregarded(0));
   reader.release(held->slot);
-  pair.core->pass(pair.environment);
+  pair.core->scan(pair.environment);
   EXPECT_TRUE(pair.core->is_disregarded(0));
   EXPECT_FALSE(pair.environment.live.count(held->address));
 }
@@ -72,7 +72,7 @@ TEST(DataplaneWithdrawing, DoesNotCountTheHistoryAsKeptByAReader) {
   LinkCore<M> reader = pair.link(0);
   ASSERT_TRUE(reader.link(true));
   ASSERT_TRUE(pair.publish());
-  const PublisherCore<M>::MemberId ids[] = {{0, 1}};
+  const PublisherCore<M>::EndpointId ids[] = {{0, 1}};
   EXPECT_EQ(pair.core->kept_bytes(ids), 0u) << "unread";
   ASSERT_TRUE(reader.take(pair.window));
   EXPECT_EQ(pair.core->kept_bytes(ids), 0u) << "held";
@@ -115,7 +115,7 @@ TEST(DataplaneWithdrawing, IgnoresHoldsOfLaterMessages) {
 
 TEST(DataplaneWithdrawing, BoundsMemoryKeptForAReaderThatIsNeverMapped) {
   Withdrawing pair;
-  pair.core->pass(pair.environment);
+  pair.core->scan(pair.environment);
   for (int i = 0; i < 3; ++i) ASSERT_TRUE(pair.publish());
   ASSERT_FALSE(pair.publish()) << "the unmapped reader may hold any message";
   std::uint64_t unmapped = 0;

@@ -57,7 +57,7 @@ struct EndpointTableTest : testing::Test {
     identity.generation = generation;
     identity.region = region;
     identity.extent = next_extent();
-    auto made = std::make_shared<SubscriptionEndpoint>(identity, Sleeper::make().value());
+    auto made = std::make_shared<SubscriptionEndpoint>(identity, WaitSet::make().value());
     table.add(made);
     return made;
   }

@@ -1,6 +1,6 @@
 // SPDX-License-Identifier: Apache-2.0
 //
-// Goal: a sleeper gets one place in a session, places and numbers are used again, and none is lost. Method: sleepers of
+// Goal: a wait set gets one place in a session, places and numbers are used again, and none is lost. Method: wait sets of
 // this process, a page as the client region, and a daemon that is a function.
 
 #include <client/session/executor_places.hpp>
@@ -19,7 +19,7 @@
 namespace agnocast {
 namespace {
 
-DoorbellReceiver bells() {
+DoorbellReceiver doorbells() {
   int pair[2];
   if (::socketpair(AF_UNIX, SOCK_DGRAM | SOCK_CLOEXEC | SOCK_NONBLOCK, 0, pair) != 0) std::abort();
   ::close(pair[0]);
@@ -38,14 +38,14 @@ struct ExecutorPlacesTest : testing::Test {
                                               MAP_SHARED | MAP_ANONYMOUS, -1, 0))) {}
   ~ExecutorPlacesTest() override { ::munmap(region, abi::page_bytes); }
 
-  std::shared_ptr<Sleeper> sleeper() { return Sleeper::make().value(); }
-  Result<void> give(Sleeper& to) {
+  std::shared_ptr<WaitSet> wait_set() { return WaitSet::make().value(); }
+  Result<void> give(WaitSet& to) {
     return places.give(
         to, this, [&] { return permit; },
-        [&](std::uint64_t executor, bool again) -> Result<std::unique_ptr<Sleeper::Place>> {
+        [&](std::uint64_t executor, bool again) -> Result<std::unique_ptr<WaitSet::Place>> {
           asked.push_back({executor, again});
           if (refuses) return fail(Errc::daemon_not_running, "it is away");
-          return std::make_unique<Sleeper::Place>(region, executor, bells());
+          return std::make_unique<WaitSet::Place>(region, executor, doorbells());
         });
   }
 
@@ -56,8 +56,8 @@ struct ExecutorPlacesTest : testing::Test {
   ExecutorPlaces places;
 };
 
-TEST_F(ExecutorPlacesTest, GivesASleeperOnePlace) {
-  const auto one = sleeper(), other = sleeper();
+TEST_F(ExecutorPlacesTest, GivesAWaitSetOnePlace) {
+  const auto one = wait_set(), other = wait_set();
   ASSERT_TRUE(give(*one));
   ASSERT_TRUE(give(*one));
   ASSERT_TRUE(give(*other));
@@ -67,11 +67,11 @@ TEST_F(ExecutorPlacesTest, GivesASleeperOnePlace) {
 }
 
 TEST_F(ExecutorPlacesTest, GivesOutAgainWhatComesBack) {
-  auto one = sleeper();
+  auto one = wait_set();
   ASSERT_TRUE(give(*one));
   EXPECT_FALSE(places.end()) << "it is lent";
   one.reset();
-  const auto next = sleeper();
+  const auto next = wait_set();
   ASSERT_TRUE(give(*next));
   EXPECT_EQ(next->index_in(this), 0u);
   EXPECT_EQ(asked.size(), 1u) << "the daemon is not asked again";
@@ -80,7 +80,7 @@ TEST_F(ExecutorPlacesTest, GivesOutAgainWhatComesBack) {
 }
 
 TEST_F(ExecutorPlacesTest, AsksAgainForANumberWhoseDoorbellsDidNotCome) {
-  const auto one = sleeper();
+  const auto one = wait_set();
   refuses = true;
   const Result<void> refused = give(*one);
   ASSERT_FALSE(refused);
@@ -89,14 +89,14 @@ TEST_F(ExecutorPlacesTest, AsksAgainForANumberWhoseDoorbellsDidNotCome) {
   refuses = false;
   ASSERT_TRUE(give(*one));
   EXPECT_EQ(asked, (std::vector<Asked>{{0, false}, {0, true}}));
-  const auto other = sleeper();
+  const auto other = wait_set();
   ASSERT_TRUE(give(*other));
   EXPECT_EQ(other->index_in(this), 1u);
 }
 
 TEST_F(ExecutorPlacesTest, GivesNoneWhereItMayNot) {
   permit = fail(Errc::started_anew, "lost");
-  const auto one = sleeper();
+  const auto one = wait_set();
   const Result<void> refused = give(*one);
   ASSERT_FALSE(refused);
   EXPECT_EQ(refused.error().code, Errc::started_anew);
@@ -104,12 +104,12 @@ TEST_F(ExecutorPlacesTest, GivesNoneWhereItMayNot) {
 }
 
 TEST_F(ExecutorPlacesTest, HasAsManyAsTheClientRegion) {
-  std::vector<std::shared_ptr<Sleeper>> all;
+  std::vector<std::shared_ptr<WaitSet>> all;
   for (std::uint64_t i = 0; i < abi::executor_count_max; ++i) {
-    all.push_back(sleeper());
+    all.push_back(wait_set());
     ASSERT_TRUE(give(*all.back())) << i;
   }
-  const auto more = sleeper();
+  const auto more = wait_set();
   const Result<void> refused = give(*more);
   ASSERT_FALSE(refused);
   EXPECT_EQ(refused.error().code, Errc::limit_reached);
@@ -119,18 +119,18 @@ TEST_F(ExecutorPlacesTest, HasAsManyAsTheClientRegion) {
 }
 
 TEST_F(ExecutorPlacesTest, RenewsTheDoorbellsOfAPlaceThatNobodyHas) {
-  auto one = sleeper();
+  auto one = wait_set();
   ASSERT_TRUE(give(*one));
-  DoorbellReceiver others = bells();
+  DoorbellReceiver others = doorbells();
   const int fresh = others.eventfd();
   places.renew(0, others);
-  EXPECT_EQ(others.eventfd(), fresh) << "it is lent: its sleeper renews it";
+  EXPECT_EQ(others.eventfd(), fresh) << "it is lent: its wait set renews it";
   one.reset();
   places.renew(1, others);
   EXPECT_EQ(others.eventfd(), fresh) << "there is no such place";
   places.renew(0, others);
   EXPECT_NE(others.eventfd(), fresh);
-  const auto next = sleeper();
+  const auto next = wait_set();
   ASSERT_TRUE(give(*next));
   EXPECT_EQ(next->index_in(this), 0u);
 }

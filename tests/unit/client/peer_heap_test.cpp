@@ -147,24 +147,24 @@ TEST_F(PeerHeapTest, AnAddressGivesTheOpenWindowsOfItsSet) {
   add(0, 0);
   add(1, 1);
   add(2, 1);
-  EXPECT_EQ(users.group_of_another(base_of(1)).count(), 0u) << "nothing is open";
+  EXPECT_EQ(users.window_set_of_another(base_of(1)).count(), 0u) << "nothing is open";
   heap_.open();
   for (const std::uint64_t window : {1u, 2u}) {
     EXPECT_TRUE(users.may_be_of_another(base_of(window)));
-    const WindowSet group = users.group_of_another(base_of(window) + 100);
-    ASSERT_EQ(group.count(), 2u);
-    EXPECT_EQ(group[0].begin, base_of(1));
-    EXPECT_EQ(group[0].end, base_of(1) + 2 * abi::page_bytes);
-    EXPECT_EQ(group[1].begin, base_of(2));
-    EXPECT_EQ(group[1].end, base_of(2) + 3 * abi::page_bytes);
+    const WindowSet window_set = users.window_set_of_another(base_of(window) + 100);
+    ASSERT_EQ(window_set.count(), 2u);
+    EXPECT_EQ(window_set[0].begin, base_of(1));
+    EXPECT_EQ(window_set[0].end, base_of(1) + 2 * abi::page_bytes);
+    EXPECT_EQ(window_set[1].begin, base_of(2));
+    EXPECT_EQ(window_set[1].end, base_of(2) + 3 * abi::page_bytes);
   }
-  EXPECT_EQ(users.group_of_another(base_of(0)).count(), 1u);
-  EXPECT_EQ(users.group_of_another(base_of(3)).count(), 0u);
-  EXPECT_EQ(users.group_of_another(0).count(), 0u);
+  EXPECT_EQ(users.window_set_of_another(base_of(0)).count(), 1u);
+  EXPECT_EQ(users.window_set_of_another(base_of(3)).count(), 0u);
+  EXPECT_EQ(users.window_set_of_another(0).count(), 0u);
   EXPECT_FALSE(users.may_be_of_another(0));
   ASSERT_TRUE(users.enter(base_of(4), window_bytes, {}, AddressUsers::own));
   users.mapped(base_of(4), abi::page_bytes);
-  EXPECT_EQ(users.group_of_another(base_of(4)).count(), 0u) << "this process's own";
+  EXPECT_EQ(users.window_set_of_another(base_of(4)).count(), 0u) << "this process's own";
   users.leave(base_of(4));
 }
 

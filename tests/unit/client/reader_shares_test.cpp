@@ -107,9 +107,9 @@ TEST_F(ReaderSharesTest, DoesNotWaitForARefusalWhenReadersKeepHalfOfTheHeapsMaxi
 TEST_F(ReaderSharesTest, WithdrawsFromAUserThatReleasesBrieflyAgainAndAgain) {
   Shares whom;
   for (int second = 0; second < 60 && whom.empty(); ++second, now += 1s) {
-    const bool lets_go = second % 5 == 4;
-    if (!lets_go) ++room.refused;
-    whom = look({{1, lets_go ? 5u : 500u}});
+    const bool releases = second % 5 == 4;
+    if (!releases) ++room.refused;
+    whom = look({{1, releases ? 5u : 500u}});
   }
   EXPECT_EQ(whom, (Shares{{1, 250}}));
 }

@@ -101,12 +101,12 @@ TEST(SessionState, TellsWhatIsNewAndNothingTwice) {
   EXPECT_EQ(state.reason(), Errc::revoked);
 }
 
-TEST(SessionState, IsTheIslandThatTheFormerOneWasUntilItSpeaks) {
+TEST(SessionState, IsTheOrphanedSessionThatTheFormerOneWasUntilItSpeaks) {
   In session(Phase::beginning);
   SessionState& state = session.state;
   for (const Step step : {Step::be_present, Step::arrived, Step::speak}) {
     EXPECT_FALSE(state.tell(ConnectionState::connected));
-    EXPECT_EQ(state.connection(), ConnectionState::island);
+    EXPECT_EQ(state.connection(), ConnectionState::orphaned);
     EXPECT_EQ(state.reason(), Errc::started_anew);
     EXPECT_TRUE(state.step(step));
   }

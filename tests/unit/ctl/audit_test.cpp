@@ -79,7 +79,7 @@ struct Made {
     facts.topic = 1;
     facts.index = index;
     facts.generation = generation;
-    facts.member = abi::pack_member(generation, abi::MemberState::active);
+    facts.board_word = abi::pack_board_word(generation, abi::BoardState::active);
     facts.client = client;
     facts.client_generation = 100 + client;
     facts.qos = abi::pack_qos({5});
@@ -90,7 +90,7 @@ struct Made {
       facts.slot_count = 64;
       facts.first_sequence = abi::first_sequence_of(generation);
       words().publisher_high().store(index + 1);
-      words().publisher(index, offsetof(Entry, word)).store(facts.member);
+      words().publisher(index, offsetof(Entry, word)).store(facts.board_word);
       words().publisher(index, offsetof(Entry, qos)).store(facts.qos);
       words().publisher(index, offsetof(Entry, client)).store(client);
       words().publisher(index, offsetof(Entry, extent)).store(extent);
@@ -101,7 +101,7 @@ struct Made {
       using Entry = abi::SubscriptionEntry;
       facts.quota = 3;
       words().subscription_high().store(index + 1);
-      words().subscription(index, offsetof(Entry, word)).store(facts.member);
+      words().subscription(index, offsetof(Entry, word)).store(facts.board_word);
       words().subscription(index, offsetof(Entry, qos)).store(facts.qos);
       words().subscription(index, offsetof(Entry, client)).store(client);
       words().subscription(index, offsetof(Entry, extent)).store(extent);
@@ -158,7 +158,7 @@ TEST(Audit, FindsEachMistakeOfTheDaemon) {
          m.words().publisher_high().store(3);
          m.words()
              .publisher(2, offsetof(abi::PublisherEntry, word))
-             .store(abi::pack_member(9, abi::MemberState::orphan));
+             .store(abi::pack_board_word(9, abi::BoardState::orphan));
        }},
       {Invariant::region_readable,
        [](Made& m) { m.system.processes.at(0).region_fault = "too short"; }},

@@ -49,7 +49,7 @@ class AdmissionTest : public testing::Test {
           [](std::string_view) { return true; },
           [] { return std::uint64_t{0}; }};
   AccessControl access{config.access, core.registry, log};
-  Admission admission{config, arena, plan, core.registry, core.membership, core.store, access};
+  Admission admission{config, arena, plan, core.registry, core.endpoint_manager, core.store, access};
 };
 
 TEST_F(AdmissionTest, CountsProcessesOfEachUserAlone) {

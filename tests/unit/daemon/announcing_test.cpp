@@ -61,13 +61,13 @@ TEST_F(AnnouncingTest, RecordsMembersThenAnswersThenTellsReadersThenThePublisher
   const auto& answer = std::get<effect::Send>(effects[2]);
   EXPECT_EQ(answer.to, owner);
   EXPECT_EQ(std::get<wire::EndpointCreated>(answer.packet).header.request, 42u);
-  const auto told = all<effect::Announce>(effects);
-  ASSERT_EQ(told.size(), 4u);
-  EXPECT_EQ(told[0].subject, publisher);
-  EXPECT_EQ(told[0].member, a);
-  EXPECT_EQ(told[1].member, b);
-  EXPECT_EQ(told[2].subject, a) << "a reader has mapped the publisher before it is rung";
-  EXPECT_EQ(told[2].member, publisher);
+  const auto notified = all<effect::Announce>(effects);
+  ASSERT_EQ(notified.size(), 4u);
+  EXPECT_EQ(notified[0].subject, publisher);
+  EXPECT_EQ(notified[0].member, a);
+  EXPECT_EQ(notified[1].member, b);
+  EXPECT_EQ(notified[2].subject, a) << "a reader has mapped the publisher before it is rung";
+  EXPECT_EQ(notified[2].member, publisher);
 }
 
 TEST_F(AnnouncingTest, TellsNobodyWhoLeavesOrIsOver) {
@@ -78,8 +78,8 @@ TEST_F(AnnouncingTest, TellsNobodyWhoLeavesOrIsOver) {
   const ClientIndex owner = scene.process();
   EXPECT_EQ(announcing.created(scene.publisher(owner), 1).size(), 1u) << "the answer alone";
   const EndpointRef subscription = scene.subscription(owner);
-  const auto told = all<effect::Announce>(announcing.created(subscription, 2));
-  for (const auto& one : told) EXPECT_NE(one.subject, orphan) << "nobody joins an orphan";
+  const auto notified = all<effect::Announce>(announcing.created(subscription, 2));
+  for (const auto& one : notified) EXPECT_NE(one.subject, orphan) << "nobody joins an orphan";
 }
 
 TEST_F(AnnouncingTest, AnswersAgainToItsProcessAlone) {
@@ -88,10 +88,10 @@ TEST_F(AnnouncingTest, AnswersAgainToItsProcessAlone) {
   const Effects effects = announcing.answered_again(publisher, 7);
   EXPECT_EQ(count_of<effect::CountAnsweredAgain>(effects), 1u);
   EXPECT_LT(place_of<effect::RecordMember>(effects), place_of<effect::Send>(effects));
-  const auto told = all<effect::Announce>(effects);
-  ASSERT_EQ(told.size(), 1u);
-  EXPECT_EQ(told[0].subject, subscription);
-  EXPECT_EQ(told[0].member, publisher);
+  const auto notified = all<effect::Announce>(effects);
+  ASSERT_EQ(notified.size(), 1u);
+  EXPECT_EQ(notified[0].subject, subscription);
+  EXPECT_EQ(notified[0].member, publisher);
 }
 
 TEST_F(AnnouncingTest, AReaderThatComesBackHearsOfAnOrphanThatItHadJoined) {
@@ -104,7 +104,7 @@ TEST_F(AnnouncingTest, AReaderThatComesBackHearsOfAnOrphanThatItHadJoined) {
   EXPECT_EQ(count_of<effect::Announce>(announcing.to_owner(before)), 1u);
   EXPECT_EQ(count_of<effect::Announce>(announcing.to_owner(after)), 0u);
   EXPECT_EQ(count_of<effect::Send>(announcing.what_is_over(reader, publisher.topic)), 1u);
-  registry.let_go(publisher, reader);
+  registry.acknowledge_unmap(publisher, reader);
   EXPECT_TRUE(announcing.what_is_over(reader, publisher.topic).empty());
 }
 

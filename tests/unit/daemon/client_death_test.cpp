@@ -61,7 +61,7 @@ TEST_F(ClientDeathTest, GoesThroughTheStatesInOrder) {
   const auto kinds = run(death);
   EXPECT_EQ(death.state(), DeathState::forgotten);
   EXPECT_EQ(registry.client(client).state, ClientState::forgotten);
-  EXPECT_FALSE(registry.told_of(known).contains(number(client)));
+  EXPECT_FALSE(registry.notified_of(known).contains(number(client)));
   // Two subscriptions, one publisher, the region; three topics with one endpoint or two each; the end.
   const std::size_t close = DeathStep(death::Close{}).index(),
                     orphan = DeathStep(death::Orphan{}).index(),
@@ -105,7 +105,7 @@ TEST_F(ClientDeathTest, LeavesAPlaceThatIsAnothersByNow) {
 
 TEST_F(ClientDeathTest, OfAProcessThatHadNothingOnlyTheMemoryIsLeft) {
   const ClientIndex client = scene.process();
-  registry.client_died(client, journal::DeathReason::let_go);
+  registry.client_died(client, journal::DeathReason::unmapped);
   ClientDeath death(client, registry);
   EXPECT_EQ(run(death).size(), 2u) << "its region, and itself";
 }

@@ -1,6 +1,6 @@
 // SPDX-License-Identifier: Apache-2.0
 //
-// Goal: the end of a connection ends nobody's membership; the end of a process does, once; a process that was revoked
+// Goal: the end of a connection ends nobody's session; the end of a process does, once; a process that was revoked
 // has its place until it ends.
 // Method: the daemon's core with peers that have no socket, and a log that is read.
 
@@ -22,7 +22,7 @@ constexpr std::uint32_t alice = 1000;
 
 class ClientTerminationTest : public testing::Test {
  protected:
-  /// A connection of somebody who is no member.
+  /// A connection of somebody who is no endpoint.
   Peer& stranger() {
     PeerIdentity identity;
     identity.uid = alice;
@@ -49,7 +49,7 @@ class ClientTerminationTest : public testing::Test {
   Disposal disposal{*errands};
   ConnectionTable connections{dispatcher, disposal};
   Obstacles obstacles{Arena{std::uint64_t{1} << 45, 16 << 20, 2 << 20}};
-  ReapingQueue reaping{core.registry, core.regions, core.doorbells, core.membership};
+  ReapingQueue reaping{core.registry, core.regions, core.doorbells, core.endpoint_manager};
   RegionLook region_look{connections, *errands, core.regions};
   std::string lines;
   Log log{{"agnocastd"},
@@ -58,7 +58,7 @@ class ClientTerminationTest : public testing::Test {
           [this](std::string_view line) { return lines.append(line), true; },
           [] { return std::uint64_t{0}; }};
   ClientTermination termination{connections,     dispatcher, core.registry, core.store, obstacles,
-                                core.membership, reaping,    region_look,   log};
+                                core.endpoint_manager, reaping,    region_look,   log};
 };
 
 TEST_F(ClientTerminationTest, AStrangersConnectionLeavesNothing) {
@@ -96,7 +96,7 @@ TEST_F(ClientTerminationTest, ARevokedProcessHasItsPlaceUntilItEnds) {
   const PeerId id = peer.id;
   const ClientIndex client = *peer.session.client();
   termination.revoke(peer, "test");
-  EXPECT_EQ(connections.of_client(client), nullptr) << "it is no member";
+  EXPECT_EQ(connections.of_client(client), nullptr) << "it is no endpoint";
   ASSERT_EQ(connections.find(id), &peer) << "and is watched";
   EXPECT_TRUE(core.registry.is_revoked(client));
   EXPECT_EQ(core.registry.client(client).state, ClientState::forgotten);

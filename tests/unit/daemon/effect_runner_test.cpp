@@ -22,7 +22,7 @@ class EffectRunnerTest : public testing::Test {
     runner.on_topic_freed = [this](TopicIndex) { ++topics_freed; };
   }
   Session& connect(ClientIndex client) {
-    return post.sessions.emplace(client, Session(PacketSocket(), PeerIdentity())).first->second;
+    return channel.sessions.emplace(client, Session(PacketSocket(), PeerIdentity())).first->second;
   }
 
   test::RegistryScene scene;
@@ -32,9 +32,9 @@ class EffectRunnerTest : public testing::Test {
   DescriptorStore store;
   Regions regions = Regions::create(store).value();
   Doorbells doorbells{directory.path(), store};
-  test::DaemonCore::Connections post;
-  Announcer announcer{scene.registry, regions, doorbells, post};
-  EffectRunner runner{scene.registry, endings, announcer, doorbells, post};
+  test::DaemonCore::Connections channel;
+  Announcer announcer{scene.registry, regions, doorbells, channel};
+  EffectRunner runner{scene.registry, endings, announcer, doorbells, channel};
   std::vector<ClientIndex> freed;
   int topics_freed = 0;
 };
@@ -87,7 +87,7 @@ TEST_F(EffectRunnerTest, ABookThatForgetsIsThatOfTheConnectionThatIsThere) {
   runner.run({effect::ForgetAnnounced{reader, subject}});
   EXPECT_EQ(session.announcements().size(), 0u);
   runner.run({effect::BeginAnew{reader}});
-  EXPECT_EQ(post.session_of(reader), nullptr);
+  EXPECT_EQ(channel.session_of(reader), nullptr);
 }
 
 }  // namespace

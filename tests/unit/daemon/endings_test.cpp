@@ -77,7 +77,7 @@ TEST_F(EndingsTest, FreesNothingThatSomebodyHas) {
   registry.tell(publisher, reader);
   scene.orphan(publisher);
   EXPECT_TRUE(endings.free_unused(publisher).empty());
-  registry.let_go(publisher, reader);
+  registry.acknowledge_unmap(publisher, reader);
   EXPECT_FALSE(endings.free_unused(publisher).empty());
 }
 
@@ -154,7 +154,7 @@ TEST(Endings, GiveUpTheOldestOrphansOnce) {
   EXPECT_TRUE(endings.give_up_orphans(orphans[0].topic).empty());
   ASSERT_EQ(endings.given_up().size(), 1u);
   EXPECT_EQ(endings.given_up().at(7).size(), 2u);
-  scene.registry.let_go(orphans[0], reader);
+  scene.registry.acknowledge_unmap(orphans[0], reader);
   endings.free_unused(orphans[0]);
   EXPECT_EQ(endings.given_up().at(7).size(), 1u);
 }

@@ -102,8 +102,8 @@ TEST_F(FlightRecorder, NamesAPlaceOnlyUntilItIsReused) {
   const auto p = publisher(a, t);
   const EndpointRef ref{Kind::publisher, t, p.index};
   registry.tell(ref, b);
-  registry.let_go(ref, b);
-  registry.let_go_of_region(a, b);
+  registry.acknowledge_unmap(ref, b);
+  registry.acknowledge_region_unmap(a, b);
   registry.orphan_publisher(t, p.index, 0, journal::LeaveCause::rolled_back);
   const auto check = [&](bool known) {
     const Answer answer = ask(0, 100);
@@ -196,8 +196,8 @@ TEST_F(FlightRecorder, RecordsAndCountsTheReasonOfADeath) {
   const ClientIndex a = client("a", 1), b = client("b", 2), c = client("c", 3);
   registry.client_died(a, journal::DeathReason::died);
   registry.client_died(b, journal::DeathReason::revoked);
-  registry.client_died(c, journal::DeathReason::let_go);
-  EXPECT_EQ(ask(0, 1).records.at(0).argument[2], 1u) << "DeathReason::let_go";
+  registry.client_died(c, journal::DeathReason::unmapped);
+  EXPECT_EQ(ask(0, 1).records.at(0).argument[2], 1u) << "DeathReason::unmapped";
   registry.note_recovered({.pid = 44, .dead_count = 2, .board_word_count = 3});
   const auto recovered = ask(0, 1).records.at(0);
   EXPECT_EQ(recovered.argument[0], 44u);
@@ -207,7 +207,7 @@ TEST_F(FlightRecorder, RecordsAndCountsTheReasonOfADeath) {
   EXPECT_EQ(counters.clients_registered, 3u);
   EXPECT_EQ(counters.clients_died, 1u);
   EXPECT_EQ(counters.clients_revoked, 1u);
-  EXPECT_EQ(counters.clients_let_go, 1u);
+  EXPECT_EQ(counters.clients_unmapped, 1u);
   EXPECT_EQ(counters.restarts, 1u);
   EXPECT_EQ(counters.clients_died_meanwhile, 2u);
 }

@@ -150,7 +150,7 @@ TEST_F(LeavingTest, ARegionIsAcknowledgedAfterEverythingInIt) {
   const EndpointRef publisher = scene.publisher(owner);
   registry.tell(publisher, reader);
   EXPECT_FALSE(region_unlinked(reader, owner, false)) << "a publisher of it is mapped";
-  registry.let_go(publisher, reader);
+  registry.acknowledge_unmap(publisher, reader);
   EXPECT_TRUE(region_unlinked(reader, owner, true)->empty()) << "it may be told of another one";
   const auto effects = region_unlinked(reader, owner, false);
   ASSERT_TRUE(effects);

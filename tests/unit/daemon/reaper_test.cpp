@@ -29,7 +29,7 @@ class ReaperTest : public testing::Test {
   Registry& registry = core.registry;
   Regions& regions = core.regions;
   Doorbells& doorbells = core.doorbells;
-  Membership& membership = core.membership;
+  EndpointManager& endpoint_manager = core.endpoint_manager;
 };
 
 TEST_F(ReaperTest, EndsAProcessInStepsOfBoundedSize) {
@@ -42,7 +42,7 @@ TEST_F(ReaperTest, EndsAProcessInStepsOfBoundedSize) {
     create(a, Kind::publisher, topic + "/own");
     create(a, Kind::subscription, topic + "/own");
   }
-  Reaping reaping(a, journal::DeathReason::died, registry, regions, doorbells, membership);
+  Reaping reaping(a, journal::DeathReason::died, registry, regions, doorbells, endpoint_manager);
   std::uint64_t most = 0;
   int steps = 1;
   bool done = false;
@@ -62,7 +62,7 @@ TEST_F(ReaperTest, EndsAProcessInStepsOfBoundedSize) {
     const std::string topic = "/topic" + std::to_string(i);
     const auto at = registry.find_topic(0, topic);
     ASSERT_TRUE(at);
-    EXPECT_FALSE(registry.told_of({Kind::publisher, *at, 0}).contains(number(a)));
+    EXPECT_FALSE(registry.notified_of({Kind::publisher, *at, 0}).contains(number(a)));
     EXPECT_FALSE(registry.find_topic(0, topic + "/own")) << "no other process used the topic";
   }
   EXPECT_EQ(registry.endpoints_of(a).size(), std::size_t{topic_count})
@@ -74,7 +74,7 @@ TEST_F(ReaperTest, LooksOnlyInTopicsOfTheProcess) {
   create(a, Kind::publisher, "/here");
   create(b, Kind::subscription, "/here");
   const auto steps_of = [&](ClientIndex client) {
-    Reaping reaping(client, journal::DeathReason::died, registry, regions, doorbells, membership);
+    Reaping reaping(client, journal::DeathReason::died, registry, regions, doorbells, endpoint_manager);
     int steps = 1;
     while (!reaping.go_on(0)) ++steps;
     return steps;
@@ -95,7 +95,7 @@ TEST_F(ReaperTest, LooksOnlyInTopicsOfTheProcess) {
 TEST_F(ReaperTest, LeavesAlonePlacesThatOthersTakeMeanwhile) {
   const ClientIndex a = process(1), b = process(2);
   for (const char* const topic : {"/x", "/y", "/z"}) create(a, Kind::publisher, topic);
-  Reaping reaping(a, journal::DeathReason::died, registry, regions, doorbells, membership);
+  Reaping reaping(a, journal::DeathReason::died, registry, regions, doorbells, endpoint_manager);
   int step = 0;
   for (bool done = false; !done; ++step) {
     done = reaping.go_on(0);

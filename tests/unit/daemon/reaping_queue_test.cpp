@@ -2,7 +2,7 @@
 //
 // Goal: ends of processes that take many steps share the loop's turns, and whoever waits for an end is called once,
 // when all of it is done.
-// Method: registry, membership and regions as the daemon has them; a budget of nothing, so each turn is one step.
+// Method: registry, endpoint manager and regions as the daemon has them; a budget of nothing, so each turn is one step.
 
 #include <daemon/death/reaping_queue.hpp>
 #include <tests/support/daemon_core.hpp>
@@ -34,7 +34,7 @@ class ReapingQueueTest : public testing::Test {
   }
 
   test::DaemonCore core;
-  ReapingQueue queue{core.registry, core.regions, core.doorbells, core.membership};
+  ReapingQueue queue{core.registry, core.regions, core.doorbells, core.endpoint_manager};
   std::vector<ClientIndex> ended;
   std::uint64_t publishers = 0;
 };

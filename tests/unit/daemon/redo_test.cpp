@@ -197,8 +197,8 @@ TEST_F(Redo, CompletesEveryChangeWhateverPartWasMade) {
   step(RecordType::client_dead, [&](R& r) { r.client_died(a, DeathReason::died); });
   step(RecordType::topic_forgotten, [&](R& r) { r.acknowledge_topic(a, t); });
   step(RecordType::client_forgotten, [&](R& r) { r.client_forgotten(a); });
-  step(RecordType::unlinked, [&](R& r) { r.let_go(publisher, b); });
-  step(RecordType::unlinked, [&](R& r) { r.let_go_of_region(a, b); });
+  step(RecordType::unlinked, [&](R& r) { r.acknowledge_unmap(publisher, b); });
+  step(RecordType::unlinked, [&](R& r) { r.acknowledge_region_unmap(a, b); });
   step(RecordType::free_publisher, [&](R& r) { r.end_publisher(t, 0, EndpointState::over); });
   step(RecordType::free_publisher, [&](R& r) { r.end_publisher(t, 0, EndpointState::free); });
   step(RecordType::free_subscription, [&](R& r) { r.free_subscription(t, 0); });

@@ -147,10 +147,10 @@ TEST_F(RegistryTest, KeepsTheUsageEqualToACount) {
 // is made pending again, as a death between commit and applied would leave it, and a new registry
 // takes over: redoing the record must change nothing but the epoch.
 TEST_F(RegistryTest, AgreesWithAModelOverManyRestarts) {
-  struct Member {
+  struct KnownPublisher {
     std::uint32_t owner, index;
     std::uint64_t generation, extent;
-    std::set<std::uint32_t> told;
+    std::set<std::uint32_t> notified;
     EndpointState state;
   };
   std::mt19937 random(99);
@@ -159,49 +159,49 @@ TEST_F(RegistryTest, AgreesWithAModelOverManyRestarts) {
   std::vector<ClientIndex> clients;
   for (int i = 0; i < 6; ++i) clients.push_back(life->add_client({1, 1, 1, 0, "process"}).value());
   const TopicIndex t = life->add_topic({0, "/topic", "T", 1}).value();
-  std::vector<Member> members;  // publishers
+  std::vector<KnownPublisher> publishers;  // publishers
   std::set<std::uint64_t> generations;
   for (int step = 0; step < 5000; ++step) {
     const auto what = random() % 6;
-    if (what == 0 && members.size() < 40) {
+    if (what == 0 && publishers.size() < 40) {
       const ClientIndex owner = clients[random() % clients.size()];
       const abi::Qos qos{1, false, true, false, false};
       const auto plan = life->plan_publisher(owner, t, qos).value();
       std::uint32_t lowest = 0;
-      while (std::any_of(members.begin(), members.end(),
-                         [&](const Member& m) { return m.index == lowest; }))
+      while (std::any_of(publishers.begin(), publishers.end(),
+                         [&](const KnownPublisher& m) { return m.index == lowest; }))
         ++lowest;
       ASSERT_EQ(plan.index, lowest);
       ASSERT_TRUE(generations.insert(plan.generation).second) << "a generation was used twice";
-      for (const Member& m : members) {
+      for (const KnownPublisher& m : publishers) {
         if (m.owner != number(owner)) continue;
         ASSERT_TRUE(plan.extent + abi::publisher_extent_bytes <= m.extent ||
                     m.extent + abi::publisher_extent_bytes <= plan.extent)
             << "two endpoints share an extent";
       }
       life->add_publisher(owner, t, qos, plan, "node");
-      members.push_back(
+      publishers.push_back(
           {number(owner), plan.index, plan.generation, plan.extent, {}, EndpointState::active});
-    } else if (!members.empty()) {
-      const std::size_t at = random() % members.size();
-      Member& m = members[at];
+    } else if (!publishers.empty()) {
+      const std::size_t at = random() % publishers.size();
+      KnownPublisher& m = publishers[at];
       const EndpointRef ref{Kind::publisher, t, m.index};
       const ClientIndex other = clients[random() % clients.size()];
       if (what == 1 && m.state == EndpointState::active) {
         life->tell(ref, other);
-        m.told.insert(number(other));
+        m.notified.insert(number(other));
       } else if (what == 2) {
-        life->let_go(ref, other);
-        m.told.erase(number(other));
+        life->acknowledge_unmap(ref, other);
+        m.notified.erase(number(other));
       } else if (what == 3 && m.state == EndpointState::active) {
         life->orphan_publisher(t, m.index, 12);
         m.state = EndpointState::orphan;
-      } else if (what == 4 && m.told.empty() && m.state == EndpointState::orphan) {
+      } else if (what == 4 && m.notified.empty() && m.state == EndpointState::orphan) {
         life->end_publisher(t, m.index, EndpointState::over);
         m.state = EndpointState::over;
-      } else if (what == 5 && m.told.empty() && m.state == EndpointState::over) {
+      } else if (what == 5 && m.notified.empty() && m.state == EndpointState::over) {
         life->end_publisher(t, m.index, EndpointState::free);
-        members.erase(members.begin() + static_cast<std::ptrdiff_t>(at));
+        publishers.erase(publishers.begin() + static_cast<std::ptrdiff_t>(at));
       }
     }
     if (random() % 20 == 0) {
@@ -211,18 +211,18 @@ TEST_F(RegistryTest, AgreesWithAModelOverManyRestarts) {
       life = std::make_unique<Registry>(memory.parts());
       ASSERT_TRUE(life->open());
     }
-    for (const Member& m : members) {
+    for (const KnownPublisher& m : publishers) {
       const PublisherRecord& record = life->publisher(t, m.index);
       ASSERT_EQ(record.state, m.state);
       ASSERT_EQ(record.generation, m.generation);
       ASSERT_EQ(record.extent, m.extent);
       ASSERT_EQ(abi::generation_of(publisher_word(t, m.index)), m.generation);
       for (const ClientIndex c : clients)
-        ASSERT_EQ(record.told.contains(number(c)), m.told.count(number(c)) != 0);
+        ASSERT_EQ(record.notified.contains(number(c)), m.notified.count(number(c)) != 0);
     }
     std::size_t known = 0;
     for (const ClientIndex c : clients) known += life->endpoints_of(c).size();
-    ASSERT_EQ(known, members.size());
+    ASSERT_EQ(known, publishers.size());
   }
   EXPECT_GT(generations.size(), 200u);
 }

@@ -23,7 +23,7 @@ TEST_F(RegistryTest, AssignsLowestIndexesAndFreshGenerations) {
   EXPECT_EQ(p.extent, abi::page_bytes);
   EXPECT_EQ(q.extent, abi::page_bytes) << "every process has its own region";
   EXPECT_EQ(abi::generation_of(publisher_word(t, 0)), p.generation);
-  EXPECT_EQ(abi::state_of(publisher_word(t, 1)), abi::MemberState::active);
+  EXPECT_EQ(abi::state_of(publisher_word(t, 1)), abi::BoardState::active);
 }
 
 TEST_F(RegistryTest, ReusesAnIndexOnlyWhenNoProcessKnowsTheOldOne) {
@@ -32,12 +32,12 @@ TEST_F(RegistryTest, ReusesAnIndexOnlyWhenNoProcessKnowsTheOldOne) {
   const auto p = publisher(a, t);
   const EndpointRef ref{Kind::publisher, t, p.index};
   registry.tell(ref, b);
-  EXPECT_TRUE(registry.client(a).told.contains(number(b))) << "b knows its region as well";
+  EXPECT_TRUE(registry.client(a).notified.contains(number(b))) << "b knows its region as well";
   registry.orphan_publisher(t, p.index, abi::pack_entry(p.first_sequence, 0));
   EXPECT_EQ(publisher(a, t).index, 1u);
-  registry.let_go(ref, b);
+  registry.acknowledge_unmap(ref, b);
   registry.end_publisher(t, p.index, EndpointState::over);
-  EXPECT_EQ(abi::state_of(publisher_word(t, 0)), abi::MemberState::free);
+  EXPECT_EQ(abi::state_of(publisher_word(t, 0)), abi::BoardState::free);
   EXPECT_EQ(publisher(a, t).index, 2u) << "its own process still uses the extent";
   registry.end_publisher(t, p.index, EndpointState::free);
   const auto again = publisher(a, t);
@@ -116,10 +116,10 @@ TEST_F(RegistryTest, EndsAProcessOnlyWhenNoOtherProcessKnowsPartOfIt) {
   registry.client_died(a, journal::DeathReason::died);
   registry.orphan_publisher(t, p.index, 0);
   EXPECT_FALSE(registry.can_free(a));
-  registry.let_go({Kind::publisher, t, p.index}, b);
+  registry.acknowledge_unmap({Kind::publisher, t, p.index}, b);
   registry.end_publisher(t, p.index, EndpointState::free);
   EXPECT_FALSE(registry.can_free(a)) << "b still maps its region";
-  registry.let_go_of_region(a, b);
+  registry.acknowledge_region_unmap(a, b);
   EXPECT_FALSE(registry.can_free(a)) << "it still counts as notified of others' endpoints";
   registry.client_forgotten(a);
   EXPECT_TRUE(registry.can_free(a));
@@ -142,11 +142,11 @@ TEST_F(RegistryTest, ForgetsADeadProcessEverywhere) {
   EXPECT_EQ(registry.known_topic_of(b), u);
   registry.acknowledge_topic(b, u);
   EXPECT_FALSE(registry.known_topic_of(b));
-  EXPECT_TRUE(registry.client(a).told.contains(number(b))) << "its region is forgotten last";
+  EXPECT_TRUE(registry.client(a).notified.contains(number(b))) << "its region is forgotten last";
   registry.client_forgotten(b);
-  EXPECT_TRUE(registry.told_of({Kind::publisher, t, p.index}).reusable());
-  EXPECT_TRUE(registry.told_of({Kind::subscription, u, s.index}).reusable());
-  EXPECT_TRUE(registry.client(a).told.reusable());
+  EXPECT_TRUE(registry.notified_of({Kind::publisher, t, p.index}).reusable());
+  EXPECT_TRUE(registry.notified_of({Kind::subscription, u, s.index}).reusable());
+  EXPECT_TRUE(registry.client(a).notified.reusable());
 }
 
 TEST_F(RegistryTest, FreesATopicWithItsLastEndpointAndThenAcceptsAnotherType) {
@@ -196,7 +196,7 @@ TEST_F(RegistryTest, IsFoundAgainAfterARestart) {
   ASSERT_TRUE(later.open());
   EXPECT_EQ(later.find_topic(0, "/topic"), t);
   EXPECT_EQ(later.endpoints_of(a).size(), 1u);
-  EXPECT_TRUE(later.told_of({Kind::publisher, t, 0}).contains(number(b)));
+  EXPECT_TRUE(later.notified_of({Kind::publisher, t, 0}).contains(number(b)));
   const auto q = later.plan_publisher(a, t, {1, false, true, false, false}).value();
   EXPECT_EQ(q.index, 1u);
   EXPECT_EQ(q.extent, p.extent + abi::publisher_extent_bytes);
@@ -285,8 +285,8 @@ TEST_F(RegistryTest, AssignsNoFreePlaceThatAProcessIsStillNotifiedOf) {
   publisher(a, t);
   subscription(a, t);
   Tables& tables = *reinterpret_cast<Tables*>(memory.parts().tables);
-  tables.publisher[number(t)][1].told.tell(5);
-  tables.subscription[number(t)][1].told.tell(5);
+  tables.publisher[number(t)][1].notified.tell(5);
+  tables.subscription[number(t)][1].notified.tell(5);
   const auto of_publisher = registry.plan_publisher(a, t, qos);
   ASSERT_FALSE(of_publisher);
   EXPECT_EQ(of_publisher.error().code, Errc::store_damaged);
@@ -297,8 +297,8 @@ TEST_F(RegistryTest, AssignsNoFreePlaceThatAProcessIsStillNotifiedOf) {
   const EndpointRef ref{Kind::subscription, t, 0};
   registry.change_subscription(t, 0, EndpointState::over);
   registry.free_subscription(t, 0);
-  tables.subscription[number(t)][1].told.let_go(5, 0);
-  tables.subscription[number(t)][0].told.tell(5);
+  tables.subscription[number(t)][1].notified.acknowledge(5, 0);
+  tables.subscription[number(t)][0].notified.tell(5);
   EXPECT_FALSE(registry.is_used(ref));
   EXPECT_EQ(registry.plan_subscription(a, t, qos, {1, 1}).value().index, 1u);
 }

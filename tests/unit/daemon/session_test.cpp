@@ -20,44 +20,44 @@ using abi::wire::Kind;
 constexpr Announced publisher{Kind::publisher, 1, 2};
 constexpr Announced subscription(std::uint64_t index) { return {Kind::subscription, 1, index}; }
 
-TEST(CollisionsTold, IsNewsOncePerPairAndAfterEachChange) {
-  CollisionsTold told(std::make_shared<KeptForUser>());
-  const CollisionsTold::Collision what{10, 20, 0, true};
-  EXPECT_TRUE(told.tell(publisher, subscription(0), what));
-  EXPECT_FALSE(told.tell(publisher, subscription(0), what));
-  EXPECT_TRUE(told.tell(publisher, subscription(1), what));
-  EXPECT_FALSE(told.tell(publisher, subscription(0), what));
-  for (const CollisionsTold::Collision& other :
-       {CollisionsTold::Collision{11, 20, 0, true}, CollisionsTold::Collision{11, 21, 0, true},
-        CollisionsTold::Collision{11, 21, 1, true}, CollisionsTold::Collision{11, 21, 1, false}}) {
-    EXPECT_TRUE(told.tell(publisher, subscription(0), other));
-    EXPECT_FALSE(told.tell(publisher, subscription(0), other));
+TEST(CollisionsNotified, IsNewsOncePerPairAndAfterEachChange) {
+  CollisionsNotified notified(std::make_shared<KeptForUser>());
+  const CollisionsNotified::Collision what{10, 20, 0, true};
+  EXPECT_TRUE(notified.tell(publisher, subscription(0), what));
+  EXPECT_FALSE(notified.tell(publisher, subscription(0), what));
+  EXPECT_TRUE(notified.tell(publisher, subscription(1), what));
+  EXPECT_FALSE(notified.tell(publisher, subscription(0), what));
+  for (const CollisionsNotified::Collision& other :
+       {CollisionsNotified::Collision{11, 20, 0, true}, CollisionsNotified::Collision{11, 21, 0, true},
+        CollisionsNotified::Collision{11, 21, 1, true}, CollisionsNotified::Collision{11, 21, 1, false}}) {
+    EXPECT_TRUE(notified.tell(publisher, subscription(0), other));
+    EXPECT_FALSE(notified.tell(publisher, subscription(0), other));
   }
 }
 
-TEST(CollisionsTold, IsBoundedHoweverManyPairsCollide) {
-  CollisionsTold told(std::make_shared<KeptForUser>());
-  const CollisionsTold::Collision what{10, 20, 0, true};
-  for (std::uint64_t i = 0; i < 3 * CollisionsTold::count_max; ++i) {
-    EXPECT_TRUE(told.tell(publisher, subscription(i), what));
-    EXPECT_FALSE(told.tell(publisher, subscription(i), what)) << "this pair was just reported";
-    ASSERT_LE(told.size(), CollisionsTold::count_max);
+TEST(CollisionsNotified, IsBoundedHoweverManyPairsCollide) {
+  CollisionsNotified notified(std::make_shared<KeptForUser>());
+  const CollisionsNotified::Collision what{10, 20, 0, true};
+  for (std::uint64_t i = 0; i < 3 * CollisionsNotified::count_max; ++i) {
+    EXPECT_TRUE(notified.tell(publisher, subscription(i), what));
+    EXPECT_FALSE(notified.tell(publisher, subscription(i), what)) << "this pair was just reported";
+    ASSERT_LE(notified.size(), CollisionsNotified::count_max);
   }
 }
 
-TEST(CollisionsTold, IsBoundedPerUser) {
+TEST(CollisionsNotified, IsBoundedPerUser) {
   const auto user = std::make_shared<KeptForUser>(), other = std::make_shared<KeptForUser>();
-  const CollisionsTold::Collision what{10, 20, 0, true};
-  std::vector<CollisionsTold> sessions;
+  const CollisionsNotified::Collision what{10, 20, 0, true};
+  std::vector<CollisionsNotified> sessions;
   for (std::uint64_t s = 0; s < 100; ++s) {
-    CollisionsTold& told = sessions.emplace_back(user);
-    for (std::uint64_t i = 0; i < CollisionsTold::count_max; ++i)
-      EXPECT_TRUE(told.tell(publisher, subscription(i), what));
+    CollisionsNotified& notified = sessions.emplace_back(user);
+    for (std::uint64_t i = 0; i < CollisionsNotified::count_max; ++i)
+      EXPECT_TRUE(notified.tell(publisher, subscription(i), what));
     ASSERT_LE(user->book_bytes, BookBytes::of_user_max + (s + 1) * BookBytes::own_max);
   }
-  CollisionsTold of_another(other);
+  CollisionsNotified of_another(other);
   EXPECT_TRUE(of_another.tell(publisher, subscription(0), what));
-  for (std::uint64_t i = 1; i < CollisionsTold::count_max; ++i)
+  for (std::uint64_t i = 1; i < CollisionsNotified::count_max; ++i)
     EXPECT_TRUE(of_another.tell(publisher, subscription(i), what));
   EXPECT_FALSE(of_another.tell(publisher, subscription(0), what))
       << "another user has its own room";
@@ -114,7 +114,7 @@ TEST(AnnouncementNumbers, MakeAProcessReconnectIfTheyCannotJudgeItsStatement) {
   user->book_bytes = BookBytes::of_user_max;  // used by its other processes
   const ClientIndex reader = core.process(1), writer = core.process(2);
   const auto connect = [&] {
-    core.post.sessions.try_emplace(reader, PacketSocket(), PeerIdentity(), user);
+    core.channel.sessions.try_emplace(reader, PacketSocket(), PeerIdentity(), user);
   };
   connect();
   std::vector<EndpointRef> publishers;
@@ -130,15 +130,15 @@ TEST(AnnouncementNumbers, MakeAProcessReconnectIfTheyCannotJudgeItsStatement) {
     statement.index = ref.index;
     statement.generation = core.registry.generation_of(ref);
     statement.seen = seen;
-    EXPECT_TRUE(core.membership.unlinked(reader, statement));
-    return !core.registry.told_of(ref).contains(number(reader));
+    EXPECT_TRUE(core.endpoint_manager.unlinked(reader, statement));
+    return !core.registry.notified_of(ref).contains(number(reader));
   };
-  const auto has_read = [&] { return core.post.session_of(reader)->packet_count(); };
+  const auto has_read = [&] { return core.channel.session_of(reader)->packet_count(); };
   EXPECT_TRUE(says_unlinked(publishers[0], has_read()))
       << "the process has read all forgotten packets";
-  ASSERT_NE(core.post.session_of(reader), nullptr);
+  ASSERT_NE(core.channel.session_of(reader), nullptr);
   EXPECT_FALSE(says_unlinked(publishers[1], 5));
-  ASSERT_EQ(core.post.session_of(reader), nullptr) << "the process must reconnect";
+  ASSERT_EQ(core.channel.session_of(reader), nullptr) << "the process must reconnect";
   connect();
   EXPECT_TRUE(says_unlinked(publishers[1], has_read()));
 }

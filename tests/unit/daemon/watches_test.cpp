@@ -7,7 +7,7 @@
 // counted.
 
 #include <daemon/death/hold_watch.hpp>
-#include <daemon/death/let_go_watch.hpp>
+#include <daemon/death/unmap_watch.hpp>
 #include <region/views.hpp>
 #include <tests/support/daemon_core.hpp>
 
@@ -100,9 +100,9 @@ TEST_F(WatchesTest, FindsAMissingAcknowledgementHoweverMuchAnotherUserLeft) {
     return keeper;
   };
   const auto looks_until = [&](ClientIndex wanted) {
-    LetGoWatch watch(core.registry, core.regions, core.membership.endings(), core.post);
+    UnmapWatch watch(core.registry, core.regions, core.endpoint_manager.endings(), core.channel);
     for (int looks = 1; looks < 10'000; ++looks) {
-      for (const LetGoWatch::Finding& finding : watch.look()) {
+      for (const UnmapWatch::Finding& finding : watch.look()) {
         if (finding.client == wanted) return looks;
       }
     }
@@ -149,9 +149,9 @@ TEST_F(WatchesTest, GivesAProcessThatCameBackAsLongAsOneWithoutAConnection) {
     core.create(owner, Kind::publisher, "/t");
     core.end(owner);
   }
-  ASSERT_FALSE(core.membership.endings().given_up().empty());
+  ASSERT_FALSE(core.endpoint_manager.endings().given_up().empty());
   const auto looks_until_found = [&](bool comes_back) {
-    LetGoWatch watch(core.registry, core.regions, core.membership.endings(), core.post);
+    UnmapWatch watch(core.registry, core.regions, core.endpoint_manager.endings(), core.channel);
     for (int looks = 1; looks < 100; ++looks) {
       const auto found = watch.look();
       if (!found.empty()) {
@@ -159,12 +159,12 @@ TEST_F(WatchesTest, GivesAProcessThatCameBackAsLongAsOneWithoutAConnection) {
         EXPECT_TRUE(watch.is_true(found[0]));
         return looks;
       }
-      if (comes_back) watch.told_again(reader);
+      if (comes_back) watch.notified_again(reader);
     }
     return 100;
   };
   const int without_connection = looks_until_found(false);
-  core.post.sessions.emplace(reader, Session(PacketSocket(), PeerIdentity()));
+  core.channel.sessions.emplace(reader, Session(PacketSocket(), PeerIdentity()));
   const int deaf = looks_until_found(false);
   EXPECT_LT(deaf, without_connection) << "everything was sent to it";
   EXPECT_EQ(looks_until_found(true), without_connection);
@@ -179,7 +179,7 @@ TEST_F(WatchesTest, FindsNobodyWhoHoldsAMessageOfWhatWasGivenUp) {
     line(subscription, publisher.index).hold(0).store(1);
     core.end(owner);
   }
-  LetGoWatch watch(core.registry, core.regions, core.membership.endings(), core.post);
+  UnmapWatch watch(core.registry, core.regions, core.endpoint_manager.endings(), core.channel);
   for (int looks = 0; looks < 100; ++looks) ASSERT_TRUE(watch.look().empty()) << looks;
 }
 

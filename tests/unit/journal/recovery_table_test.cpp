@@ -142,7 +142,7 @@ struct Freed {
   void freed(std::uint64_t, std::uint64_t address) { live.erase(address); }
 };
 
-bool pass_keeps(const std::array<std::uint8_t, 5>& found) {
+bool scan_keeps(const std::array<std::uint8_t, 5>& found) {
   constexpr std::uint64_t generation = 9, extent = abi::page_bytes, member = 1;
   const std::uint64_t first = abi::first_sequence_of(generation);
   test::AlignedRegion board{abi::topic_bytes}, publisher, subscriber;
@@ -169,28 +169,28 @@ bool pass_keeps(const std::array<std::uint8_t, 5>& found) {
   line.publisher_generation().store(found[2] == remains::linked ? generation : generation - 1);
   line.hold(0).store(found[3] == remains::held ? std::uint64_t{1} << slot : 0);
   line.cursor().store(found[4] == remains::past ? sequence + 1 : sequence);
-  for (const abi::MemberState state :
-       {abi::MemberState::dead, abi::MemberState::revoked, abi::MemberState::free}) {
+  for (const abi::BoardState state :
+       {abi::BoardState::dead, abi::BoardState::revoked, abi::BoardState::free}) {
     // The three states that count as over are one kind; all must give the same result.
     if (found[0] != remains::over) break;
     auto copy = std::make_unique<dataplane::PublisherCore<M>>(*core);
     Freed other = environment;
     steps.set_subscription(0, member, state);
-    copy->pass(other);
+    copy->scan(other);
     EXPECT_TRUE(other.live.empty()) << static_cast<int>(state);
     words.slot_id(slot).store(sequence);
   }
-  if (found[0] == remains::leaving) steps.set_subscription(0, member, abi::MemberState::leaving);
+  if (found[0] == remains::leaving) steps.set_subscription(0, member, abi::BoardState::leaving);
   // The first scan marks it, the second frees it.
-  core->pass(environment);
-  core->pass(environment);
+  core->scan(environment);
+  core->scan(environment);
   return !environment.live.empty();
 }
 
 TEST(RecoveryTables, AgreeWithAPublishersReclamationScan) {
   for_each_combination<5>({3, 2, 2, 2, 2}, [](const auto& found) {
     const auto& row = case_of(remains::rows, found);
-    EXPECT_EQ(pass_keeps(found), row.decision == RemainsDecision::keep) << row.label;
+    EXPECT_EQ(scan_keeps(found), row.decision == RemainsDecision::keep) << row.label;
   });
 }
 
@@ -234,7 +234,7 @@ TEST(RecoveryTables, AgreeWithAnnounceSetsAndBooks) {
     AnnounceSet<M> set;
     AnnouncementBook<M> book;
     set.begin(generation);
-    if (found[0] == announce::told) set.tell(client);
+    if (found[0] == announce::notified) set.tell(client);
     if (found[2] != announce::never) book.linked(generation);
     if (found[2] == announce::unlinked) book.unlinked(generation);
     // The new connection: the daemon notifies each client in the set again, the client answers.
@@ -250,7 +250,7 @@ TEST(RecoveryTables, AgreeWithAnnounceSetsAndBooks) {
           break;
         case AnnouncementBook<M>::Action::say_unlinked:
           done = AnnounceDecision::say_unlinked;
-          set.let_go(client, generation);
+          set.acknowledge(client, generation);
           break;
       }
     }

@@ -40,7 +40,7 @@ TEST(HostileDoorbells, AFloodOfRingsCostsNoSubscriberAMessage) {
     node.join(Kind::publisher, open_topic);
     const auto about = node.announced();
     ASSERT_EQ(about.fds.size(), 2u);
-    const int bell = about.fds[1].get();
+    const int doorbell = about.fds[1].get();
     // Sends datagrams of every length, with descriptors, and finally shuts down its own sender.
     std::vector<char> bytes(16384, 'x');
     const UniqueFd null(::open("/dev/null", O_RDONLY | O_CLOEXEC));
@@ -61,9 +61,9 @@ TEST(HostileDoorbells, AFloodOfRingsCostsNoSubscriberAMessage) {
         const int fd = null.get();
         std::memcpy(CMSG_DATA(header), &fd, sizeof fd);
       }
-      if (::sendmsg(bell, &message, MSG_DONTWAIT | MSG_NOSIGNAL) > 0) ++attack.word(0);
+      if (::sendmsg(doorbell, &message, MSG_DONTWAIT | MSG_NOSIGNAL) > 0) ++attack.word(0);
     }
-    ::shutdown(bell, SHUT_RDWR);
+    ::shutdown(doorbell, SHUT_RDWR);
     EXPECT_GT(attack.word(0).load(), 1000u);
   });
   ASSERT_TRUE(attacker.wait_until_ready());
@@ -72,7 +72,7 @@ TEST(HostileDoorbells, AFloodOfRingsCostsNoSubscriberAMessage) {
   stage.honest_goes_on();
 }
 
-constexpr const char* own_topic = "/bells_of_attackers";
+constexpr const char* own_topic = "/doorbells_of_attackers";
 
 /// A process of the attacker's user that may ring the attacker, with a sender of its own as every
 /// publisher has one.
@@ -82,27 +82,27 @@ class Ringer {
     node_.join(Kind::publisher, own_topic);
     auto about = node_.announced();
     EXPECT_EQ(about.body.kind, Kind::subscription);
-    if (about.fds.size() == 3) bell_ = std::move(about.fds[2]);
-    EXPECT_TRUE(bell_) << "region, eventfd and datagram socket, since the user is the same";
+    if (about.fds.size() == 3) doorbell_ = std::move(about.fds[2]);
+    EXPECT_TRUE(doorbell_) << "region, eventfd and datagram socket, since the user is the same";
   }
   /// Returns 0 or errno.
   int ring() const {
-    return ::send(bell_.get(), "", 1, MSG_DONTWAIT | MSG_NOSIGNAL) == 1 ? 0 : errno;
+    return ::send(doorbell_.get(), "", 1, MSG_DONTWAIT | MSG_NOSIGNAL) == 1 ? 0 : errno;
   }
   /// Returns whether a ring would find a free place, without ringing.
   bool finds_place() const {
-    pollfd bell{bell_.get(), POLLOUT, 0};
-    return ::poll(&bell, 1, 0) == 1;
+    pollfd doorbell{doorbell_.get(), POLLOUT, 0};
+    return ::poll(&doorbell, 1, 0) == 1;
   }
 
  private:
   HostileNode node_;
-  UniqueFd bell_;
+  UniqueFd doorbell_;
 };
 
 // The kernel limits each sender, below 512 datagrams. So several senders fill the queue; it is
 // full when a sender that has never rung is turned away.
-void fill_bell(const std::string& path) {
+void fill_doorbell(const std::string& path) {
   for (int senders = 0; senders < 20; ++senders) {
     const Ringer ringer(path);
     int error = ringer.ring();
@@ -153,12 +153,12 @@ TEST(HostileDoorbells, AQueueThatIsNeverReadFillsAndDelaysNobody) {
   asks_for_rings(
       stage,
       [&](HostileNode& node) {
-        fill_bell(stage.socket_path());
+        fill_doorbell(stage.socket_path());
         witness = std::make_unique<Ringer>(stage.socket_path());
         EXPECT_FALSE(witness->finds_place());
         char byte = 0;
         for (int i = 0; i < places; ++i)
-          EXPECT_GE(::recv(node.bells()[1].get(), &byte, 1, MSG_DONTWAIT), 0);
+          EXPECT_GE(::recv(node.doorbells()[1].get(), &byte, 1, MSG_DONTWAIT), 0);
         EXPECT_TRUE(witness->finds_place());
       },
       [&](HostileNode&) {
@@ -173,8 +173,8 @@ TEST(HostileDoorbells, AReceiverThatIsShutOrSmallDelaysNobody) {
   Stage stage;
   asks_for_rings(stage, [](HostileNode& node) {
     const int size = 1;
-    ASSERT_EQ(node.bells().size(), 2u);
-    const int receiver = node.bells()[1].get();
+    ASSERT_EQ(node.doorbells().size(), 2u);
+    const int receiver = node.doorbells()[1].get();
     EXPECT_EQ(::setsockopt(receiver, SOL_SOCKET, SO_RCVBUF, &size, sizeof size), 0);
     EXPECT_EQ(::shutdown(receiver, SHUT_RDWR), 0);
   });
@@ -184,16 +184,16 @@ TEST(HostileDoorbells, AStoppedSubscriberWithAFullDoorbellDelaysNobody) {
   AGNOCAST_NEEDS_TWO_USERS();
   Stage stage;
   asks_for_rings(
-      stage, [&](HostileNode&) { fill_bell(stage.socket_path()); }, {}, true);
+      stage, [&](HostileNode&) { fill_doorbell(stage.socket_path()); }, {}, true);
 }
 
 TEST(HostileDoorbells, AReceiverThatIsClosedDelaysNobody) {
   AGNOCAST_NEEDS_TWO_USERS();
   Stage stage;
   asks_for_rings(stage, [](HostileNode& node) {
-    for (const UniqueFd& bell : node.bells()) ::close(::dup(bell.get()));
+    for (const UniqueFd& doorbell : node.doorbells()) ::close(::dup(doorbell.get()));
     const UniqueFd null(::open("/dev/null", O_RDWR | O_CLOEXEC));
-    for (const UniqueFd& bell : node.bells()) EXPECT_GE(::dup2(null.get(), bell.get()), 0);
+    for (const UniqueFd& doorbell : node.doorbells()) EXPECT_GE(::dup2(null.get(), doorbell.get()), 0);
   });
 }
 

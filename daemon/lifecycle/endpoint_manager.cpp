@@ -1,19 +1,19 @@
 // SPDX-License-Identifier: Apache-2.0
 //
-// Membership: see the header.
+// EndpointManager: see the header.
 
 #include <base/check.hpp>
-#include <daemon/lifecycle/membership.hpp>
+#include <daemon/lifecycle/endpoint_manager.hpp>
 #include <daemon/lifecycle/references.hpp>
 #include <daemon/state/steps.hpp>
 
 namespace agnocast::daemon {
 
-Membership::Membership(Registry& registry, Regions& regions, Doorbells& doorbells, Post& post)
+EndpointManager::EndpointManager(Registry& registry, Regions& regions, Doorbells& doorbells, ClientChannel& channel)
     : registry_(registry),
       regions_(regions),
       doorbells_(doorbells),
-      post_(post),
+      channel_(channel),
       endings_(registry),
       leaving_(registry, endings_),
       announcing_(registry, endings_),
@@ -30,7 +30,7 @@ Membership::Membership(Registry& registry, Regions& regions, Doorbells& doorbell
 
 // --- create
 
-Result<void> Membership::create(ClientIndex client, const CreateRequest& request) {
+Result<void> EndpointManager::create(ClientIndex client, const CreateRequest& request) {
   const std::uint64_t domain = registry_.client(client).domain;
   auto topic = registry_.find_topic(domain, request.topic);
   if (topic) {
@@ -52,7 +52,7 @@ Result<void> Membership::create(ClientIndex client, const CreateRequest& request
   return created;
 }
 
-Result<void> Membership::create_publisher(ClientIndex client, TopicIndex topic,
+Result<void> EndpointManager::create_publisher(ClientIndex client, TopicIndex topic,
                                           const CreateRequest& request) {
   const auto plan = registry_.plan_publisher(client, topic, request.qos);
   if (!plan) return endings_.explain_full(topic, plan.error(), {});
@@ -77,7 +77,7 @@ Result<void> Membership::create_publisher(ClientIndex client, TopicIndex topic,
   return {};
 }
 
-Result<void> Membership::create_subscription(ClientIndex client, TopicIndex topic,
+Result<void> EndpointManager::create_subscription(ClientIndex client, TopicIndex topic,
                                              const CreateRequest& request) {
   if (!doorbells_.is_open(client, request.executor))
     return fail(Errc::invalid_argument, "the executor of the subscription is not open");
@@ -89,7 +89,7 @@ Result<void> Membership::create_subscription(ClientIndex client, TopicIndex topi
   const auto plan = registry_.plan_subscription(client, topic, request.qos, quota);
   if (!plan) return tl::unexpected(plan.error());
   if (auto ready = make_ready(topic, *plan, client, plan->extent); !ready) return ready;
-  // Publishers can keep what this one may ask for before it is a member (docs/protocol.md, slots).
+  // Publishers can keep what this one may ask for before it joins (docs/protocol.md, slots).
   for (const SlotRaise& raise : plan->raises) registry_.raise_slots(topic, raise);
   registry_.add_subscription(client, topic, request.qos, quota, request.executor, *plan,
                              request.node, request.request);
@@ -97,14 +97,14 @@ Result<void> Membership::create_subscription(ClientIndex client, TopicIndex topi
   return {};
 }
 
-bool Membership::answer_again(ClientIndex client, const CreateRequest& request) {
+bool EndpointManager::answer_again(ClientIndex client, const CreateRequest& request) {
   const auto ref = registry_.find_creation(client, request.kind, request.request);
   if (!ref) return false;
   run(announcing_.answered_again(*ref, request.request));
   return true;
 }
 
-Result<void> Membership::make_ready(TopicIndex topic, const SubscriptionPlan& plan,
+Result<void> EndpointManager::make_ready(TopicIndex topic, const SubscriptionPlan& plan,
                                     ClientIndex client, std::uint64_t extent) {
   bool far = registry_.uses_far_slots(topic);
   for (const SlotRaise& raise : plan.raises) far = far || raise.slot_count > abi::near_slot_count;
@@ -127,7 +127,7 @@ Result<void> Membership::make_ready(TopicIndex topic, const SubscriptionPlan& pl
 }
 
 // For both sides. What may be long comes last: a packet has 255 bytes for it.
-std::string Membership::type_mismatch_text(ClientIndex client, TopicIndex topic,
+std::string EndpointManager::type_mismatch_text(ClientIndex client, TopicIndex topic,
                                            const CreateRequest& request) const {
   const TopicRecord& there = registry_.topic(topic);
   return printable(request.type) + " (layout " + hexadecimal(request.layout_hash) +
@@ -136,10 +136,10 @@ std::string Membership::type_mismatch_text(ClientIndex client, TopicIndex topic,
          ") is the type of " + std::string(there.name);
 }
 
-void Membership::notice_types(ClientIndex client, TopicIndex topic, const std::string& text) {
-  auto told = type_notices_[number(client)][number(topic)];
-  if (told) return;
-  told = true;
+void EndpointManager::notice_types(ClientIndex client, TopicIndex topic, const std::string& text) {
+  auto notified = type_notices_[number(client)][number(topic)];
+  if (notified) return;
+  notified = true;
   registry_.for_each_publisher(topic, [&](std::uint32_t i, const PublisherRecord& record) {
     if (record.state == EndpointState::active)
       notice({Kind::publisher, topic, i}, Errc::type_mismatch, text);
@@ -150,9 +150,9 @@ void Membership::notice_types(ClientIndex client, TopicIndex topic, const std::s
   });
 }
 
-// --- bells that are others now
+// --- doorbells that are others now
 
-void Membership::renewed(ClientIndex client, std::uint64_t executor) {
+void EndpointManager::renewed(ClientIndex client, std::uint64_t executor) {
   for (const EndpointRef& ref : registry_.endpoints_of(client)) {
     if (ref.kind == Kind::subscription &&
         registry_.subscription(ref.topic, ref.index).executor == executor)
@@ -160,7 +160,7 @@ void Membership::renewed(ClientIndex client, std::uint64_t executor) {
   }
 }
 
-void Membership::announce_renewed() {
+void EndpointManager::announce_renewed() {
   // Some 10 µs each, with the socket that is made for it.
   constexpr std::size_t announcements_max = 200;
   for (std::size_t made = 0; !renewed_.empty() && made < announcements_max;) {
@@ -176,7 +176,7 @@ void Membership::announce_renewed() {
 
 // --- leave
 
-Result<void> Membership::leave(ClientIndex client, const LeaveRequest& request) {
+Result<void> EndpointManager::leave(ClientIndex client, const LeaveRequest& request) {
   const EndpointRef ref = ref_of(request.reference);
   std::uint64_t final_head = 0;
   if (ref.kind == Kind::publisher && leaving_.is_own(client, request.reference)) {
@@ -188,18 +188,18 @@ Result<void> Membership::leave(ClientIndex client, const LeaveRequest& request) 
   return run(leaving_.leave(client, request, final_head));
 }
 
-Result<void> Membership::drained(ClientIndex client, const DrainedRequest& request) {
+Result<void> EndpointManager::drained(ClientIndex client, const DrainedRequest& request) {
   return run(leaving_.drained(client, request));
 }
 
-Result<void> Membership::unlinked(ClientIndex client, const wire::Unlinked& statement) {
-  Session* const session = post_.session_of(client);
+Result<void> EndpointManager::unlinked(ClientIndex client, const wire::Unlinked& statement) {
+  Session* const session = channel_.session_of(client);
   AGNOCAST_CHECK(session != nullptr);
   return run(leaving_.unlinked(
       client, statement, {session->announcements(), session->packet_count(), welcome_back_.tells(client)}));
 }
 
-Result<void> Membership::run(const Result<Effects>& decision) {
+Result<void> EndpointManager::run(const Result<Effects>& decision) {
   if (!decision) return tl::unexpected(decision.error());
   run(*decision);
   return {};
@@ -207,7 +207,7 @@ Result<void> Membership::run(const Result<Effects>& decision) {
 
 // --- the end of a process
 
-void Membership::forget_client(ClientIndex client) {
+void EndpointManager::forget_client(ClientIndex client) {
   registry_.client_forgotten(client);
   announcer_.forget_client(client);
   welcome_back_.forget_client(client);
@@ -215,7 +215,7 @@ void Membership::forget_client(ClientIndex client) {
 }
 
 // Places are freed in the middle of this, and the topic goes with its last endpoint.
-void Membership::carry_out_what_is_owed() {
+void EndpointManager::carry_out_what_is_owed() {
   const auto for_each_topic = [this](const auto& decide) {
     for (std::uint32_t t = 0; t < registry_.topic_high(); ++t) {
       if (registry_.topic(TopicIndex{t}).state == TopicState::used) decide(TopicIndex{t});

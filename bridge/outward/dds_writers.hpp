@@ -1,6 +1,6 @@
 // SPDX-License-Identifier: Apache-2.0
 //
-// Outlets: the DDS writers of this host's publishers, and the messages on their way to them.
+// DDS writers: the DDS writers of this host's publishers, and the messages on their way to them.
 //
 // A publisher's first messages may arrive before the graph shows it: they wait here, up to the
 // depth of their local reader, until a plan knows the publisher. So a history is passed on
@@ -40,8 +40,8 @@
 
 namespace agnocast::bridge {
 
-struct OpenOutlet {
-  Outlet plan;
+struct OpenDdsWriter {
+  DdsWriterPlan plan;
   std::shared_ptr<const BridgedType> type;
   std::unique_ptr<DdsWriter> writer;
   Traffic traffic;
@@ -70,22 +70,22 @@ struct OpenOutlet {
 /// Any thread; messages of one local reader come from one thread. Writing a message delays the
 /// other work of its thread, a lane or the thread for waiting messages; if a reader does not
 /// acknowledge, by DdsQos::blocking_max.
-class Outlets {
+class DdsWriters {
  public:
   /// Both must outlive it. `reaper` ends the writers; any thread calls `wake` when tidy() gets
   /// something to do.
-  Outlets(const Log& log, Reaper& reaper, std::function<void()> wake)
+  DdsWriters(const Log& log, Reaper& reaper, std::function<void()> wake)
       : log_(log), reaper_(reaper), wake_(std::move(wake)) {}
 
   /// Writes or keeps the message; drops it if its publisher has no DDS writer, or another local
   /// reader's.
-  void pass(GenericMessage message, const ReaderKey& tap, const CdrType& type) noexcept;
+  void pass(GenericMessage message, const ReaderKey& local_reader, const CdrType& type) noexcept;
 
   /// Names publishers that get no DDS writer: their messages, also waiting ones, are dropped.
   /// Messages of unknown publishers wait.
   void set_without(std::set<std::uint64_t> publishers);
   /// Opens a DDS writer; its waiting messages are written soon and before others. Does not block.
-  void open(std::uint64_t publisher, std::unique_ptr<OpenOutlet> outlet);
+  void open(std::uint64_t publisher, std::unique_ptr<OpenDdsWriter> dds_writer);
   void close(std::uint64_t publisher);
   /// Closes all, with the waiting messages: generations mean other publishers from now on.
   void close_all();
@@ -98,18 +98,18 @@ class Outlets {
   /// Returns the local readers that DDS writers of gone publishers still need.
   std::set<ReaderKey> lingering() const;
   /// Drops the messages of this local reader, which is made again and brings them again.
-  void forget_waiting(const ReaderKey& tap);
+  void forget_waiting(const ReaderKey& local_reader);
   /// Returns the number of messages lost because their publisher was announced too late, there was
   /// no room, or newer ones displaced them before their writer had begun. Any thread.
   std::uint64_t lost() const noexcept { return lost_; }
 
-  /// Calls look(generation, outlet) for each. Blocks no other thread.
+  /// Calls look(generation, DDS writer) for each. Blocks no other thread.
   template <class Look>
   void for_each(Look look) const {
     std::unique_lock lock(mutex_);
     const auto open = open_;
     lock.unlock();
-    for (const auto& [publisher, outlet] : open) look(publisher, std::as_const(*outlet));
+    for (const auto& [publisher, dds_writer] : open) look(publisher, std::as_const(*dds_writer));
   }
 
  private:
@@ -122,21 +122,21 @@ class Outlets {
   };
 
   /// Returns true if tidy() has something new to do.
-  bool keep(GenericMessage message, const ReaderKey& tap, const CdrType& type);
+  bool keep(GenericMessage message, const ReaderKey& local_reader, const CdrType& type);
   void drop_front(Queue& queue);
   template <class Condition>
   void end_waiting_if(Condition condition);
   void lose(std::size_t messages, const char* why) noexcept;
   /// Gives the DDS writer its waiting messages, only up to a gap unless begun or late. With both
   /// locks.
-  void catch_up(OpenOutlet& outlet, std::uint64_t publisher, bool is_late = false);
+  void catch_up(OpenDdsWriter& dds_writer, std::uint64_t publisher, bool is_late = false);
   /// Schedules its waiting messages. Call with its lock.
-  void write_soon(const std::shared_ptr<OpenOutlet>& outlet);
+  void write_soon(const std::shared_ptr<OpenDdsWriter>& dds_writer);
   /// Returns false if nothing is left.
-  bool write_waited(OpenOutlet& outlet);
+  bool write_waited(OpenDdsWriter& dds_writer);
   /// Returns false if keep-all blocks it: write it again later.
-  bool write(OpenOutlet& outlet, const GenericMessage& message) const;
-  void end(std::shared_ptr<OpenOutlet> outlet) noexcept;
+  bool write(OpenDdsWriter& dds_writer, const GenericMessage& message) const;
+  void end(std::shared_ptr<OpenDdsWriter> dds_writer) noexcept;
 
   const Log& log_;
   Reaper& reaper_;
@@ -144,7 +144,7 @@ class Outlets {
   std::atomic<std::uint64_t> lost_{0};
   Seldom tells_lost_;
   mutable std::mutex mutex_;  // guards the rest; never held while a message is written
-  std::map<std::uint64_t, std::shared_ptr<OpenOutlet>> open_;
+  std::map<std::uint64_t, std::shared_ptr<OpenDdsWriter>> open_;
   std::set<std::uint64_t> without_;       // known publishers without a DDS writer
   std::map<std::uint64_t, Time> ending_;  // those of open_ that end, and when
   std::map<Waiting, Queue> waiting_;

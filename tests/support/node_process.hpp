@@ -17,11 +17,11 @@
 
 namespace agnocast::test {
 
-class Member {
+class NodeProcess {
  public:
   /// Runs `body(node)` in the process; the constructor returns when it has finished.
   template <class Body>
-  Member(const std::string& socket, Body body, const std::string& name = "wire_client") {
+  NodeProcess(const std::string& socket, Body body, const std::string& name = "wire_client") {
     int ends[2];
     EXPECT_EQ(::pipe2(ends, O_CLOEXEC), 0);
     UniqueFd read(ends[0]), write(ends[1]);

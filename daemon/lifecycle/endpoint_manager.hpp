@@ -1,6 +1,6 @@
 // SPDX-License-Identifier: Apache-2.0
 //
-// Membership: who joins and leaves which topic, and who has to hear of it. docs/control-plane.md.
+// EndpointManager: who joins and leaves which topic, and who has to hear of it. docs/control-plane.md.
 //
 // Every operation has the same shape: check what the sender may say, let the registry decide and
 // journal, then answer, then announce. An announcement is journaled before it is sent (rule RU, a).
@@ -22,7 +22,7 @@
 #include <daemon/lifecycle/welcome_back.hpp>
 #include <daemon/state/registry.hpp>
 #include <daemon/transport/doorbells.hpp>
-#include <daemon/transport/post.hpp>
+#include <daemon/transport/client_channel.hpp>
 #include <daemon/transport/requests.hpp>
 #include <daemon/transport/session.hpp>
 
@@ -35,11 +35,11 @@
 
 namespace agnocast::daemon {
 
-class Membership {
+class EndpointManager {
  public:
-  Membership(Registry& registry, Regions& regions, Doorbells& doorbells, Post& post);
-  Membership(const Membership&) = delete;
-  Membership& operator=(const Membership&) = delete;
+  EndpointManager(Registry& registry, Regions& regions, Doorbells& doorbells, ClientChannel& channel);
+  EndpointManager(const EndpointManager&) = delete;
+  EndpointManager& operator=(const EndpointManager&) = delete;
 
   /// Called with a process that is over: everything of it may be used again.
   std::function<void(ClientIndex)> on_client_freed;
@@ -63,7 +63,7 @@ class Membership {
   /// announce_renewed().
   bool has_waiting() const noexcept { return announcer_.has_waiting(); }
   void announce_waiting() { announcer_.move_waiting_to(renewed_); }
-  /// The bells of an executor are others now: publishers are told of its subscriptions once more, a part of
+  /// The doorbells of an executor are others now: publishers are told of its subscriptions once more, a part of
   /// them with each announce_renewed().
   void renewed(ClientIndex client, std::uint64_t executor);
   bool has_renewed() const noexcept { return !renewed_.empty(); }
@@ -89,7 +89,7 @@ class Membership {
   void forget_client(ClientIndex client);
 
   // --- for a daemon that goes on
-  /// Carries out what follows from the records of the former life and has no record yet: who has
+  /// Carries out what follows from the records of the previous run and has no record yet: who has
   /// drained has let go as well, and what nobody has any more is free.
   void carry_out_what_is_owed();
 
@@ -108,14 +108,14 @@ class Membership {
   Registry& registry_;
   Regions& regions_;
   Doorbells& doorbells_;
-  Post& post_;
+  ClientChannel& channel_;
   Endings endings_;
   Leaving leaving_;
   Announcing announcing_;
   Announcer announcer_;
   EffectRunner runner_;
   WelcomeBack welcome_back_;
-  // By client: the topics whose members have been told of its wrong types; once is enough. 512 bytes of each
+  // By client: the topics whose endpoints have been told of its wrong types; once is enough. 512 bytes of each
   // process, 1 MiB of all.
   std::map<std::uint32_t, std::bitset<abi::topic_count_max>> type_notices_;
   // Subscriptions by generation: whose publishers are to be told of them once more.

@@ -4,7 +4,7 @@
 // child of fork that destroys its copy changes nothing. Method: real epoll sets and forks, a page
 // as the client region, doorbells as the daemon makes them.
 
-#include <client/process/sleeper.hpp>
+#include <client/process/wait_set.hpp>
 
 #include <client/process/forked_child.hpp>
 #include <tests/support/child.hpp>
@@ -24,8 +24,8 @@ namespace agnocast {
 namespace {
 
 /// One session: a client region, and the publishers that ring.
-struct Member {
-  Member()
+struct Session {
+  Session()
       : region(static_cast<std::byte*>(::mmap(nullptr, abi::page_bytes, PROT_READ | PROT_WRITE,
                                               MAP_SHARED | MAP_ANONYMOUS, -1, 0))),
         eventfd(::eventfd(0, EFD_CLOEXEC | EFD_NONBLOCK)) {
@@ -33,12 +33,12 @@ struct Member {
     if (::socketpair(AF_UNIX, SOCK_DGRAM | SOCK_CLOEXEC | SOCK_NONBLOCK, 0, pair) != 0)
       std::abort();
     datagram.reset(pair[0]);
-    place = std::make_shared<Sleeper::Place>(
+    place = std::make_shared<WaitSet::Place>(
         region, 0, DoorbellReceiver(UniqueFd(::dup(eventfd.get())), UniqueFd(pair[1])));
   }
-  ~Member() { ::munmap(region, abi::page_bytes); }
-  Member(const Member&) = delete;
-  Member& operator=(const Member&) = delete;
+  ~Session() { ::munmap(region, abi::page_bytes); }
+  Session(const Session&) = delete;
+  Session& operator=(const Session&) = delete;
 
   void ring() const {
     const std::uint64_t one = 1;
@@ -50,7 +50,7 @@ struct Member {
 
   std::byte* const region;
   UniqueFd eventfd, datagram;
-  std::shared_ptr<Sleeper::Place> place;
+  std::shared_ptr<WaitSet::Place> place;
 };
 
 struct Set {
@@ -61,86 +61,86 @@ struct Set {
   UniqueFd fd{::epoll_create1(EPOLL_CLOEXEC)};
 };
 
-class SleeperTest : public testing::Test {
+class WaitSetTest : public testing::Test {
  protected:
   static void SetUpTestSuite() { ASSERT_TRUE(recognise_forked_children()); }
-  std::shared_ptr<Sleeper> sleeper_ = Sleeper::make().value();
+  std::shared_ptr<WaitSet> wait_set_ = WaitSet::make().value();
   Set set_;
 };
 
-TEST_F(SleeperTest, IsWokenWithoutAnyPlace) {
-  ASSERT_TRUE(sleeper_->add_to(set_.fd.get(), 1, 2));
+TEST_F(WaitSetTest, IsWokenWithoutAnyPlace) {
+  ASSERT_TRUE(wait_set_->add_to(set_.fd.get(), 1, 2));
   EXPECT_FALSE(set_.has_news());
-  sleeper_->wake();
+  wait_set_->wake();
   EXPECT_TRUE(set_.has_news());
   EXPECT_FALSE(set_.has_news()) << "one wake-up wakes once";
-  sleeper_->remove_from(set_.fd.get());
-  sleeper_->wake();
+  wait_set_->remove_from(set_.fd.get());
+  wait_set_->wake();
   EXPECT_FALSE(set_.has_news());
 }
 
-TEST_F(SleeperTest, IsWokenByAPlaceThatComesOrGoesIncludingTheLast) {
-  const Member first, second;
-  ASSERT_TRUE(sleeper_->add_to(set_.fd.get(), 1, 2));
-  ASSERT_TRUE(sleeper_->add(&first, first.place));
+TEST_F(WaitSetTest, IsWokenByAPlaceThatComesOrGoesIncludingTheLast) {
+  const Session first, second;
+  ASSERT_TRUE(wait_set_->add_to(set_.fd.get(), 1, 2));
+  ASSERT_TRUE(wait_set_->add(&first, first.place));
   EXPECT_TRUE(set_.has_news());
-  ASSERT_TRUE(sleeper_->add(&second, second.place));
+  ASSERT_TRUE(wait_set_->add(&second, second.place));
   EXPECT_TRUE(set_.has_news());
-  for (const Member* const member : {&first, &second}) {
+  for (const Session* const session : {&first, &second}) {
     EXPECT_FALSE(set_.has_news());
-    member->ring();
+    session->ring();
     EXPECT_TRUE(set_.has_news());
   }
-  for (const Member* const member : {&first, &second}) {
-    sleeper_->remove(member);
+  for (const Session* const session : {&first, &second}) {
+    wait_set_->remove(session);
     EXPECT_TRUE(set_.has_news());
-    member->ring();
+    session->ring();
     EXPECT_FALSE(set_.has_news()) << "the doorbell is not in the set any more";
   }
 }
 
-TEST_F(SleeperTest, EverySetHasEveryDoorbell) {
-  const Member member;
+TEST_F(WaitSetTest, EverySetHasEveryDoorbell) {
+  const Session session;
   const Set other;
-  ASSERT_TRUE(sleeper_->add(&member, member.place));
-  ASSERT_TRUE(sleeper_->add_to(set_.fd.get(), 1, 2));
-  ASSERT_TRUE(sleeper_->add_to(other.fd.get(), 1, 2));
+  ASSERT_TRUE(wait_set_->add(&session, session.place));
+  ASSERT_TRUE(wait_set_->add_to(set_.fd.get(), 1, 2));
+  ASSERT_TRUE(wait_set_->add_to(other.fd.get(), 1, 2));
   while (set_.has_news() || other.has_news()) {
   }
-  member.ring();
+  session.ring();
   EXPECT_TRUE(set_.has_news() && other.has_news());
-  sleeper_->wake();
+  wait_set_->wake();
   EXPECT_TRUE(set_.has_news() && other.has_news());
 }
 
-TEST_F(SleeperTest, AChildThatDestroysItsCopyLeavesTheParentAsleepWithItsDoorbells) {
-  const Member member;
-  ASSERT_TRUE(sleeper_->add(&member, member.place));
-  ASSERT_TRUE(sleeper_->add_to(set_.fd.get(), 1, 2));
+TEST_F(WaitSetTest, AChildThatDestroysItsCopyLeavesTheParentAsleepWithItsDoorbells) {
+  const Session session;
+  ASSERT_TRUE(wait_set_->add(&session, session.place));
+  ASSERT_TRUE(wait_set_->add_to(set_.fd.get(), 1, 2));
   while (set_.has_news()) {
   }
-  sleeper_->arm();
-  ASSERT_TRUE(member.is_armed());
+  wait_set_->arm();
+  ASSERT_TRUE(session.is_armed());
   test::Child child([&] {
-    sleeper_.reset();
+    wait_set_.reset();
     return 0;
   });
   EXPECT_EQ(child.wait(), 0);
-  EXPECT_TRUE(member.is_armed());
-  member.ring();
+  EXPECT_TRUE(session.is_armed());
+  session.ring();
   EXPECT_TRUE(set_.has_news());
-  sleeper_->wake();
+  wait_set_->wake();
   EXPECT_TRUE(set_.has_news());
-  sleeper_->disarm();
-  EXPECT_FALSE(member.is_armed());
+  wait_set_->disarm();
+  EXPECT_FALSE(session.is_armed());
 }
 
-TEST_F(SleeperTest, AFailureToMakeAWaitSetIsReported) {
+TEST_F(WaitSetTest, AFailureToMakeAWaitSetIsReported) {
   rlimit before{};
   ASSERT_EQ(::getrlimit(RLIMIT_NOFILE, &before), 0);
   const rlimit none{0, before.rlim_max};
   ASSERT_EQ(::setrlimit(RLIMIT_NOFILE, &none), 0);
-  const auto refused = Sleeper::make();
+  const auto refused = WaitSet::make();
   ASSERT_EQ(::setrlimit(RLIMIT_NOFILE, &before), 0);
   ASSERT_FALSE(refused);
   EXPECT_EQ(refused.error().code, Errc::os_failure);

@@ -1,6 +1,6 @@
 // SPDX-License-Identifier: Apache-2.0
 
-#include <daemon/death/let_go_watch.hpp>
+#include <daemon/death/unmap_watch.hpp>
 
 #include <region/views.hpp>
 
@@ -20,13 +20,13 @@ constexpr unsigned looks_needed = 30;
 // Records and words of shared memory that one call looks at: below a millisecond. An endpoint that is
 // begun is finished: another 25,000 at most.
 constexpr std::uint64_t steps_per_call = 16'384;
-// And for one user, so that four have a turn in each call.
-constexpr std::uint64_t steps_per_turn = steps_per_call / 4;
+// And for one user, so that four have a time slice in each call.
+constexpr std::uint64_t steps_per_slice = steps_per_call / 4;
 
 }  // namespace
 
 // Its own lines say so. A process that sets bits for nothing is bounded by its quota: see hold_watch.hpp.
-bool LetGoWatch::holds(const SubscriptionRecord& subscription, const EndpointRef& of) {
+bool UnmapWatch::holds(const SubscriptionRecord& subscription, const EndpointRef& of) {
   if ((subscription.state != EndpointState::active &&
        subscription.state != EndpointState::leaving) ||
       !regions_.is_open(subscription.client))
@@ -43,14 +43,14 @@ bool LetGoWatch::holds(const SubscriptionRecord& subscription, const EndpointRef
   return false;
 }
 
-void LetGoWatch::note_debtors(Round& round, std::uint64_t generation, const EndpointRef& ref) {
-  const AnnounceSet& told = registry_.told_of(ref);
+void UnmapWatch::note_debtors(Round& round, std::uint64_t generation, const EndpointRef& ref) {
+  const AnnounceSet& notified = registry_.notified_of(ref);
   std::set<ClientIndex> holders;
   if (ref.kind == Kind::publisher) {
     registry_.for_each_subscription(
         ref.topic, [&](std::uint32_t, const SubscriptionRecord& subscription) {
           ++steps_;
-          if (told.contains(number(subscription.client)) &&
+          if (notified.contains(number(subscription.client)) &&
               holders.count(subscription.client) == 0 && holds(subscription, ref))
             holders.insert(subscription.client);
         });
@@ -58,15 +58,15 @@ void LetGoWatch::note_debtors(Round& round, std::uint64_t generation, const Endp
   steps_ += registry_.client_high() / 64 + 1;
   for (std::uint32_t i = 0; i < registry_.client_high(); ++i) {
     const ClientIndex client{i};
-    if (told.contains(i) && registry_.is_alive(client) && holders.count(client) == 0)
+    if (notified.contains(i) && registry_.is_alive(client) && holders.count(client) == 0)
       ++round.debts.try_emplace(client, Finding{client, ref, generation, 0}).first->second.count;
   }
 }
 
-void LetGoWatch::take_turn(std::uint32_t uid, Round& round,
+void UnmapWatch::use_time_slice(std::uint32_t uid, Round& round,
                            std::map<ClientIndex, Finding>& found) {
   const auto of_user = endings_.given_up().find(uid);
-  const std::uint64_t until = steps_ + steps_per_turn;
+  const std::uint64_t until = steps_ + steps_per_slice;
   for (; steps_ < until; ++round.next) {
     if (of_user == endings_.given_up().end()) return conclude(round, found);
     const auto oldest = of_user->second.lower_bound(round.next);
@@ -76,15 +76,15 @@ void LetGoWatch::take_turn(std::uint32_t uid, Round& round,
   }
 }
 
-std::vector<LetGoWatch::Finding> LetGoWatch::look() {
+std::vector<UnmapWatch::Finding> UnmapWatch::look() {
   const auto& given_up = endings_.given_up();
   std::map<ClientIndex, Finding> found;
   std::erase_if(rounds_, [&](const auto& one) { return !given_up.contains(one.first); });
   steps_ = 0;
-  for (std::size_t turn = 0; turn < given_up.size() && steps_ < steps_per_call; ++turn) {
+  for (std::size_t round = 0; round < given_up.size() && steps_ < steps_per_call; ++round) {
     auto user = given_up.lower_bound(next_user_);
     if (user == given_up.end()) user = given_up.begin();
-    take_turn(user->first, rounds_[user->first], found);
+    use_time_slice(user->first, rounds_[user->first], found);
     next_user_ = user->first + 1;  // 0 behind the last number there is
   }
   std::vector<Finding> all;
@@ -92,25 +92,25 @@ std::vector<LetGoWatch::Finding> LetGoWatch::look() {
   return all;
 }
 
-void LetGoWatch::told_again(ClientIndex client) {
+void UnmapWatch::notified_again(ClientIndex client) {
   for (auto& [uid, round] : rounds_) {
     const auto found = round.suspects.find(client);
     if (found != round.suspects.end()) found->second.deaf = 0;
   }
 }
 
-bool LetGoWatch::is_true(const Finding& finding) const {
+bool UnmapWatch::is_true(const Finding& finding) const {
   const EndpointRef& ref = finding.oldest;
   return registry_.is_used(ref) && registry_.generation_of(ref) == finding.generation &&
-         registry_.told_of(ref).contains(number(finding.client));
+         registry_.notified_of(ref).contains(number(finding.client));
 }
 
-LetGoWatch::Suspect LetGoWatch::looked_at(const Round& round, const Finding& debt) const {
+UnmapWatch::Suspect UnmapWatch::looked_at(const Round& round, const Finding& debt) const {
   const auto before = round.suspects.find(debt.client);
   const bool same = before != round.suspects.end() && before->second.generation == debt.generation;
   Suspect suspect = same ? before->second : Suspect{debt.generation};
   ++suspect.looks;
-  const Session* const session = post_.session_of(debt.client);
+  const Session* const session = channel_.session_of(debt.client);
   const std::uint64_t sent =
       session == nullptr ? 0 : session->packet_count() - session->queued_count();
   const bool is_deaf = session != nullptr && !session->held_back() &&
@@ -120,7 +120,7 @@ LetGoWatch::Suspect LetGoWatch::looked_at(const Round& round, const Finding& deb
   return suspect;
 }
 
-void LetGoWatch::conclude(Round& round, std::map<ClientIndex, Finding>& found) {
+void UnmapWatch::conclude(Round& round, std::map<ClientIndex, Finding>& found) {
   std::map<ClientIndex, Suspect> suspects;
   for (const auto& [client, debt] : round.debts) {
     const Suspect suspect = looked_at(round, debt);

@@ -8,7 +8,7 @@
 // completely.
 
 #include <tests/support/doctored.hpp>
-#include <tests/support/member.hpp>
+#include <tests/support/node_process.hpp>
 
 #include <gmock/gmock.h>
 #include <sched.h>
@@ -30,9 +30,9 @@ using testing::IsEmpty;
 using testing::StartsWith;
 using Node = CtlNode;
 
-class DoctorMembers : public testing::Test {
+class DoctorProcesses : public testing::Test {
  protected:
-  DoctorMembers() : daemon_({.config = "", .more_config = ""}), doctor_(daemon_.socket_path()) {}
+  DoctorProcesses() : daemon_({.config = "", .more_config = ""}), doctor_(daemon_.socket_path()) {}
   void SetUp() override {
     if (!Doctored::has_namespaces()) GTEST_SKIP() << "needs root: a mount namespace";
   }
@@ -49,7 +49,7 @@ class DoctorMembers : public testing::Test {
   Doctored doctor_;
 };
 
-TEST_F(DoctorMembers, FindsNothingWhereMessagesArrive) {
+TEST_F(DoctorProcesses, FindsNothingWhereMessagesArrive) {
   Node a(socket()), b(socket());
   a.open_window();
   const auto p = a.publisher("/points", {7}, "/lidar");
@@ -61,13 +61,13 @@ TEST_F(DoctorMembers, FindsNothingWhereMessagesArrive) {
   EXPECT_EQ(findings.result.status, 0);
 }
 
-TEST_F(DoctorMembers, NamesAStoppedProcess) {
-  const Member member(socket(), [](Node& node) { node.publisher("/points"); });
+TEST_F(DoctorProcesses, NamesAStoppedProcess) {
+  const NodeProcess process(socket(), [](Node& node) { node.publisher("/points"); });
   EXPECT_THAT(doctor_.look().all, IsEmpty());
-  member.kill(SIGSTOP);
+  process.kill(SIGSTOP);
   ASSERT_TRUE(soon([&] { return !doctor_.look().all.empty(); }));
   const Findings findings = doctor_.look();
-  const std::string pid = std::to_string(member.pid());
+  const std::string pid = std::to_string(process.pid());
   ASSERT_THAT(findings.all, ElementsAre("process-stopped: wire_client (pid " + pid + ", uid " +
                                         std::to_string(::geteuid()) + ") is stopped"));
   EXPECT_EQ(findings.remedies[0], "kill -CONT " + pid);
@@ -75,8 +75,8 @@ TEST_F(DoctorMembers, NamesAStoppedProcess) {
   EXPECT_TRUE(is_well());
 }
 
-TEST_F(DoctorMembers, NamesAProcessWithoutAConnection) {
-  Member member(socket(), [](Node& node) {
+TEST_F(DoctorProcesses, NamesAProcessWithoutAConnection) {
+  NodeProcess process(socket(), [](Node& node) {
     node.publisher("/points");
     node.wire.socket().close();
   });
@@ -84,24 +84,24 @@ TEST_F(DoctorMembers, NamesAProcessWithoutAConnection) {
   const Findings findings = doctor_.look();
   ASSERT_THAT(findings.ids(), ElementsAre("process-orphaned"));
   const Remedy remedy(findings.remedies[0]);
-  EXPECT_EQ(member.wait(), -SIGTERM);
+  EXPECT_EQ(process.wait(), -SIGTERM);
   EXPECT_TRUE(is_well());
 }
 
-TEST_F(DoctorMembers, NamesARevokedProcess) {
-  Member member(socket(), [](Node& node) { node.publisher("/points"); });
-  ASSERT_EQ(run_ctl(socket(), {"process", "revoke", "-j", std::to_string(member.pid())}).status,
+TEST_F(DoctorProcesses, NamesARevokedProcess) {
+  NodeProcess process(socket(), [](Node& node) { node.publisher("/points"); });
+  ASSERT_EQ(run_ctl(socket(), {"process", "revoke", "-j", std::to_string(process.pid())}).status,
             0);
   ASSERT_TRUE(soon([&] { return !doctor_.look().all.empty(); }));
   const Findings findings = doctor_.look();
   ASSERT_THAT(findings.ids(), ElementsAre("process-revoked"));
   const Remedy remedy(first_part(findings.remedies[0]));
-  EXPECT_EQ(member.wait(), -SIGTERM);
+  EXPECT_EQ(process.wait(), -SIGTERM);
   EXPECT_TRUE(is_well());
 }
 
-TEST_F(DoctorMembers, NamesAProcessThatKeepsTheMemoryOfTheDead) {
-  Member publisher(socket(), [](Node& node) {
+TEST_F(DoctorProcesses, NamesAProcessThatKeepsTheMemoryOfTheDead) {
+  NodeProcess publisher(socket(), [](Node& node) {
     node.open_window();
     node.commit(node.publisher("/points", {7}, "/lidar"), 2);
   });
@@ -112,7 +112,7 @@ TEST_F(DoctorMembers, NamesAProcessThatKeepsTheMemoryOfTheDead) {
   wire::EndpointCreated published{};
   published.index = 0;
   published.generation = of("publishers")["generation"];
-  Member holder(socket(), [&](Node& node) {
+  NodeProcess holder(socket(), [&](Node& node) {
     const auto own = node.subscription("/points", {5}, "/viewer");
     const auto announcement = node.wire.expect<wire::Announcement>(wire::Opcode::announce);
     published.first_sequence = announcement.first_sequence;
@@ -133,10 +133,10 @@ TEST_F(DoctorMembers, NamesAProcessThatKeepsTheMemoryOfTheDead) {
 }
 
 // Root may lock any amount.
-TEST_F(DoctorMembers, NamesAProcessThatMayNotLockMoreMemory) {
+TEST_F(DoctorProcesses, NamesAProcessThatMayNotLockMoreMemory) {
   constexpr uid_t nobody = 65534;
   ASSERT_EQ(::chmod(daemon_.socket_path().c_str(), 0666), 0);
-  const Member member(socket(), [](Node& node) {
+  const NodeProcess process(socket(), [](Node& node) {
     node.publisher("/points");
     const rlimit limit{1 << 20, 1 << 20};
     const std::size_t bytes = 1 << 16;
@@ -151,15 +151,15 @@ TEST_F(DoctorMembers, NamesAProcessThatMayNotLockMoreMemory) {
   ASSERT_THAT(findings.ids(), ElementsAre("lock-limit"));
   EXPECT_THAT(findings.all[0], HasSubstr("has locked 64.0 KiB of at most 1.0 MiB"));
   EXPECT_EQ(findings.remedies[0],
-            "sudo prlimit --pid " + std::to_string(member.pid()) + " --memlock=unlimited");
+            "sudo prlimit --pid " + std::to_string(process.pid()) + " --memlock=unlimited");
   if (!may_raise_limits()) return;
   const Remedy remedy(findings.remedies[0]);
   EXPECT_EQ(remedy.status(), 0);
   EXPECT_TRUE(is_well());
 }
 
-TEST_F(DoctorMembers, NamesAProcessWithoutFreeAddresses) {
-  const Member member(socket(), [](Node& node) {
+TEST_F(DoctorProcesses, NamesAProcessWithoutFreeAddresses) {
+  const NodeProcess process(socket(), [](Node& node) {
     node.publisher("/points");
     rlimit limit{};
     EXPECT_EQ(::getrlimit(RLIMIT_AS, &limit), 0);
@@ -169,17 +169,17 @@ TEST_F(DoctorMembers, NamesAProcessWithoutFreeAddresses) {
   const Findings findings = doctor_.look();
   ASSERT_THAT(findings.ids(), ElementsAre("address-limit"));
   EXPECT_EQ(findings.remedies[0],
-            "sudo prlimit --pid " + std::to_string(member.pid()) + " --as=unlimited");
+            "sudo prlimit --pid " + std::to_string(process.pid()) + " --as=unlimited");
   const Remedy remedy(findings.remedies[0]);
   EXPECT_TRUE(is_well());
 }
 
-TEST_F(DoctorMembers, NamesAProcessWithOtherClocks) {
+TEST_F(DoctorProcesses, NamesAProcessWithOtherClocks) {
   // The children of a process that asks for a time namespace are in it; the process itself is not.
   Child outer([&] {
     ::prctl(PR_SET_PDEATHSIG, SIGKILL);
     if (::unshare(CLONE_NEWTIME) != 0) return 1;
-    const Member member(socket(), [](Node& node) { node.publisher("/points"); });
+    const NodeProcess process(socket(), [](Node& node) { node.publisher("/points"); });
     return sleep_for_ever();
   });
   if (!soon([&] { return run_ctl(socket(), {"processes", "-j"}).json()["process_count"] == 1; })) {
@@ -192,12 +192,12 @@ TEST_F(DoctorMembers, NamesAProcessWithOtherClocks) {
   EXPECT_TRUE(is_well());
 }
 
-TEST_F(DoctorMembers, NamesADuplicateNode) {
-  const Member first(socket(), [](Node& node) { node.publisher("/points", {7}, "/lidar"); });
+TEST_F(DoctorProcesses, NamesADuplicateNode) {
+  const NodeProcess first(socket(), [](Node& node) { node.publisher("/points", {7}, "/lidar"); });
   Node own(socket());
   own.publisher("/points", {7}, "/viewer");
   EXPECT_THAT(doctor_.look().all, IsEmpty());
-  Member second(socket(), [](Node& node) { node.publisher("/points", {7}, "/lidar"); });
+  NodeProcess second(socket(), [](Node& node) { node.publisher("/points", {7}, "/lidar"); });
   const Findings findings = doctor_.look();
   ASSERT_THAT(findings.ids(), ElementsAre("same-node"));
   EXPECT_EQ(findings.remedies[0], "kill " + std::to_string(second.pid())) << "the later one";
@@ -206,7 +206,7 @@ TEST_F(DoctorMembers, NamesADuplicateNode) {
   EXPECT_TRUE(is_well());
 }
 
-TEST_F(DoctorMembers, NamesQualitiesThatDoNotMatch) {
+TEST_F(DoctorProcesses, NamesQualitiesThatDoNotMatch) {
   Node a(socket()), b(socket());
   const Qos reliable{5, false, true, false, false}, best_effort{5, false, false, false, false};
   a.publisher("/points", best_effort, "/lidar");
@@ -221,7 +221,7 @@ TEST_F(DoctorMembers, NamesQualitiesThatDoNotMatch) {
   EXPECT_EQ(remedy.status(), 0) << findings.remedies[0];
 }
 
-TEST_F(DoctorMembers, NamesAProcessWithAnotherTypeOrLibrary) {
+TEST_F(DoctorProcesses, NamesAProcessWithAnotherTypeOrLibrary) {
   {
     Node a(socket());
     a.publisher("/points");
@@ -243,7 +243,7 @@ TEST_F(DoctorMembers, NamesAProcessWithAnotherTypeOrLibrary) {
   EXPECT_THAT(findings.remedies[0], StartsWith("kill " + std::to_string(::getpid()) + " && "));
 }
 
-TEST_F(DoctorMembers, NamesTheRuleThatRefusedARequest) {
+TEST_F(DoctorProcesses, NamesTheRuleThatRefusedARequest) {
   DaemonProcess daemon(
       {.config = "[daemon]\nsocket_mode = \"0666\"\n[[access]]\ntopic = \"/x\"\npublish = [\"*\"]\n"
                  "[[access]]\ntopic = \"/lidar/**\"\npublish = [\"uid:4711\"]\n"});
@@ -256,7 +256,7 @@ TEST_F(DoctorMembers, NamesTheRuleThatRefusedARequest) {
                                                "/agnocastd.toml && "));
 }
 
-TEST_F(DoctorMembers, NamesPairsThatAreNotZeroCopyOrCannotConnect) {
+TEST_F(DoctorProcesses, NamesPairsThatAreNotZeroCopyOrCannotConnect) {
   Node a(socket()), b(socket());
   a.open_window();
   const auto p = a.publisher("/points", {7}, "/lidar");
@@ -276,7 +276,7 @@ TEST_F(DoctorMembers, NamesPairsThatAreNotZeroCopyOrCannotConnect) {
   ASSERT_THAT(findings.ids(), ElementsAre("unreachable"));
 }
 
-TEST_F(DoctorMembers, NamesAWithdrawnSubscription) {
+TEST_F(DoctorProcesses, NamesAWithdrawnSubscription) {
   Node a(socket()), b(socket());
   a.open_window();
   const auto p = a.publisher("/points", {7}, "/lidar");
@@ -291,12 +291,12 @@ TEST_F(DoctorMembers, NamesAWithdrawnSubscription) {
   EXPECT_TRUE(is_well());
 }
 
-TEST_F(DoctorMembers, NamesASubscriptionThatReadsTooSlowlyOrHoldsTooMuch) {
+TEST_F(DoctorProcesses, NamesASubscriptionThatReadsTooSlowlyOrHoldsTooMuch) {
   Node a(socket());
   a.open_window();
   const auto p = a.publisher("/points", {20}, "/lidar");
   a.commit(p, 11);
-  Member reader(socket(), [&](Node& node) {
+  NodeProcess reader(socket(), [&](Node& node) {
     const auto s = node.subscription("/points", {10}, "/viewer");
     node.link(s, p, 2, 0);  // 9 of 10 unread
     const region::SubscriptionWords<SharedMemory> counters{node.region.base(), s.extent};
@@ -308,7 +308,7 @@ TEST_F(DoctorMembers, NamesASubscriptionThatReadsTooSlowlyOrHoldsTooMuch) {
   reader.kill();
   reader.wait();
   EXPECT_TRUE(is_well());
-  Member holder(socket(), [&](Node& node) {
+  NodeProcess holder(socket(), [&](Node& node) {
     const auto s = node.subscription("/points", {10}, "/viewer");
     node.link(s, p, 11, 4);  // its quota
   });
@@ -322,17 +322,17 @@ TEST_F(DoctorMembers, NamesASubscriptionThatReadsTooSlowlyOrHoldsTooMuch) {
   })) << "doctor says that it has to be restarted";
 }
 
-TEST_F(DoctorMembers, NamesAMuteSubscription) {
+TEST_F(DoctorProcesses, NamesAMuteSubscription) {
   Node a(socket());
   a.open_window();
   a.publisher("/points", {20}, "/lidar");
-  Member reader(socket(), [&](Node& node) {
+  NodeProcess reader(socket(), [&](Node& node) {
     node.subscription("/points", {10}, "/viewer");
-    node.bells.clear();
+    node.doorbells.clear();
   });
   ASSERT_TRUE(soon([&] { return !doctor_.look().all.empty(); }));
   const Findings findings = doctor_.look();
-  ASSERT_THAT(findings.ids(), ElementsAre("no-bell"));
+  ASSERT_THAT(findings.ids(), ElementsAre("no-doorbell"));
   EXPECT_THAT(
       findings.all[0],
       HasSubstr("/viewer of wire_client (pid " + std::to_string(reader.pid()) + ", uid " +
@@ -344,7 +344,7 @@ TEST_F(DoctorMembers, NamesAMuteSubscription) {
   EXPECT_TRUE(is_well());
 }
 
-TEST_F(DoctorMembers, NamesAProcessWithAFullHeap) {
+TEST_F(DoctorProcesses, NamesAProcessWithAFullHeap) {
   DaemonProcess daemon({.more_config = "windows_per_process = 1\n"});
   Doctored doctor(daemon.socket_path());
   Node a(daemon.socket_path());

@@ -1,6 +1,6 @@
 // SPDX-License-Identifier: Apache-2.0
 //
-// Sources: the remote publishers, each a publisher on this host in place of a remote writer, and
+// Remote publishers: the remote publishers, each a publisher on this host in place of a remote writer, and
 // their costs. A message that keep-all blocks (a subscription of this host has not read enough)
 // waits here, within bounds; nothing signals room, so it is tried again at intervals (room.hpp).
 // The histories of transient-local publishers are bounded, for each and for all of them.
@@ -36,8 +36,8 @@ struct Received {
 };
 
 /// The publisher in place of one remote writer.
-struct OpenSource {
-  Source plan;
+struct OpenRemotePublisher {
+  RemotePublisherPlan plan;
   GenericPublisher::SharedPtr publisher;
   Traffic traffic;
   std::deque<Received> waiting;     // keep-all only
@@ -49,16 +49,16 @@ struct OpenSource {
   Way way;
 };
 
-class Sources {
+class RemotePublishers {
  public:
   /// All must outlive it. `types` knows every planned type; `reaper` ends publishers.
-  Sources(Node& node, const MessageTypes& types, Limits& limits, Reaper& reaper, const Log& log)
+  RemotePublishers(Node& node, const MessageTypes& types, Limits& limits, Reaper& reaper, const Log& log)
       : node_(node), types_(types), limits_(limits), reaper_(reaper), log_(log) {}
 
   /// Creates the publisher for a writer that has none.
-  Result<OpenSource*> open(const Guid& writer, const Source& plan);
+  Result<OpenRemotePublisher*> open(const Guid& writer, const RemotePublisherPlan& plan);
   /// Publishes the message, keeps it waiting, or drops it.
-  void publish(const Guid& writer, OpenSource& source, Received& received);
+  void publish(const Guid& writer, OpenRemotePublisher& remote_publisher, Received& received);
   /// Tries waiting messages when due. Returns when to call it again; nothing if none waits.
   std::optional<Time> publish_waiting(Time now);
   /// Ends publishers that are due. Returns when to call it again.
@@ -67,27 +67,27 @@ class Sources {
   void clear();
 
   /// Keyed by remote writer.
-  std::map<Guid, OpenSource>& all() noexcept { return open_; }
-  const std::map<Guid, OpenSource>& all() const noexcept { return open_; }
+  std::map<Guid, OpenRemotePublisher>& all() noexcept { return open_; }
+  const std::map<Guid, OpenRemotePublisher>& all() const noexcept { return open_; }
 
  private:
-  Result<GenericPublisher::SharedPtr> make_publisher(const Source& plan, std::size_t depth) const;
+  Result<GenericPublisher::SharedPtr> make_publisher(const RemotePublisherPlan& plan, std::size_t depth) const;
   /// Makes room in the histories for a message of this publisher. Returns false if there is none.
-  bool fit_history(OpenSource& source, std::size_t bytes);
-  void forget_history(OpenSource& source);
+  bool fit_history(OpenRemotePublisher& remote_publisher, std::size_t bytes);
+  void forget_history(OpenRemotePublisher& remote_publisher);
   /// Returns false if keep-all blocks it; then `received` still has it.
-  bool publish_now(OpenSource& source, Received& received);
+  bool publish_now(OpenRemotePublisher& remote_publisher, Received& received);
   /// Returns whether a waiting message was published.
   bool publish_held();
-  void drop(OpenSource& source, const char* why, std::size_t messages = 1) const;
-  void drop_waiting(const Guid& writer, OpenSource& source);
+  void drop(OpenRemotePublisher& remote_publisher, const char* why, std::size_t messages = 1) const;
+  void drop_waiting(const Guid& writer, OpenRemotePublisher& remote_publisher);
 
   Node& node_;
   const MessageTypes& types_;
   Limits& limits_;
   Reaper& reaper_;
   const Log& log_;
-  std::map<Guid, OpenSource> open_;
+  std::map<Guid, OpenRemotePublisher> open_;
   std::size_t history_bytes_ = 0;  // of all publishers
   std::set<Guid> held_;            // writers with waiting messages
   std::size_t held_bytes_ = 0;

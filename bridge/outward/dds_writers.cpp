@@ -1,6 +1,6 @@
 // SPDX-License-Identifier: Apache-2.0
 
-#include <bridge/outward/outlets.hpp>
+#include <bridge/outward/dds_writers.hpp>
 
 #include <algorithm>
 #include <chrono>
@@ -17,54 +17,54 @@ constexpr std::size_t behind_gap_max = 32;
 
 }  // namespace
 
-void Outlets::pass(GenericMessage message, const ReaderKey& tap, const CdrType& type) noexcept try {
+void DdsWriters::pass(GenericMessage message, const ReaderKey& local_reader, const CdrType& type) noexcept try {
   const std::uint64_t publisher = message.info().publisher;
   std::unique_lock lock(mutex_);
   if (const auto found = open_.find(publisher); found != open_.end()) {
-    const std::shared_ptr<OpenOutlet> outlet = found->second;
+    const std::shared_ptr<OpenDdsWriter> dds_writer = found->second;
     lock.unlock();
-    const std::lock_guard order(outlet->order);
-    const bool is_own = outlet->plan.tap == tap;
-    if (!outlet->has_begun && tap.of.key == outlet->plan.tap.of.key) {
+    const std::lock_guard order(dds_writer->order);
+    const bool is_own = dds_writer->plan.local_reader == local_reader;
+    if (!dds_writer->has_begun && local_reader.of.key == dds_writer->plan.local_reader.of.key) {
       lock.lock();
-      const auto own = waiting_.find({publisher, tap});
+      const auto own = waiting_.find({publisher, local_reader});
       if (is_own && own != waiting_.end() &&
-          own->second.messages.size() >= std::min(tap.depth, behind_gap_max))
-        catch_up(*outlet, publisher, true);  // before it overwrites its own messages
-      (void)keep(std::move(message), tap, type);
-      catch_up(*outlet, publisher);
-      const bool waits = waiting_.contains({publisher, tap});
+          own->second.messages.size() >= std::min(local_reader.depth, behind_gap_max))
+        catch_up(*dds_writer, publisher, true);  // before it overwrites its own messages
+      (void)keep(std::move(message), local_reader, type);
+      catch_up(*dds_writer, publisher);
+      const bool waits = waiting_.contains({publisher, local_reader});
       lock.unlock();
-      write_soon(outlet);
+      write_soon(dds_writer);
       if (waits) wake_();
       return;
     }
-    if (!is_own || !outlet->is_newer(message.info())) return;
-    if (outlet->waited.empty() && !outlet->is_held && write(*outlet, message)) return;
-    outlet->waited.push_back(std::move(message));
+    if (!is_own || !dds_writer->is_newer(message.info())) return;
+    if (dds_writer->waited.empty() && !dds_writer->is_held && write(*dds_writer, message)) return;
+    dds_writer->waited.push_back(std::move(message));
     try {
-      write_soon(outlet);
+      write_soon(dds_writer);
     } catch (...) {
-      outlet->waited.pop_back();
+      dds_writer->waited.pop_back();
       throw;
     }
     return;
   }
   if (without_.contains(publisher)) return;
-  const bool is_new = keep(std::move(message), tap, type);
+  const bool is_new = keep(std::move(message), local_reader, type);
   lock.unlock();
   if (is_new) wake_();
 } catch (const std::exception& error) {
   lose(1, error.what());
 }
 
-bool Outlets::keep(GenericMessage message, const ReaderKey& tap, const CdrType& type) {
+bool DdsWriters::keep(GenericMessage message, const ReaderKey& local_reader, const CdrType& type) {
   const WindowSet within = windows_of(message);
   const std::size_t bytes = held_bytes_of(cdr_bytes(type, message.get(), &within));
-  const auto [at, is_new] = waiting_.try_emplace({message.info().publisher, tap});
+  const auto [at, is_new] = waiting_.try_emplace({message.info().publisher, local_reader});
   Queue& queue = at->second;
   if (is_new) queue.since = std::chrono::steady_clock::now();
-  if (!tap.keep_all && queue.messages.size() >= tap.depth) drop_front(queue);
+  if (!local_reader.keep_all && queue.messages.size() >= local_reader.depth) drop_front(queue);
   if (held_bytes_ + bytes > held_bytes_max) {
     lose(1, "too much waits for publishers that agnocastd has not announced yet");
     return is_new;
@@ -75,7 +75,7 @@ bool Outlets::keep(GenericMessage message, const ReaderKey& tap, const CdrType& 
   return is_new;
 }
 
-void Outlets::drop_front(Queue& queue) {
+void DdsWriters::drop_front(Queue& queue) {
   held_bytes_ -= queue.bytes.front();
   queue.bytes.pop_front();
   queue.messages.pop_front();
@@ -83,7 +83,7 @@ void Outlets::drop_front(Queue& queue) {
 }
 
 template <class Condition>
-void Outlets::end_waiting_if(Condition condition) {
+void DdsWriters::end_waiting_if(Condition condition) {
   std::erase_if(waiting_, [&](const auto& entry) {
     if (!condition(entry.first, entry.second)) return false;
     for (const std::size_t bytes : entry.second.bytes) held_bytes_ -= bytes;
@@ -91,7 +91,7 @@ void Outlets::end_waiting_if(Condition condition) {
   });
 }
 
-void Outlets::lose(std::size_t messages, const char* why) noexcept {
+void DdsWriters::lose(std::size_t messages, const char* why) noexcept {
   const std::uint64_t lost = lost_ += messages;
   if (!tells_lost_.now()) return;
   try {
@@ -101,8 +101,8 @@ void Outlets::lose(std::size_t messages, const char* why) noexcept {
   }
 }
 
-void Outlets::open(std::uint64_t publisher, std::unique_ptr<OpenOutlet> outlet) {
-  const std::shared_ptr<OpenOutlet> opened = std::move(outlet);
+void DdsWriters::open(std::uint64_t publisher, std::unique_ptr<OpenDdsWriter> dds_writer) {
+  const std::shared_ptr<OpenDdsWriter> opened = std::move(dds_writer);
   {
     const std::lock_guard lock(mutex_);
     catch_up(*opened, publisher);
@@ -117,15 +117,15 @@ void Outlets::open(std::uint64_t publisher, std::unique_ptr<OpenOutlet> outlet) 
   write_soon(opened);
 }
 
-void Outlets::catch_up(OpenOutlet& outlet, std::uint64_t publisher, bool is_late) {
+void DdsWriters::catch_up(OpenDdsWriter& dds_writer, std::uint64_t publisher, bool is_late) {
   struct Due {
     GenericMessage message;
     bool is_own = false;
   };
   std::map<std::uint64_t, Due> due;  // by sequence number; each local reader may have it
   for (auto& [key, queue] : waiting_) {
-    if (key.first != publisher || key.second.of.key != outlet.plan.tap.of.key) continue;
-    const bool is_own = key.second == outlet.plan.tap;
+    if (key.first != publisher || key.second.of.key != dds_writer.plan.local_reader.of.key) continue;
+    const bool is_own = key.second == dds_writer.plan.local_reader;
     if (const std::size_t dropped = std::exchange(queue.dropped, 0); is_own && dropped != 0)
       lose(dropped, "more than the depth of their publisher, before its writer had begun");
     for (const GenericMessage& message : queue.messages) {
@@ -135,50 +135,50 @@ void Outlets::catch_up(OpenOutlet& outlet, std::uint64_t publisher, bool is_late
     }
   }
   for (auto& [sequence, one] : due) {
-    if (!outlet.has_begun && !is_late && sequence > outlet.newest + 1) return;
-    if (outlet.has_begun && !one.is_own) continue;
-    outlet.has_begun |= one.is_own;
-    if (outlet.is_newer(one.message.info())) outlet.waited.push_back(std::move(one.message));
+    if (!dds_writer.has_begun && !is_late && sequence > dds_writer.newest + 1) return;
+    if (dds_writer.has_begun && !one.is_own) continue;
+    dds_writer.has_begun |= one.is_own;
+    if (dds_writer.is_newer(one.message.info())) dds_writer.waited.push_back(std::move(one.message));
   }
   end_waiting_if([&](const Waiting& key, const Queue&) { return key.first == publisher; });
 }
 
-void Outlets::write_soon(const std::shared_ptr<OpenOutlet>& outlet) {
-  if (outlet->waited.empty() || outlet->is_held) return;
-  opener_.add([this, outlet] { return write_waited(*outlet); });
-  outlet->is_held = true;
+void DdsWriters::write_soon(const std::shared_ptr<OpenDdsWriter>& dds_writer) {
+  if (dds_writer->waited.empty() || dds_writer->is_held) return;
+  opener_.add([this, dds_writer] { return write_waited(*dds_writer); });
+  dds_writer->is_held = true;
 }
 
 // One at a time: a writer that waits for its readers delays the others only by that.
-bool Outlets::write_waited(OpenOutlet& outlet) {
+bool DdsWriters::write_waited(OpenDdsWriter& dds_writer) {
   GenericMessage message;
   {
-    const std::lock_guard order(outlet.order);
-    if (outlet.is_over) {
-      outlet.traffic.unacknowledged += outlet.waited.size();
-      outlet.waited.clear();
+    const std::lock_guard order(dds_writer.order);
+    if (dds_writer.is_over) {
+      dds_writer.traffic.unacknowledged += dds_writer.waited.size();
+      dds_writer.waited.clear();
     }
-    outlet.is_held = !outlet.waited.empty();
-    if (!outlet.is_held) return false;
-    message = outlet.waited.front();
+    dds_writer.is_held = !dds_writer.waited.empty();
+    if (!dds_writer.is_held) return false;
+    message = dds_writer.waited.front();
   }
   bool is_written = true;
   try {
-    is_written = write(outlet, message);
+    is_written = write(dds_writer, message);
   } catch (const std::exception&) {
-    ++outlet.traffic.refused;
+    ++dds_writer.traffic.refused;
   }
-  const std::lock_guard order(outlet.order);
-  if (is_written) outlet.waited.pop_front();
+  const std::lock_guard order(dds_writer.order);
+  if (is_written) dds_writer.waited.pop_front();
   return true;
 }
 
-void Outlets::end(std::shared_ptr<OpenOutlet> outlet) noexcept {
-  outlet->is_over = true;
-  reaper_.end(std::move(outlet));
+void DdsWriters::end(std::shared_ptr<OpenDdsWriter> dds_writer) noexcept {
+  dds_writer->is_over = true;
+  reaper_.end(std::move(dds_writer));
 }
 
-void Outlets::close(std::uint64_t publisher) {
+void DdsWriters::close(std::uint64_t publisher) {
   const std::lock_guard lock(mutex_);
   if (const auto found = open_.find(publisher); found != open_.end()) {
     end(std::move(found->second));
@@ -187,21 +187,21 @@ void Outlets::close(std::uint64_t publisher) {
   ending_.erase(publisher);
 }
 
-void Outlets::close_all() {
+void DdsWriters::close_all() {
   const std::lock_guard lock(mutex_);
-  for (auto& [publisher, outlet] : open_) end(std::move(outlet));
+  for (auto& [publisher, dds_writer] : open_) end(std::move(dds_writer));
   open_.clear();
   ending_.clear();
   without_.clear();
   end_waiting_if([](const Waiting&, const Queue&) { return true; });
 }
 
-void Outlets::close_later(std::uint64_t publisher, Time now) {
+void DdsWriters::close_later(std::uint64_t publisher, Time now) {
   const std::lock_guard lock(mutex_);
   if (open_.contains(publisher)) ending_.try_emplace(publisher, now + linger);
 }
 
-bool Outlets::tidy(Time now) {
+bool DdsWriters::tidy(Time now) {
   const std::lock_guard lock(mutex_);
   const auto is_late = [&](const Queue& queue) { return queue.since + linger < now; };
   std::set<std::uint64_t> behind_gaps;
@@ -209,23 +209,23 @@ bool Outlets::tidy(Time now) {
     if (is_late(queue) && open_.contains(key.first)) behind_gaps.insert(key.first);
   }
   for (const std::uint64_t publisher : behind_gaps) {
-    const std::shared_ptr<OpenOutlet>& outlet = open_.at(publisher);
+    const std::shared_ptr<OpenDdsWriter>& dds_writer = open_.at(publisher);
     // Its owner may be waiting for a reader in DDS: then try the next time.
-    const std::unique_lock order(outlet->order, std::try_to_lock);
+    const std::unique_lock order(dds_writer->order, std::try_to_lock);
     if (!order) continue;
-    catch_up(*outlet, publisher, true);
-    write_soon(outlet);
+    catch_up(*dds_writer, publisher, true);
+    write_soon(dds_writer);
   }
   std::erase_if(ending_, [&](const auto& entry) {
     if (entry.second > now) return false;
-    std::shared_ptr<OpenOutlet>& outlet = open_.at(entry.first);
-    if (const std::unique_lock order(outlet->order, std::try_to_lock);
-        order && !outlet->has_begun) {
-      catch_up(*outlet, entry.first, true);
-      write_soon(outlet);
+    std::shared_ptr<OpenDdsWriter>& dds_writer = open_.at(entry.first);
+    if (const std::unique_lock order(dds_writer->order, std::try_to_lock);
+        order && !dds_writer->has_begun) {
+      catch_up(*dds_writer, entry.first, true);
+      write_soon(dds_writer);
     }
-    if (outlet->is_held && entry.second + held_linger > now) return false;
-    end(std::move(outlet));
+    if (dds_writer->is_held && entry.second + held_linger > now) return false;
+    end(std::move(dds_writer));
     open_.erase(entry.first);
     return true;
   });
@@ -239,54 +239,54 @@ bool Outlets::tidy(Time now) {
   return !ending_.empty() || !waiting_.empty();
 }
 
-std::set<ReaderKey> Outlets::lingering() const {
+std::set<ReaderKey> DdsWriters::lingering() const {
   const std::lock_guard lock(mutex_);
   std::set<ReaderKey> keys;
-  for (const auto& [publisher, end] : ending_) keys.insert(open_.at(publisher)->plan.tap);
+  for (const auto& [publisher, end] : ending_) keys.insert(open_.at(publisher)->plan.local_reader);
   return keys;
 }
 
-void Outlets::forget_waiting(const ReaderKey& tap) {
+void DdsWriters::forget_waiting(const ReaderKey& local_reader) {
   const std::lock_guard lock(mutex_);
-  end_waiting_if([&](const Waiting& key, const Queue&) { return key.second == tap; });
+  end_waiting_if([&](const Waiting& key, const Queue&) { return key.second == local_reader; });
 }
 
-void Outlets::set_without(std::set<std::uint64_t> publishers) {
+void DdsWriters::set_without(std::set<std::uint64_t> publishers) {
   const std::lock_guard lock(mutex_);
   without_ = std::move(publishers);
   end_waiting_if([&](const Waiting& key, const Queue&) { return without_.contains(key.first); });
 }
 
-bool Outlets::write(OpenOutlet& outlet, const GenericMessage& message) const {
-  const CdrType& type = outlet.type->cdr;
+bool DdsWriters::write(OpenDdsWriter& dds_writer, const GenericMessage& message) const {
+  const CdrType& type = dds_writer.type->cdr;
   // A publisher may let it refer to the heap of another one, whose messages may not be for DDS.
   const WindowSet within = windows_of(message);
   const std::size_t bytes = cdr_bytes(type, message.get(), &within);
-  const auto written = outlet.writer->write(
+  const auto written = dds_writer.writer->write(
       bytes,
       [&](std::span<std::byte> room) -> std::size_t {
         return write_cdr(type, message.get(), room, &within).value_or(0);
       },
       static_cast<std::int64_t>(message.info().source_timestamp()));
   if (written && *written == WriteOutcome::sent) {
-    outlet.traffic.count(bytes);
+    dds_writer.traffic.count(bytes);
     return true;
   }
   const bool would_block = written && *written == WriteOutcome::would_block;
-  if (would_block && !outlet.is_over) {
-    if (outlet.traffic.tells.now())
+  if (would_block && !dds_writer.is_over) {
+    if (dds_writer.traffic.tells.now())
       log_.write(LogLevel::notice, "keep-all blocks a publisher",
-                 {{"topic", outlet.plan.tap.of.key.topic},
-                  {"node", outlet.plan.node},
+                 {{"topic", dds_writer.plan.local_reader.of.key.topic},
+                  {"node", dds_writer.plan.node},
                   {"why", "a reader in DDS does not acknowledge its messages"}});
     return false;
   }
   const std::uint64_t dropped =
-      ++(would_block ? outlet.traffic.unacknowledged : outlet.traffic.refused);
-  if (!outlet.traffic.tells.now()) return true;
+      ++(would_block ? dds_writer.traffic.unacknowledged : dds_writer.traffic.refused);
+  if (!dds_writer.traffic.tells.now()) return true;
   log_.write(LogLevel::warning, "message not written",
-             {{"topic", outlet.plan.tap.of.key.topic},
-              {"node", outlet.plan.node},
+             {{"topic", dds_writer.plan.local_reader.of.key.topic},
+              {"node", dds_writer.plan.node},
               {"sequence", std::to_string(message.info().sequence)},
               {"dropped", std::to_string(dropped)},
               {"why", !written      ? written.error().text()

@@ -37,9 +37,9 @@ std::string who(const System& system, const Endpoint& endpoint) {
 Fill pid_words(std::uint64_t pid) { return pid == 0 ? Fill{} : Fill{{"PID", std::to_string(pid)}}; }
 Fill restart_of(const Facts& facts, pid_t pid) {
   Fill words = pid_words(static_cast<std::uint64_t>(pid));
-  const auto member = facts.members.find(pid);
-  if (member != facts.members.end() && !member->second.command.empty())
-    words["COMMAND"] = member->second.command;
+  const auto process = facts.processes.find(pid);
+  if (process != facts.processes.end() && !process->second.command.empty())
+    words["COMMAND"] = process->second.command;
   for (const Running& outsider : facts.outsiders) {
     if (outsider.pid == pid) words["COMMAND"] = outsider.command;
   }
@@ -119,33 +119,33 @@ Ailments dead_kept(const Facts& facts) {
 
 Ailments lock_limit(const Facts& facts) {
   Ailments found;
-  for (const auto& [pid, member] : facts.members) {
-    if (member.may_lock_all || !member.lock_limit || member.locked_bytes == 0 ||
-        member.locked_bytes + publisher_lock_bytes <= *member.lock_limit)
+  for (const auto& [pid, process] : facts.processes) {
+    if (process.may_lock_all || !process.lock_limit || process.locked_bytes == 0 ||
+        process.locked_bytes + publisher_lock_bytes <= *process.lock_limit)
       continue;
     found.push_back({"process " + std::to_string(pid) + " has locked " +
-                         bytes_for_people(member.locked_bytes) + " of at most " +
-                         bytes_for_people(*member.lock_limit),
+                         bytes_for_people(process.locked_bytes) + " of at most " +
+                         bytes_for_people(*process.lock_limit),
                      {{"PID", std::to_string(pid)}}});
   }
   return found;
 }
 Ailments address_limit(const Facts& facts) {
   Ailments found;
-  for (const auto& [pid, member] : facts.members) {
-    if (!member.address_limit || member.address_bytes + peer_address_bytes <= *member.address_limit)
+  for (const auto& [pid, process] : facts.processes) {
+    if (!process.address_limit || process.address_bytes + peer_address_bytes <= *process.address_limit)
       continue;
     found.push_back({"process " + std::to_string(pid) + " has " +
-                         bytes_for_people(member.address_bytes) + " of addresses of at most " +
-                         bytes_for_people(*member.address_limit),
+                         bytes_for_people(process.address_bytes) + " of addresses of at most " +
+                         bytes_for_people(*process.address_limit),
                      {{"PID", std::to_string(pid)}}});
   }
   return found;
 }
 Ailments old_library(const Facts& facts) {
   Ailments found;
-  for (const auto& [pid, member] : facts.members) {
-    for (const Running::Library& library : member.libraries) {
+  for (const auto& [pid, process] : facts.processes) {
+    for (const Running::Library& library : process.libraries) {
       if (library.is_replaced)
         found.push_back({"process " + std::to_string(pid) + " runs " + escaped(library.path) +
                              ", which has been replaced since",
@@ -157,13 +157,13 @@ Ailments old_library(const Facts& facts) {
 
 Ailments hook_not_loaded(const Facts& facts) {
   Ailments found;
-  for (const auto& [pid, member] : facts.members) {
+  for (const auto& [pid, process] : facts.processes) {
     const bool has_hook = std::any_of(
-        member.libraries.begin(), member.libraries.end(), [](const Running::Library& library) {
+        process.libraries.begin(), process.libraries.end(), [](const Running::Library& library) {
           return library.path.find("/libagnocast_heaphook") != std::string::npos;
         });
-    const auto preload = member.environment.find("LD_PRELOAD");
-    if (has_hook || preload == member.environment.end()) continue;
+    const auto preload = process.environment.find("LD_PRELOAD");
+    if (has_hook || preload == process.environment.end()) continue;
     if (preload->second.find("libagnocast_heaphook") == std::string::npos) continue;
     found.push_back({"process " + std::to_string(pid) +
                          " has no heap hook, although LD_PRELOAD is " + in_quotes(preload->second),
@@ -184,12 +184,12 @@ Ailments switched_off(const Facts& facts) {
 }
 Ailments other_time(const Facts& facts) {
   Ailments found;
-  for (const auto& [pid, member] : facts.members) {
-    if (member.time_namespace.empty() || facts.daemon.time_namespace.empty() ||
-        member.time_namespace == facts.daemon.time_namespace)
+  for (const auto& [pid, process] : facts.processes) {
+    if (process.time_namespace.empty() || facts.daemon.time_namespace.empty() ||
+        process.time_namespace == facts.daemon.time_namespace)
       continue;
     found.push_back({"process " + std::to_string(pid) + " has its own clocks (" +
-                         escaped(member.time_namespace) + ", the daemon " +
+                         escaped(process.time_namespace) + ", the daemon " +
                          escaped(facts.daemon.time_namespace) + ")",
                      restart_of(facts, pid)});
   }
@@ -278,8 +278,8 @@ Ailments holder_at_quota(const Facts& facts) {
       for (const Endpoint& publisher : topic.publishers) {
         const std::uint64_t quota = system.hold_quota(subscription, publisher);
         if (quota == 0 || held_by(system, publisher, subscription) < quota ||
-            publisher.state() != abi::MemberState::active ||
-            subscription.state() != abi::MemberState::active)
+            publisher.state() != abi::BoardState::active ||
+            subscription.state() != abi::BoardState::active)
           continue;
         found.push_back({who(system, subscription) + " holds all " + counted(quota, "message") +
                              " of " + escaped(topic.name) + " that it may hold",
@@ -289,12 +289,12 @@ Ailments holder_at_quota(const Facts& facts) {
   }
   return found;
 }
-Ailments no_bell(const Facts& facts) {
+Ailments no_doorbell(const Facts& facts) {
   Ailments found;
   const System& system = facts.system();
   for (const auto& [index, topic] : system.topics) {
     for (const Endpoint& subscription : topic.subscriptions) {
-      if (subscription.state() != abi::MemberState::active || !system.is_silent(subscription))
+      if (subscription.state() != abi::BoardState::active || !system.is_silent(subscription))
         continue;
       found.push_back({who(system, subscription) + " finds messages of " + escaped(topic.name) +
                            " only by polling",
@@ -423,9 +423,9 @@ constexpr Check table[] = {
     {"holder-at-quota", "no subscription holds all the messages that it may", warning, daemon,
      "it keeps messages and takes no further ones until it releases some",
      "agnocast-ctl process revoke PID", holder_at_quota},
-    {"no-bell", "every subscription has a doorbell", warning, daemon,
+    {"no-doorbell", "every subscription has a doorbell", warning, daemon,
      "it has closed or lost its doorbells; its publishers continue, and while it waits it polls for messages once a second",
-     "kill PID && COMMAND &", no_bell},
+     "kill PID && COMMAND &", no_doorbell},
     {"heap-full", "every publisher has room for messages", failed, daemon,
      "it has all the heap windows that it may have, and they are nearly full: publish fails with window_exhausted",
      "CONFIGURE && ANEW", heap_full},
@@ -434,6 +434,6 @@ constexpr Check table[] = {
 
 }  // namespace
 
-const std::span<const Check> member_checks = table;
+const std::span<const Check> process_checks = table;
 
 }  // namespace agnocast::ctl

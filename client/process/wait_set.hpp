@@ -23,40 +23,40 @@
 
 namespace agnocast {
 
-class Sleeper {
+class WaitSet {
  public:
   /// Its place in one session.
   struct Place {
     Place(std::byte* client_region, std::uint64_t number, DoorbellReceiver receiver) noexcept
         : index(number),
-          bells(std::move(receiver)),
+          doorbells(std::move(receiver)),
           core(client_region,
                offsetof(abi::ClientRegionHeader, executor) + number * sizeof(abi::ExecutorLine)) {}
     std::uint64_t index;
-    DoorbellReceiver bells;
+    DoorbellReceiver doorbells;
     dataplane::SleepCore<SharedMemory> core;
     bool is_armed = false;
   };
   /// A session is identified by an address.
-  using Membership = const void*;
+  using Session = const void*;
 
   /// Makes a wait set without places. Errors: os_failure.
-  [[nodiscard]] static Result<std::shared_ptr<Sleeper>> make();
-  explicit Sleeper(UniqueFd eventfd) noexcept : eventfd_(std::move(eventfd)) {}
-  Sleeper(const Sleeper&) = delete;
-  Sleeper& operator=(const Sleeper&) = delete;
-  ~Sleeper();
+  [[nodiscard]] static Result<std::shared_ptr<WaitSet>> make();
+  explicit WaitSet(UniqueFd eventfd) noexcept : eventfd_(std::move(eventfd)) {}
+  WaitSet(const WaitSet&) = delete;
+  WaitSet& operator=(const WaitSet&) = delete;
+  ~WaitSet();
 
   // --- any thread
 
   /// Adds a place. Errors: os_failure; then nothing was added.
-  [[nodiscard]] Result<void> add(Membership membership, std::shared_ptr<Place> place);
+  [[nodiscard]] Result<void> add(Session session, std::shared_ptr<Place> place);
   /// Removes the place of a session. Does nothing if there is none.
-  void remove(Membership membership) noexcept;
-  /// Replaces the doorbells of a place and returns the old ones in `bells`. Returns false if
+  void remove(Session session) noexcept;
+  /// Replaces the doorbells of a place and returns the old ones in `doorbells`. Returns false if
   /// there is no place, or the system refuses to watch them.
-  bool renew(Membership membership, DoorbellReceiver& bells) noexcept;
-  std::optional<std::uint64_t> index_in(Membership membership) const noexcept;
+  bool renew(Session session, DoorbellReceiver& doorbells) noexcept;
+  std::optional<std::uint64_t> index_in(Session session) const noexcept;
 
   /// Adds all doorbells, also future ones, to this epoll set until remove_from(). Errors:
   /// os_failure.
@@ -82,7 +82,7 @@ class Sleeper {
 
   const UniqueFd eventfd_;    // in every set, edge-triggered, never read
   mutable std::mutex mutex_;  // innermost
-  std::vector<std::pair<Membership, std::shared_ptr<Place>>> places_;
+  std::vector<std::pair<Session, std::shared_ptr<Place>>> places_;
   std::vector<Set> sets_;
 };
 

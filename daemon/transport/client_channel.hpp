@@ -1,6 +1,6 @@
 // SPDX-License-Identifier: Apache-2.0
 //
-// Post: how the daemon's parts speak to processes, and how a packet to one is made.
+// ClientChannel: how the daemon's parts speak to processes, and how a packet to one is made.
 #pragma once
 
 #include <agnocast/abi/wire.hpp>
@@ -17,9 +17,9 @@
 namespace agnocast::daemon {
 
 /// How the daemon speaks to processes. What is for a process without a connection is dropped.
-class Post {
+class ClientChannel {
  public:
-  virtual ~Post() = default;
+  virtual ~ClientChannel() = default;
   virtual Session* session_of(ClientIndex client) = 0;
   /// 0 when unknown. Needs no connection.
   virtual std::uint64_t user_namespace_of(ClientIndex client) = 0;

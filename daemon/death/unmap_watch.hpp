@@ -1,6 +1,6 @@
 // SPDX-License-Identifier: Apache-2.0
 //
-// LetGoWatch: finds processes that do not let go of what is over, and so keep its place from others.
+// UnmapWatch: finds processes that do not unmap what is over, and so keep its place from others.
 //
 // By rule RU the place of an endpoint that is gone is free when everybody who was told of it has said
 // `unlinked`. Of more than a bounded number Endings gives the oldest up: what is unread there is
@@ -16,14 +16,14 @@
 // however often it comes back.
 //
 // One look goes over everything that one user's processes had and that was given up, in as many calls as
-// that takes: others must not wait for it. Each user has looks of its own, and in a call its turn: what
+// that takes: others must not wait for it. Each user has looks of its own, and in a call its time slice: what
 // one has left behind makes no look at another's longer.
 #pragma once
 
 #include <daemon/lifecycle/endings.hpp>
 #include <daemon/lifecycle/regions.hpp>
 #include <daemon/state/registry.hpp>
-#include <daemon/transport/post.hpp>
+#include <daemon/transport/client_channel.hpp>
 
 #include <cstdint>
 #include <map>
@@ -31,11 +31,11 @@
 
 namespace agnocast::daemon {
 
-class LetGoWatch {
+class UnmapWatch {
  public:
-  LetGoWatch(const Registry& registry, const Regions& regions, const Endings& endings,
-             Post& post) noexcept
-      : registry_(registry), regions_(regions), endings_(endings), post_(post) {}
+  UnmapWatch(const Registry& registry, const Regions& regions, const Endings& endings,
+             ClientChannel& channel) noexcept
+      : registry_(registry), regions_(regions), endings_(endings), channel_(channel) {}
 
   struct Finding {
     ClientIndex client{};
@@ -47,7 +47,7 @@ class LetGoWatch {
   /// free.
   std::vector<Finding> look();
   /// It is told everything once more.
-  void told_again(ClientIndex client);
+  void notified_again(ClientIndex client);
   /// Whether it still has not let go.
   bool is_true(const Finding& finding) const;
 
@@ -67,16 +67,16 @@ class LetGoWatch {
   };
   bool holds(const SubscriptionRecord& subscription, const EndpointRef& of);
   void note_debtors(Round& round, std::uint64_t generation, const EndpointRef& ref);
-  void take_turn(std::uint32_t uid, Round& round, std::map<ClientIndex, Finding>& found);
+  void use_time_slice(std::uint32_t uid, Round& round, std::map<ClientIndex, Finding>& found);
   Suspect looked_at(const Round& round, const Finding& debt) const;
   void conclude(Round& round, std::map<ClientIndex, Finding>& found);
 
   const Registry& registry_;
   const Regions& regions_;
   const Endings& endings_;
-  Post& post_;
+  ClientChannel& channel_;
   std::map<std::uint32_t, Round> rounds_;  // by uid
-  std::uint32_t next_user_ = 0;            // whose turn is the first
+  std::uint32_t next_user_ = 0;            // whose time slice is the first
   std::uint64_t steps_ = 0;                // of this call
 };
 
