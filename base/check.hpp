@@ -5,7 +5,7 @@
 // never uses it (a library does not end its process). Never check input from a peer with it.
 #pragma once
 
-#include <base/standard_error.hpp>
+#include <base/text/standard_error.hpp>
 
 #include <algorithm>
 #include <cstdio>

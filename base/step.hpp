@@ -6,7 +6,7 @@
 // names.
 //
 // Each room has a table of its own steps, steps.hpp, so that a new step concerns one room only.
-// tests/support/step_names.hpp has all tables.
+// tests/support/crash/step_names.hpp has all tables.
 #pragma once
 
 #include <cstdint>
@@ -19,7 +19,7 @@ enum class Step : std::uint16_t {};
 inline constexpr Step no_step{0xffff};
 
 #ifdef AGNOCAST_CRASH_POINTS
-/// Tests only: may end this process with SIGKILL. See tests/support/crash_point.hpp.
+/// Tests only: may end this process with SIGKILL. See tests/support/crash/crash_point.hpp.
 void crash_point(Step name) noexcept;
 #endif
 

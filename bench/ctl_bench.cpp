@@ -6,7 +6,7 @@
 //   ctl_bench [--topics=N] [--processes=N] [--seconds=N] [--json]
 
 #include <agnocast/agnocast.hpp>
-#include <tests/support/daemon_process.hpp>
+#include <tests/support/processes/daemon_process.hpp>
 
 #include <nlohmann/json.hpp>
 

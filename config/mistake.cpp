@@ -2,7 +2,7 @@
 
 #include <config/mistake.hpp>
 
-#include <base/text.hpp>
+#include <base/text/text.hpp>
 
 namespace agnocast::config {
 

@@ -2,7 +2,7 @@
 
 #include <config/toml_file.hpp>
 
-#include <base/unique_fd.hpp>
+#include <base/descriptors/unique_fd.hpp>
 
 #include <fcntl.h>
 #include <unistd.h>

@@ -3,7 +3,7 @@
 // The owner's side of a frontier. The reader's side, and the definition: region/windows.hpp.
 #pragma once
 
-#include <base/memory_policy.hpp>
+#include <base/memory/memory_policy.hpp>
 #include <dataplane/steps.hpp>
 #include <region/windows.hpp>
 

@@ -14,7 +14,7 @@
 #pragma once
 
 #include <agnocast/abi/limits.hpp>
-#include <base/memory_policy.hpp>
+#include <base/memory/memory_policy.hpp>
 #include <journal/steps.hpp>
 
 #include <cstdint>

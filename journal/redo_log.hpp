@@ -17,7 +17,7 @@
 
 #include <agnocast/abi/client_region.hpp>
 #include <agnocast/abi/limits.hpp>
-#include <base/memory_policy.hpp>
+#include <base/memory/memory_policy.hpp>
 #include <journal/record.hpp>
 
 #include <cstddef>

@@ -7,7 +7,7 @@
 #include <agnocast/abi/board.hpp>
 #include <agnocast/abi/client_region.hpp>
 #include <agnocast/abi/words.hpp>
-#include <base/memory_policy.hpp>
+#include <base/memory/memory_policy.hpp>
 
 #include <cstddef>
 #include <cstdint>

@@ -19,7 +19,7 @@
 #include <bench/services.hpp>
 
 #include <agnocast/agnocast.hpp>
-#include <base/unique_fd.hpp>
+#include <base/descriptors/unique_fd.hpp>
 
 #include <fcntl.h>
 #include <poll.h>

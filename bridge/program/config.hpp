@@ -13,7 +13,7 @@
 // config_keys() lists all keys.
 #pragma once
 
-#include <base/log.hpp>
+#include <base/text/log.hpp>
 #include <bridge/program/bridge.hpp>
 #include <config/mistake.hpp>
 

@@ -7,9 +7,9 @@
 // usage.
 
 #include <base/clock.hpp>
-#include <base/log.hpp>
-#include <base/standard_error.hpp>
-#include <base/text.hpp>
+#include <base/text/log.hpp>
+#include <base/text/standard_error.hpp>
+#include <base/text/text.hpp>
 #include <bridge/program/bridge.hpp>
 #include <bridge/program/config.hpp>
 #include <bridge/program/options.hpp>

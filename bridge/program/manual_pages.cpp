@@ -3,7 +3,7 @@
 // Writes agnocast-bridge(8) and bridge.toml(5) at build time, from the tables of --help and of the
 // configuration reader.
 
-#include <base/mdoc.hpp>
+#include <base/text/mdoc.hpp>
 #include <bridge/program/config.hpp>
 #include <bridge/program/options.hpp>
 

@@ -3,7 +3,7 @@
 #include <bridge/program/options.hpp>
 
 #include <agnocast/version.hpp>
-#include <base/text.hpp>
+#include <base/text/text.hpp>
 
 #include <CLI/CLI.hpp>
 

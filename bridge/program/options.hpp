@@ -4,7 +4,7 @@
 // same table. This file does not print or exit: it returns the text and the exit status.
 #pragma once
 
-#include <base/log.hpp>
+#include <base/text/log.hpp>
 
 #include <cstdint>
 #include <optional>

@@ -3,11 +3,11 @@
 #include <bridge/program/status_socket.hpp>
 
 #include <base/clock.hpp>
-#include <base/closing.hpp>
-#include <base/packet_socket.hpp>
-#include <base/socket_file.hpp>
-#include <base/socket_path.hpp>
-#include <base/unix_address.hpp>
+#include <base/descriptors/closing.hpp>
+#include <base/sockets/packet_socket.hpp>
+#include <base/sockets/socket_file.hpp>
+#include <base/sockets/socket_path.hpp>
+#include <base/sockets/unix_address.hpp>
 
 #include <fcntl.h>
 #include <poll.h>
@@ -64,7 +64,7 @@ struct ReaderOf {
 };
 
 // Before Linux 6.16 a reader may send descriptors; they are closed with its connection, which
-// takes as long as their owner likes (base/closing.hpp). Separate threads wait for that; new
+// takes as long as their owner likes (base/descriptors/closing.hpp). Separate threads wait for that; new
 // readers are served until there are too many such threads.
 class Closings {
  public:

@@ -9,7 +9,7 @@
 //               a socket that a dead one left
 #pragma once
 
-#include <base/unique_fd.hpp>
+#include <base/descriptors/unique_fd.hpp>
 
 #include <tl/expected.hpp>
 

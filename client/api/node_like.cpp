@@ -4,8 +4,8 @@
 
 #include <agnocast/node_like.hpp>
 #include <agnocast/service_name.hpp>
-#include <base/names.hpp>
-#include <base/text.hpp>
+#include <base/text/names.hpp>
+#include <base/text/text.hpp>
 
 #include <utility>
 

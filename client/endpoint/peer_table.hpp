@@ -12,7 +12,7 @@
 
 #include <agnocast/abi/wire.hpp>
 #include <agnocast/result.hpp>
-#include <base/unique_fd.hpp>
+#include <base/descriptors/unique_fd.hpp>
 #include <client/endpoint/endpoint_table.hpp>
 #include <client/endpoint/peer.hpp>
 #include <client/heap/arena.hpp>

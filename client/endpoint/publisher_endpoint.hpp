@@ -11,7 +11,7 @@
 #pragma once
 
 #include <agnocast/message_type.hpp>
-#include <base/doorbell.hpp>
+#include <base/descriptors/doorbell.hpp>
 #include <client/endpoint/departure.hpp>
 #include <client/endpoint/endpoint_events.hpp>
 #include <client/endpoint/peer.hpp>

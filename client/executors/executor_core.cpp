@@ -2,7 +2,7 @@
 
 #include <client/executors/executor_core.hpp>
 
-#include <base/kept_fd.hpp>
+#include <base/descriptors/kept_fd.hpp>
 #include <client/process/forked_child.hpp>
 
 #include <sys/epoll.h>

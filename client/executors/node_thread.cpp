@@ -2,7 +2,7 @@
 
 #include <client/executors/node_thread.hpp>
 
-#include <base/kept_fd.hpp>
+#include <base/descriptors/kept_fd.hpp>
 #include <base/signals.hpp>
 #include <client/executors/callback_waits.hpp>
 #include <client/process/forked_child.hpp>

@@ -8,7 +8,7 @@
 #pragma once
 
 #include <agnocast/result.hpp>
-#include <base/unique_fd.hpp>
+#include <base/descriptors/unique_fd.hpp>
 #include <client/executors/node_callbacks.hpp>
 #include <client/executors/sleep_tick.hpp>
 #include <sys/epoll.h>

@@ -10,7 +10,7 @@
 #pragma once
 
 #include <agnocast/result.hpp>
-#include <base/kept_fd.hpp>
+#include <base/descriptors/kept_fd.hpp>
 
 #include <poll.h>
 #include <sys/epoll.h>

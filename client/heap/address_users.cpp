@@ -1,7 +1,7 @@
 // SPDX-License-Identifier: Apache-2.0
 
 #include <base/immortal.hpp>
-#include <base/mapping.hpp>
+#include <base/memory/mapping.hpp>
 #include <client/heap/address_users.hpp>
 #include <client/process/steps.hpp>
 

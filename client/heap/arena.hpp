@@ -12,7 +12,7 @@
 
 #include <agnocast/abi/limits.hpp>
 #include <agnocast/result.hpp>
-#include <base/mapping.hpp>
+#include <base/memory/mapping.hpp>
 
 #include <cstdint>
 #include <string>

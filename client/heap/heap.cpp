@@ -1,7 +1,7 @@
 // SPDX-License-Identifier: Apache-2.0
 
-#include <base/mapping.hpp>
-#include <base/text.hpp>
+#include <base/memory/mapping.hpp>
+#include <base/text/text.hpp>
 #include <client/heap/address_users.hpp>
 #include <client/heap/heap.hpp>
 #include <client/process/steps.hpp>

@@ -8,7 +8,7 @@
 #include <agnocast/heap.hpp>
 #include <agnocast/residency.hpp>
 #include <agnocast/result.hpp>
-#include <base/unique_fd.hpp>
+#include <base/descriptors/unique_fd.hpp>
 
 #include <cstddef>
 #include <cstdint>

@@ -1,7 +1,7 @@
 // SPDX-License-Identifier: Apache-2.0
 
 #include <base/immortal.hpp>
-#include <base/text.hpp>
+#include <base/text/text.hpp>
 #include <client/heap/heap_return.hpp>
 #include <client/process/library_thread.hpp>
 

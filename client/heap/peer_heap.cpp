@@ -1,6 +1,6 @@
 // SPDX-License-Identifier: Apache-2.0
 
-#include <base/kept_fd.hpp>
+#include <base/descriptors/kept_fd.hpp>
 #include <client/heap/address_users.hpp>
 #include <client/heap/peer_heap.hpp>
 #include <client/process/steps.hpp>

@@ -13,7 +13,7 @@
 #include <agnocast/abi/limits.hpp>
 #include <agnocast/residency.hpp>
 #include <agnocast/result.hpp>
-#include <base/unique_fd.hpp>
+#include <base/descriptors/unique_fd.hpp>
 #include <client/shares/descriptor_share.hpp>
 #include <region/windows.hpp>
 

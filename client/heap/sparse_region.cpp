@@ -1,7 +1,7 @@
 // SPDX-License-Identifier: Apache-2.0
 
-#include <base/kept_fd.hpp>
-#include <base/memfd.hpp>
+#include <base/descriptors/kept_fd.hpp>
+#include <base/memory/memfd.hpp>
 #include <client/heap/sparse_region.hpp>
 #include <client/process/forked_child.hpp>
 

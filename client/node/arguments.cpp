@@ -1,7 +1,7 @@
 // SPDX-License-Identifier: Apache-2.0
 
-#include <base/names.hpp>
-#include <base/text.hpp>
+#include <base/text/names.hpp>
+#include <base/text/text.hpp>
 #include <client/node/arguments.hpp>
 
 #include <algorithm>

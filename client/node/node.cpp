@@ -1,8 +1,8 @@
 // SPDX-License-Identifier: Apache-2.0
 
 #include <agnocast/node.hpp>
-#include <base/names.hpp>
-#include <base/text.hpp>
+#include <base/text/names.hpp>
+#include <base/text/text.hpp>
 #include <client/node/arguments.hpp>
 
 #include <cstdio>

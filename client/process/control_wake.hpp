@@ -6,8 +6,8 @@
 
 #include <agnocast/result.hpp>
 #include <base/immortal.hpp>
-#include <base/kept_fd.hpp>
-#include <base/unique_fd.hpp>
+#include <base/descriptors/kept_fd.hpp>
+#include <base/descriptors/unique_fd.hpp>
 #include <client/process/forked_child.hpp>
 
 #include <sys/eventfd.h>

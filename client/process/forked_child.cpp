@@ -27,7 +27,7 @@ constinit std::atomic<int> closed_in_child[closed_in_child_max] = {};
 void close_in_child() noexcept {
   for (std::atomic<int>& entry : closed_in_child) {
     if (const int fd = entry.exchange(0, std::memory_order_relaxed) - 1; fd >= 0)
-      ::close(fd);  // if it is still ours, see base/kept_fd.hpp
+      ::close(fd);  // if it is still ours, see base/descriptors/kept_fd.hpp
   }
 }
 

@@ -3,8 +3,8 @@
 #include <client/process/library_thread.hpp>
 
 #include <base/immortal.hpp>
-#include <base/mapping.hpp>
-#include <base/unique_fd.hpp>
+#include <base/memory/mapping.hpp>
+#include <base/descriptors/unique_fd.hpp>
 #include <client/process/forked_child.hpp>
 #include <client/process/user_code.hpp>
 

@@ -1,6 +1,6 @@
 // SPDX-License-Identifier: Apache-2.0
 
-#include <base/kept_fd.hpp>
+#include <base/descriptors/kept_fd.hpp>
 #include <client/process/forked_child.hpp>
 #include <client/process/wait_set.hpp>
 

@@ -9,8 +9,8 @@
 // wakes itself through an eventfd of its own, which no other process has.
 #pragma once
 
-#include <base/doorbell.hpp>
-#include <base/unique_fd.hpp>
+#include <base/descriptors/doorbell.hpp>
+#include <base/descriptors/unique_fd.hpp>
 #include <dataplane/subscription_core.hpp>
 
 #include <cstddef>

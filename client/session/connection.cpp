@@ -1,6 +1,6 @@
 // SPDX-License-Identifier: Apache-2.0
 
-#include <base/kept_fd.hpp>
+#include <base/descriptors/kept_fd.hpp>
 #include <client/process/steps.hpp>
 #include <client/session/connection.hpp>
 

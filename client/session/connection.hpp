@@ -18,7 +18,7 @@
 
 #include <agnocast/abi/wire.hpp>
 #include <agnocast/result.hpp>
-#include <base/packet_socket.hpp>
+#include <base/sockets/packet_socket.hpp>
 #include <client/process/steps.hpp>
 
 #include <array>

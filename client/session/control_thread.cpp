@@ -6,7 +6,7 @@
 #include <client/session/control_thread.hpp>
 #include <client/session/reregistration.hpp>
 
-#include <base/kept_fd.hpp>
+#include <base/descriptors/kept_fd.hpp>
 #include <client/process/steps.hpp>
 
 #include <poll.h>
@@ -84,7 +84,7 @@ int ControlThread::scan_due_ms() {
       all.begin(), all.end(), [](const auto& publisher) { return publisher->has_reclaimable(); });
   const bool awaits_link = std::any_of(
       all.begin(), all.end(), [](const auto& publisher) { return publisher->awaits_link(); });
-  return pass_timer_.next_ms(reclaimable, awaits_link, state_.is_alone());
+  return scan_timer_.next_ms(reclaimable, awaits_link, state_.is_alone());
 }
 
 void ControlThread::serve_once(int timeout_ms) {
@@ -97,7 +97,7 @@ void ControlThread::serve_once(int timeout_ms) {
   epoll_event events[4];
   int count = 0;
   if (has_lost_kept()) {
-    ::poll(nullptr, 0, std::min(timeout_ms, PassTimer::first_ms));
+    ::poll(nullptr, 0, std::min(timeout_ms, ScanTimer::first_ms));
   } else {
     count = ::epoll_wait(epoll_.get(), events, 4, timeout_ms);
     if (count < 0 && errno != EINTR) ::poll(nullptr, 0, output_look_ms);
@@ -128,7 +128,7 @@ void ControlThread::serve_once(int timeout_ms) {
 /// At each tick, or `now`. Somebody may have closed descriptors of ours; their numbers may be others' by now.
 void ControlThread::look_for_descriptors(bool now) noexcept {
   const auto time = std::chrono::steady_clock::now();
-  if (!now && time - descriptors_looked_ < std::chrono::milliseconds{PassTimer::last_ms}) return;
+  if (!now && time - descriptors_looked_ < std::chrono::milliseconds{ScanTimer::last_ms}) return;
   descriptors_looked_ = time;
   if (!lost_kept() || descriptors_lost_) return;
   descriptors_lost_ = true;
@@ -229,7 +229,7 @@ void ControlThread::run_errands() {
 void ControlThread::run_former_errands() {
   collector_.scan();
   const auto now = std::chrono::steady_clock::now();
-  if (now - former_looked_ < std::chrono::milliseconds{PassTimer::alone_ms}) return;
+  if (now - former_looked_ < std::chrono::milliseconds{ScanTimer::alone_ms}) return;
   former_looked_ = now;
   if (&Context::instance() == context_) Reregistration::instance().go_on();
   collector_.collect_alone();

@@ -12,7 +12,7 @@
 
 #include <agnocast/connection_state.hpp>
 #include <agnocast/result.hpp>
-#include <base/unique_fd.hpp>
+#include <base/descriptors/unique_fd.hpp>
 #include <client/endpoint/endpoint_table.hpp>
 #include <client/endpoint/peer_table.hpp>
 #include <client/session/announcements.hpp>
@@ -20,7 +20,7 @@
 #include <client/session/departures.hpp>
 #include <client/session/executor_places.hpp>
 #include <client/session/own_heap.hpp>
-#include <client/session/pass_timer.hpp>
+#include <client/session/scan_timer.hpp>
 #include <client/session/reader_look.hpp>
 #include <client/session/reannouncement.hpp>
 #include <client/session/reconnection.hpp>
@@ -115,7 +115,7 @@ class ControlThread {
   UniqueFd epoll_;
   Reconnection reconnection_;
   Reannouncement reannouncement_;
-  PassTimer pass_timer_;
+  ScanTimer scan_timer_;
   bool is_output_blocked_ = false, descriptors_lost_ = false;
   std::chrono::steady_clock::time_point former_looked_{}, descriptors_looked_{};
 };

@@ -11,7 +11,7 @@
 #pragma once
 
 #include <agnocast/result.hpp>
-#include <base/doorbell.hpp>
+#include <base/descriptors/doorbell.hpp>
 #include <client/process/wait_set.hpp>
 
 #include <cstdint>

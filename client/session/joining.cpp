@@ -9,7 +9,7 @@
 
 #include <client/session/context.hpp>
 
-#include <base/mapping.hpp>
+#include <base/memory/mapping.hpp>
 #include <client/process/forked_child.hpp>
 #include <client/process/library_thread.hpp>
 #include <client/process/steps.hpp>

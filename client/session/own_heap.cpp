@@ -2,7 +2,7 @@
 
 #include <client/session/own_heap.hpp>
 
-#include <base/text.hpp>
+#include <base/text/text.hpp>
 #include <client/heap/heap_return.hpp>
 #include <client/process/steps.hpp>
 

@@ -3,11 +3,11 @@
 #include <client/session/registration.hpp>
 
 #include <agnocast/abi/fingerprint.hpp>
-#include <base/daemon_socket.hpp>
-#include <base/mapping.hpp>
-#include <base/socket_path.hpp>
-#include <base/text.hpp>
-#include <base/unix_address.hpp>
+#include <base/sockets/daemon_socket.hpp>
+#include <base/memory/mapping.hpp>
+#include <base/sockets/socket_path.hpp>
+#include <base/text/text.hpp>
+#include <base/sockets/unix_address.hpp>
 #include <client/process/steps.hpp>
 
 #include <pthread.h>

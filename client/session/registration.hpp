@@ -16,7 +16,7 @@
 
 #include <agnocast/abi/wire.hpp>
 #include <agnocast/result.hpp>
-#include <base/unique_fd.hpp>
+#include <base/descriptors/unique_fd.hpp>
 #include <client/heap/arena.hpp>
 #include <client/heap/sparse_region.hpp>
 #include <client/process/control_wake.hpp>

@@ -16,7 +16,7 @@
 #include <client/session/control_thread.hpp>
 #include <client/session/reregistration.hpp>
 
-#include <base/kept_fd.hpp>
+#include <base/descriptors/kept_fd.hpp>
 #include <client/process/steps.hpp>
 
 #include <sys/epoll.h>

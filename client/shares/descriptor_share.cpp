@@ -2,8 +2,8 @@
 
 #include <client/shares/descriptor_share.hpp>
 
-#include <base/map_count.hpp>
-#include <base/unique_fd.hpp>
+#include <base/memory/map_count.hpp>
+#include <base/descriptors/unique_fd.hpp>
 
 #include <fcntl.h>
 #include <sys/eventfd.h>

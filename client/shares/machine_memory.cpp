@@ -1,6 +1,6 @@
 // SPDX-License-Identifier: Apache-2.0
 
-#include <base/unique_fd.hpp>
+#include <base/descriptors/unique_fd.hpp>
 #include <client/shares/machine_memory.hpp>
 
 #include <fcntl.h>

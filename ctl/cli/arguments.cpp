@@ -2,7 +2,7 @@
 
 #include <agnocast/abi/fingerprint.hpp>
 #include <agnocast/version.hpp>
-#include <base/text.hpp>
+#include <base/text/text.hpp>
 #include <ctl/cli/commands.hpp>
 #include <ctl/cli/help.hpp>
 

@@ -5,7 +5,7 @@
 // They need the library, a YAML parser and, to publish, the heap hook, which has to be in the
 // process from its start. Linked into this program, they would slow the start of every command.
 
-#include <base/text.hpp>
+#include <base/text/text.hpp>
 #include <ctl/cli/commands.hpp>
 
 #include <unistd.h>

@@ -3,7 +3,7 @@
 #include <ctl/cli/manual.hpp>
 
 #include <agnocast/error.hpp>
-#include <base/mdoc.hpp>
+#include <base/text/mdoc.hpp>
 #include <ctl/cli/help.hpp>
 
 #include <string_view>

@@ -4,7 +4,7 @@
 // end the wait, so that the command can print its last lines and exit with status 0.
 #pragma once
 
-#include <base/unique_fd.hpp>
+#include <base/descriptors/unique_fd.hpp>
 
 #include <signal.h>
 #include <sys/types.h>

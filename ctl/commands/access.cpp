@@ -6,8 +6,8 @@
 // databases of users and groups and from the socket: the meaning of names and numbers on this
 // host, the users that may connect, and whether a given user is one of those named.
 
-#include <base/names.hpp>
-#include <base/text.hpp>
+#include <base/text/names.hpp>
+#include <base/text/text.hpp>
 #include <ctl/cli/commands.hpp>
 #include <ctl/snapshot/objects.hpp>
 #include <ctl/snapshot/select.hpp>

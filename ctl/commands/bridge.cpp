@@ -3,7 +3,7 @@
 // bridge list, bridge info: the topics and services that the bridges to DDS carry, their traffic,
 // and those that are not bridged, with the reason. Rates come from the counters of two looks.
 
-#include <base/text.hpp>
+#include <base/text/text.hpp>
 #include <ctl/cli/commands.hpp>
 #include <ctl/cli/waiting.hpp>
 #include <ctl/snapshot/bridges.hpp>

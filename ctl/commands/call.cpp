@@ -5,7 +5,7 @@
 
 #include <agnocast/generic_service.hpp>
 #include <agnocast/relay.hpp>
-#include <base/text.hpp>
+#include <base/text/text.hpp>
 #include <ctl/cli/commands.hpp>
 #include <ctl/cli/message_options.hpp>
 #include <ctl/commands/live.hpp>

@@ -3,7 +3,7 @@
 // topic delay: the age of messages on arrival, by the stamp in their header.
 
 #include <agnocast/generic.hpp>
-#include <base/text.hpp>
+#include <base/text/text.hpp>
 #include <ctl/cli/commands.hpp>
 #include <ctl/cli/message_options.hpp>
 #include <ctl/commands/live.hpp>

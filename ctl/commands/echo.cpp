@@ -4,7 +4,7 @@
 
 #include <agnocast/generic.hpp>
 #include <agnocast/relay.hpp>
-#include <base/text.hpp>
+#include <base/text/text.hpp>
 #include <ctl/cli/commands.hpp>
 #include <ctl/cli/message_options.hpp>
 #include <ctl/commands/live.hpp>

@@ -4,7 +4,7 @@
 // (include/agnocast/error.hpp). Works without a daemon.
 
 #include <agnocast/error.hpp>
-#include <base/text.hpp>
+#include <base/text/text.hpp>
 #include <ctl/cli/commands.hpp>
 
 #include <string>

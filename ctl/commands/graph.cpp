@@ -7,7 +7,7 @@
 // gets the messages without a copy, else dashed, with the reason.
 
 #include <base/clock.hpp>
-#include <base/text.hpp>
+#include <base/text/text.hpp>
 #include <ctl/cli/commands.hpp>
 #include <ctl/snapshot/numbers.hpp>
 #include <ctl/snapshot/pairs.hpp>

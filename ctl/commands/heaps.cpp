@@ -2,7 +2,7 @@
 //
 // heap list, heap info: the heap windows of processes and their use.
 
-#include <base/text.hpp>
+#include <base/text/text.hpp>
 #include <ctl/cli/commands.hpp>
 #include <ctl/snapshot/numbers.hpp>
 #include <ctl/snapshot/objects.hpp>

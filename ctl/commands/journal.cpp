@@ -2,7 +2,7 @@
 //
 // journal: the last operations and recoveries of the daemon, a line each.
 
-#include <base/text.hpp>
+#include <base/text/text.hpp>
 #include <ctl/cli/commands.hpp>
 #include <ctl/snapshot/journal.hpp>
 #include <ctl/snapshot/select.hpp>

@@ -1,6 +1,6 @@
 // SPDX-License-Identifier: Apache-2.0
 
-#include <base/text.hpp>
+#include <base/text/text.hpp>
 #include <ctl/cli/message_options.hpp>
 #include <ctl/commands/live.hpp>
 #include <ctl/snapshot/select.hpp>

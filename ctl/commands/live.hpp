@@ -8,7 +8,7 @@
 #pragma once
 
 #include <agnocast/agnocast.hpp>
-#include <base/unique_fd.hpp>
+#include <base/descriptors/unique_fd.hpp>
 #include <ctl/cli/arguments.hpp>
 #include <ctl/snapshot/system.hpp>
 

@@ -2,7 +2,7 @@
 //
 // log-level: prints or changes the level of the daemon's log.
 
-#include <base/text.hpp>
+#include <base/text/text.hpp>
 #include <ctl/cli/commands.hpp>
 #include <ctl/snapshot/objects.hpp>
 #include <ctl/snapshot/system.hpp>

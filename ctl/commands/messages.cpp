@@ -6,7 +6,7 @@
 // is an upper bound.
 
 #include <base/clock.hpp>
-#include <base/text.hpp>
+#include <base/text/text.hpp>
 #include <ctl/cli/commands.hpp>
 #include <ctl/snapshot/numbers.hpp>
 #include <ctl/snapshot/objects.hpp>

@@ -4,7 +4,7 @@
 // Changes inside processes (messages lost, adopted or refused, a process that stops) come from the
 // differences of counters, read five times a second.
 
-#include <base/text.hpp>
+#include <base/text/text.hpp>
 #include <ctl/cli/commands.hpp>
 #include <ctl/cli/waiting.hpp>
 #include <ctl/snapshot/journal.hpp>

@@ -3,7 +3,7 @@
 // node list, node info: in the form of ros2 node. A node is known by its endpoints; without any it
 // is not listed.
 
-#include <base/text.hpp>
+#include <base/text/text.hpp>
 #include <ctl/cli/commands.hpp>
 #include <ctl/snapshot/select.hpp>
 #include <ctl/snapshot/system.hpp>

@@ -4,7 +4,7 @@
 // keep. process revoke: ends the session of a running process.
 
 #include <agnocast/error.hpp>
-#include <base/text.hpp>
+#include <base/text/text.hpp>
 #include <ctl/cli/commands.hpp>
 #include <ctl/snapshot/numbers.hpp>
 #include <ctl/snapshot/objects.hpp>

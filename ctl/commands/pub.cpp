@@ -3,7 +3,7 @@
 // topic pub: publishes messages from the command line, a file or standard input.
 
 #include <agnocast/generic.hpp>
-#include <base/text.hpp>
+#include <base/text/text.hpp>
 #include <ctl/cli/commands.hpp>
 #include <ctl/cli/message_options.hpp>
 #include <ctl/commands/live.hpp>

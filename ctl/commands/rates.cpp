@@ -9,7 +9,7 @@
 // between two looks than the queue has slots.
 
 #include <base/clock.hpp>
-#include <base/text.hpp>
+#include <base/text/text.hpp>
 #include <ctl/cli/commands.hpp>
 #include <ctl/cli/waiting.hpp>
 #include <ctl/snapshot/numbers.hpp>

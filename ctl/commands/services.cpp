@@ -3,7 +3,7 @@
 // service list, info, find, type: in the form of ros2 service. A service is known by the topic of
 // its requests: servers subscribe to it, clients publish on it.
 
-#include <base/text.hpp>
+#include <base/text/text.hpp>
 #include <ctl/cli/commands.hpp>
 #include <ctl/snapshot/select.hpp>
 #include <ctl/snapshot/system.hpp>

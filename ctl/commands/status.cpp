@@ -3,7 +3,7 @@
 // status: the daemon, its resources and its limits.
 
 #include <agnocast/abi/fingerprint.hpp>
-#include <base/text.hpp>
+#include <base/text/text.hpp>
 #include <ctl/cli/commands.hpp>
 #include <ctl/snapshot/objects.hpp>
 #include <ctl/snapshot/system.hpp>

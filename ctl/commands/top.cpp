@@ -4,7 +4,7 @@
 // keys; with -b it prints one round after the other, with --json one line a round.
 
 #include <base/clock.hpp>
-#include <base/text.hpp>
+#include <base/text/text.hpp>
 #include <ctl/cli/commands.hpp>
 #include <ctl/cli/screen.hpp>
 #include <ctl/cli/waiting.hpp>

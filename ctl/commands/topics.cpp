@@ -2,7 +2,7 @@
 //
 // topic list, topic info: in the form of ros2 topic, with additions of agnocast.
 
-#include <base/text.hpp>
+#include <base/text/text.hpp>
 #include <ctl/cli/commands.hpp>
 #include <ctl/snapshot/numbers.hpp>
 #include <ctl/snapshot/objects.hpp>

@@ -4,7 +4,7 @@
 // every look found it so, in the same place with the same words. Subscriptions that are no longer
 // served or have no doorbell are named as well; they break nothing and change no exit status.
 
-#include <base/text.hpp>
+#include <base/text/text.hpp>
 #include <ctl/cli/commands.hpp>
 #include <ctl/snapshot/audit.hpp>
 #include <ctl/snapshot/pairs.hpp>

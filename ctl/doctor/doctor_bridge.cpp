@@ -2,7 +2,7 @@
 //
 // The checks of the bridges to DDS.
 
-#include <base/text.hpp>
+#include <base/text/text.hpp>
 #include <ctl/cli/console.hpp>
 #include <ctl/doctor/doctor_facts.hpp>
 

@@ -3,7 +3,7 @@
 // The checks of this shell and of the path to the daemon. Of the checks that explain why there is
 // no daemon exactly one reports: each excludes the others by what is at the path.
 
-#include <base/text.hpp>
+#include <base/text/text.hpp>
 #include <ctl/doctor/doctor_facts.hpp>
 
 #include <unistd.h>

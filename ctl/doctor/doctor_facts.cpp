@@ -3,7 +3,7 @@
 #include <ctl/doctor/doctor_facts.hpp>
 
 #include <base/clock.hpp>
-#include <base/text.hpp>
+#include <base/text/text.hpp>
 #include <ctl/snapshot/numbers.hpp>
 #include <journal/record.hpp>
 

@@ -3,7 +3,7 @@
 // The checks of the daemon, its limits, and the host.
 
 #include <agnocast/error.hpp>
-#include <base/text.hpp>
+#include <base/text/text.hpp>
 #include <ctl/cli/console.hpp>
 #include <ctl/doctor/doctor_facts.hpp>
 

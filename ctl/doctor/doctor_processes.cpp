@@ -3,7 +3,7 @@
 // The checks of the processes, and of the messages between them.
 
 #include <agnocast/error.hpp>
-#include <base/text.hpp>
+#include <base/text/text.hpp>
 #include <ctl/cli/console.hpp>
 #include <ctl/doctor/doctor_facts.hpp>
 #include <ctl/snapshot/numbers.hpp>

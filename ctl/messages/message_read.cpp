@@ -1,6 +1,6 @@
 // SPDX-License-Identifier: Apache-2.0
 
-#include <base/text.hpp>
+#include <base/text/text.hpp>
 #include <ctl/cli/unicode.hpp>
 #include <ctl/messages/message_read.hpp>
 #include <ctl/messages/message_value.hpp>

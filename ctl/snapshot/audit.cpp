@@ -3,7 +3,7 @@
 #include <ctl/snapshot/audit.hpp>
 
 #include <agnocast/abi/fingerprint.hpp>
-#include <base/text.hpp>
+#include <base/text/text.hpp>
 #include <region/windows.hpp>
 
 #include <algorithm>

@@ -3,9 +3,9 @@
 #include <ctl/snapshot/bridges.hpp>
 
 #include <base/clock.hpp>
-#include <base/text.hpp>
-#include <base/unique_fd.hpp>
-#include <base/unix_address.hpp>
+#include <base/text/text.hpp>
+#include <base/descriptors/unique_fd.hpp>
+#include <base/sockets/unix_address.hpp>
 
 #include <poll.h>
 #include <sys/socket.h>

@@ -2,7 +2,7 @@
 
 #include <ctl/snapshot/journal.hpp>
 
-#include <base/text.hpp>
+#include <base/text/text.hpp>
 #include <ctl/cli/console.hpp>
 #include <journal/withdrawal.hpp>
 

@@ -3,7 +3,7 @@
 #include <ctl/snapshot/overview.hpp>
 
 #include <agnocast/error.hpp>
-#include <base/text.hpp>
+#include <base/text/text.hpp>
 #include <ctl/snapshot/numbers.hpp>
 #include <ctl/snapshot/objects.hpp>
 #include <ctl/snapshot/select.hpp>

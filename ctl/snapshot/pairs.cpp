@@ -2,7 +2,7 @@
 
 #include <ctl/snapshot/pairs.hpp>
 
-#include <base/text.hpp>
+#include <base/text/text.hpp>
 #include <ctl/cli/console.hpp>
 #include <ctl/snapshot/numbers.hpp>
 #include <journal/withdrawal.hpp>

@@ -3,8 +3,8 @@
 #include <ctl/snapshot/select.hpp>
 
 #include <agnocast/service_name.hpp>
-#include <base/names.hpp>
-#include <base/text.hpp>
+#include <base/text/names.hpp>
+#include <base/text/text.hpp>
 #include <ctl/cli/commands.hpp>
 
 #include <algorithm>

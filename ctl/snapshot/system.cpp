@@ -4,8 +4,8 @@
 
 #include <agnocast/abi/fingerprint.hpp>
 #include <agnocast/error.hpp>
-#include <base/daemon_socket.hpp>
-#include <base/text.hpp>
+#include <base/sockets/daemon_socket.hpp>
+#include <base/text/text.hpp>
 
 #include <fcntl.h>
 #include <poll.h>

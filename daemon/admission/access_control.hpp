@@ -15,8 +15,8 @@
 // Replies and requests of services are topics like any other.
 #pragma once
 
-#include <base/log.hpp>
-#include <base/peer_identity.hpp>
+#include <base/text/log.hpp>
+#include <base/sockets/peer_identity.hpp>
 #include <daemon/config/access.hpp>
 #include <daemon/state/registry.hpp>
 #include <daemon/transport/requests.hpp>

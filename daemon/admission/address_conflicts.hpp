@@ -14,8 +14,8 @@
 #pragma once
 
 #include <agnocast/abi/wire.hpp>
-#include <base/log.hpp>
-#include <base/peer_identity.hpp>
+#include <base/text/log.hpp>
+#include <base/sockets/peer_identity.hpp>
 #include <daemon/admission/admission.hpp>
 #include <daemon/config/config.hpp>
 #include <daemon/lifecycle/endpoint_manager.hpp>

@@ -6,7 +6,7 @@
 // carries the request out afterwards, in the same iteration of the loop.
 #pragma once
 
-#include <base/peer_identity.hpp>
+#include <base/sockets/peer_identity.hpp>
 #include <daemon/admission/access_control.hpp>
 #include <daemon/config/config.hpp>
 #include <daemon/lifecycle/endpoint_manager.hpp>

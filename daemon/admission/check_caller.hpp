@@ -4,7 +4,7 @@
 #pragma once
 
 #include <agnocast/result.hpp>
-#include <base/peer_identity.hpp>
+#include <base/sockets/peer_identity.hpp>
 
 #include <cstdint>
 

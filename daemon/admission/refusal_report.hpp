@@ -4,7 +4,7 @@
 // and people who ask later (Refusals).
 #pragma once
 
-#include <base/log.hpp>
+#include <base/text/log.hpp>
 #include <daemon/admission/admission.hpp>
 #include <daemon/state/refusals.hpp>
 #include <daemon/state/registry.hpp>

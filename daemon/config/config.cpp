@@ -1,7 +1,7 @@
 // SPDX-License-Identifier: Apache-2.0
 
 #include <agnocast/topic_pattern.hpp>
-#include <base/text.hpp>
+#include <base/text/text.hpp>
 #include <config/mistakes.hpp>
 #include <config/toml_file.hpp>
 #include <daemon/config/config_keys.hpp>

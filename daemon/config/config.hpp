@@ -11,7 +11,7 @@
 
 #include <agnocast/abi/client_region.hpp>
 #include <agnocast/abi/limits.hpp>
-#include <base/log.hpp>
+#include <base/text/log.hpp>
 #include <config/mistake.hpp>
 #include <daemon/config/access.hpp>
 

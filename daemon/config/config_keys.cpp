@@ -1,6 +1,6 @@
 // SPDX-License-Identifier: Apache-2.0
 
-#include <base/unix_address.hpp>
+#include <base/sockets/unix_address.hpp>
 #include <daemon/config/config_keys.hpp>
 
 #include <charconv>

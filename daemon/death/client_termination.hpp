@@ -10,7 +10,7 @@
 // journal/cases.hpp decides between them; this class carries the decision out.
 #pragma once
 
-#include <base/log.hpp>
+#include <base/text/log.hpp>
 #include <daemon/death/reaping_queue.hpp>
 #include <daemon/death/region_look.hpp>
 #include <daemon/lifecycle/endpoint_manager.hpp>

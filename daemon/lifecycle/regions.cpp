@@ -3,10 +3,10 @@
 #include <daemon/lifecycle/regions.hpp>
 
 #include <agnocast/abi/fingerprint.hpp>
-#include <base/closing.hpp>
-#include <base/map_count.hpp>
-#include <base/memfd.hpp>
-#include <base/populate.hpp>
+#include <base/descriptors/closing.hpp>
+#include <base/memory/map_count.hpp>
+#include <base/memory/memfd.hpp>
+#include <base/memory/populate.hpp>
 #include <daemon/state/steps.hpp>
 #include <daemon/transport/requests.hpp>
 

@@ -27,7 +27,7 @@
 #pragma once
 
 #include <agnocast/result.hpp>
-#include <base/mapping.hpp>
+#include <base/memory/mapping.hpp>
 #include <daemon/state/registry.hpp>
 #include <daemon/transport/closer.hpp>
 #include <daemon/transport/descriptor_store.hpp>

@@ -3,7 +3,7 @@
 // DumpCollector: collects, from every part of the daemon, what a dump says beside the tables.
 #pragma once
 
-#include <base/log.hpp>
+#include <base/text/log.hpp>
 #include <daemon/admission/admission.hpp>
 #include <daemon/config/config.hpp>
 #include <daemon/lifecycle/regions.hpp>

@@ -6,7 +6,7 @@
 
 #include <agnocast/abi/fingerprint.hpp>
 #include <base/check.hpp>
-#include <base/names.hpp>
+#include <base/text/names.hpp>
 #include <daemon/admission/check_caller.hpp>
 #include <daemon/state/memory_reserve.hpp>
 

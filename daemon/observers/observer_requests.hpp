@@ -3,7 +3,7 @@
 // ObserverRequests: requests of processes that only look (agnocast-ctl). They have no place in the tables.
 #pragma once
 
-#include <base/log.hpp>
+#include <base/text/log.hpp>
 #include <daemon/admission/admission.hpp>
 #include <daemon/config/access.hpp>
 #include <daemon/death/client_termination.hpp>

@@ -4,7 +4,7 @@
 // every one of a kind, `journalctl -x` prints what systemd/agnocast.catalog says of it.
 #pragma once
 
-#include <base/log.hpp>
+#include <base/text/log.hpp>
 
 #include <string_view>
 

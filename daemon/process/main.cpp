@@ -6,8 +6,8 @@
 // here · 2 wrong usage. A complaint is two lines on stderr; everything else goes through the log.
 
 #include <agnocast/error.hpp>
-#include <base/log.hpp>
-#include <base/standard_error.hpp>
+#include <base/text/log.hpp>
+#include <base/text/standard_error.hpp>
 #include <daemon/config/config.hpp>
 #include <daemon/config/options.hpp>
 #include <daemon/process/log_events.hpp>

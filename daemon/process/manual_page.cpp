@@ -3,7 +3,7 @@
 // Writes agnocastd(8) when the project is built, from the tables that --help and the reader of the
 // configuration use.
 
-#include <base/mdoc.hpp>
+#include <base/text/mdoc.hpp>
 #include <daemon/config/config_keys.hpp>
 #include <daemon/config/options.hpp>
 

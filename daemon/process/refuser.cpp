@@ -3,7 +3,7 @@
 #include <daemon/process/refuser.hpp>
 
 #include <base/clock.hpp>
-#include <base/peer_identity.hpp>
+#include <base/sockets/peer_identity.hpp>
 #include <daemon/transport/client_channel.hpp>
 
 #include <sys/epoll.h>

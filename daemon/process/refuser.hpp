@@ -8,8 +8,8 @@
 // build that made the tables can be started again and goes on, with everybody.
 #pragma once
 
-#include <base/log.hpp>
-#include <base/packet_socket.hpp>
+#include <base/text/log.hpp>
+#include <base/sockets/packet_socket.hpp>
 #include <daemon/transport/dispatcher.hpp>
 #include <daemon/transport/disposal.hpp>
 

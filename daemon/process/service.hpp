@@ -12,7 +12,7 @@
 // follows.
 #pragma once
 
-#include <base/log.hpp>
+#include <base/text/log.hpp>
 #include <daemon/config/config.hpp>
 #include <daemon/transport/descriptor_store.hpp>
 

@@ -3,8 +3,8 @@
 #include <daemon/process/supervisor.hpp>
 
 #include <base/clock.hpp>
-#include <base/standard_error.hpp>
-#include <base/unix_address.hpp>
+#include <base/text/standard_error.hpp>
+#include <base/sockets/unix_address.hpp>
 #include <daemon/transport/descriptor_store.hpp>
 
 #include <fcntl.h>

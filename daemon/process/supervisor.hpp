@@ -27,7 +27,7 @@
 // while its loop turns, as to systemd with WatchdogSec=; one that has not for [daemon] watchdog_seconds is
 // killed and started again.
 //
-// A dead worker may stay in the kernel for as long as a client likes (base/closing.hpp), and then nobody is told of
+// A dead worker may stay in the kernel for as long as a client likes (base/descriptors/closing.hpp), and then nobody is told of
 // its end. What is kept there is a thread that holds nothing of the worker: its memory is gone, and its descriptors
 // are closed, which a pipe says whose other end is one of them. Then the next worker begins. (A pidfd of the first
 // thread would say it on some kernels only, and /proc is of no use to somebody who must not wait.)
@@ -36,8 +36,8 @@
 // regions. No thread, no state but the descriptors; nothing in here can be wrong for long.
 #pragma once
 
-#include <base/log.hpp>
-#include <base/unique_fd.hpp>
+#include <base/text/log.hpp>
+#include <base/descriptors/unique_fd.hpp>
 
 #include <cstddef>
 #include <cstdint>

@@ -19,7 +19,7 @@
 // events everything is consistent, so the daemon may be killed at any time.
 #pragma once
 
-#include <base/log.hpp>
+#include <base/text/log.hpp>
 #include <daemon/admission/access_control.hpp>
 #include <daemon/admission/address_conflicts.hpp>
 #include <daemon/admission/admission.hpp>

@@ -5,7 +5,7 @@
 #include <daemon/requests/endpoint_requests.hpp>
 
 #include <base/clock.hpp>
-#include <base/names.hpp>
+#include <base/text/names.hpp>
 
 #include <string>
 #include <string_view>

@@ -3,7 +3,7 @@
 // EndpointRequests: publishers and subscriptions are created, and leave.
 #pragma once
 
-#include <base/log.hpp>
+#include <base/text/log.hpp>
 #include <daemon/admission/admission.hpp>
 #include <daemon/admission/refusal_report.hpp>
 #include <daemon/config/config.hpp>

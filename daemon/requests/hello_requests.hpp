@@ -5,7 +5,7 @@
 // A process that has been here before is looked at first, elsewhere; its hello waits for that.
 #pragma once
 
-#include <base/log.hpp>
+#include <base/text/log.hpp>
 #include <daemon/admission/admission.hpp>
 #include <daemon/death/client_termination.hpp>
 #include <daemon/death/region_look.hpp>

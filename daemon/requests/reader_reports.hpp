@@ -5,8 +5,8 @@
 // redo log and a line of the log, for people who ask later; nothing follows from it.
 #pragma once
 
-#include <base/log.hpp>
-#include <base/peer_identity.hpp>
+#include <base/text/log.hpp>
+#include <base/sockets/peer_identity.hpp>
 #include <daemon/requests/reader_notes.hpp>
 #include <daemon/state/registry.hpp>
 #include <daemon/transport/doorbells.hpp>

@@ -13,8 +13,8 @@
 // Each step may be repeated: a daemon that dies in here is started again and begins here.
 #pragma once
 
-#include <base/log.hpp>
-#include <base/pidfd.hpp>
+#include <base/text/log.hpp>
+#include <base/descriptors/pidfd.hpp>
 #include <daemon/death/client_termination.hpp>
 #include <daemon/lifecycle/endpoint_manager.hpp>
 #include <daemon/lifecycle/regions.hpp>

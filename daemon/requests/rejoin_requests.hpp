@@ -3,7 +3,7 @@
 // RejoinRequests: a process that has lost its connection takes its place again.
 #pragma once
 
-#include <base/log.hpp>
+#include <base/text/log.hpp>
 #include <daemon/admission/access_control.hpp>
 #include <daemon/admission/address_conflicts.hpp>
 #include <daemon/death/client_termination.hpp>

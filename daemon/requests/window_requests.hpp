@@ -3,8 +3,8 @@
 // WindowRequests: heap windows: one that a process asks for, and one that it brings from a former incarnation.
 #pragma once
 
-#include <base/log.hpp>
-#include <base/unique_fd.hpp>
+#include <base/text/log.hpp>
+#include <base/descriptors/unique_fd.hpp>
 #include <daemon/admission/address_conflicts.hpp>
 #include <daemon/admission/admission.hpp>
 #include <daemon/lifecycle/endpoint_manager.hpp>

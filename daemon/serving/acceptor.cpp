@@ -5,7 +5,7 @@
 #include <daemon/serving/acceptor.hpp>
 
 #include <agnocast/abi/limits.hpp>
-#include <base/peer_identity.hpp>
+#include <base/sockets/peer_identity.hpp>
 #include <daemon/state/memory_reserve.hpp>
 #include <daemon/state/steps.hpp>
 

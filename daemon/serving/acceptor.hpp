@@ -6,10 +6,10 @@
 // moment so that there is something to answer with; then nobody is accepted until the next look around.
 #pragma once
 
-#include <base/log.hpp>
-#include <base/packet_socket.hpp>
-#include <base/peer_identity.hpp>
-#include <base/unique_fd.hpp>
+#include <base/text/log.hpp>
+#include <base/sockets/packet_socket.hpp>
+#include <base/sockets/peer_identity.hpp>
+#include <base/descriptors/unique_fd.hpp>
 #include <daemon/admission/admission.hpp>
 #include <daemon/config/config.hpp>
 #include <daemon/serving/request_scheduler.hpp>

@@ -7,7 +7,7 @@
 #pragma once
 
 #include <base/check.hpp>
-#include <base/unique_fd.hpp>
+#include <base/descriptors/unique_fd.hpp>
 #include <daemon/transport/connection_table.hpp>
 #include <daemon/transport/requests.hpp>
 

@@ -4,8 +4,8 @@
 
 #include <daemon/serving/user_namespaces.hpp>
 
-#include <base/peer_identity.hpp>
-#include <base/pidfd.hpp>
+#include <base/sockets/peer_identity.hpp>
+#include <base/descriptors/pidfd.hpp>
 #include <daemon/death/region_look.hpp>
 
 namespace agnocast::daemon {

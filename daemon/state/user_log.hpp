@@ -3,7 +3,7 @@
 // A line of the log that any client can cause: limited for each user, unless somebody looks at everything.
 #pragma once
 
-#include <base/log.hpp>
+#include <base/text/log.hpp>
 
 #include <cstdint>
 #include <string>

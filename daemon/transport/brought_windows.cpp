@@ -5,7 +5,7 @@
 #include <daemon/transport/brought_windows.hpp>
 
 #include <base/clock.hpp>
-#include <base/packet_socket.hpp>
+#include <base/sockets/packet_socket.hpp>
 
 #include <utility>
 

@@ -11,7 +11,7 @@
 // A death of the daemon needs no care: a process that ends closes everything.
 #pragma once
 
-#include <base/mapping.hpp>
+#include <base/memory/mapping.hpp>
 #include <daemon/transport/shared_fd.hpp>
 
 #include <condition_variable>

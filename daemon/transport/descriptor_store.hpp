@@ -20,7 +20,7 @@
 #pragma once
 
 #include <agnocast/result.hpp>
-#include <base/unique_fd.hpp>
+#include <base/descriptors/unique_fd.hpp>
 #include <daemon/state/tables.hpp>
 
 #include <cstddef>

@@ -9,7 +9,7 @@
 
 #include <agnocast/abi/limits.hpp>
 #include <agnocast/result.hpp>
-#include <base/unique_fd.hpp>
+#include <base/descriptors/unique_fd.hpp>
 
 #include <sys/epoll.h>
 

@@ -2,7 +2,7 @@
 //
 // Disposal: closes what a client sent, and the connections it may have sent something on.
 //
-// A close may last as long as the client likes (base/closing.hpp). Nothing of that happens in the loop. The loop
+// A close may last as long as the client likes (base/descriptors/closing.hpp). Nothing of that happens in the loop. The loop
 // shuts a connection, so that the other end hears of it at once and can send nothing more; an errand hands it to
 // a thread that ends, one after the other for each user:
 //
@@ -16,8 +16,8 @@
 // Where a filter forbids such threads, an errand of this user's own closes in the daemon's table.
 #pragma once
 
-#include <base/closing.hpp>
-#include <base/unique_fd.hpp>
+#include <base/descriptors/closing.hpp>
+#include <base/descriptors/unique_fd.hpp>
 #include <daemon/transport/errands.hpp>
 
 #include <cstddef>

@@ -2,7 +2,7 @@
 
 #include <daemon/transport/doorbells.hpp>
 
-#include <base/packet_socket.hpp>
+#include <base/sockets/packet_socket.hpp>
 #include <daemon/state/steps.hpp>
 
 #include <dirent.h>

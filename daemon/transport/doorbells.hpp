@@ -14,7 +14,7 @@
 #pragma once
 
 #include <agnocast/result.hpp>
-#include <base/doorbell.hpp>
+#include <base/descriptors/doorbell.hpp>
 #include <daemon/state/tables.hpp>
 #include <daemon/transport/descriptor_store.hpp>
 #include <daemon/transport/shared_fd.hpp>

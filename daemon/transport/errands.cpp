@@ -3,7 +3,7 @@
 #include <daemon/transport/errands.hpp>
 
 #include <base/signals.hpp>
-#include <base/unique_fd.hpp>
+#include <base/descriptors/unique_fd.hpp>
 
 #include <sys/epoll.h>
 #include <sys/eventfd.h>

@@ -2,9 +2,9 @@
 
 #include <daemon/transport/listener.hpp>
 
-#include <base/closing.hpp>
-#include <base/socket_file.hpp>
-#include <base/unix_address.hpp>
+#include <base/descriptors/closing.hpp>
+#include <base/sockets/socket_file.hpp>
+#include <base/sockets/unix_address.hpp>
 
 #include <dirent.h>
 #include <fcntl.h>

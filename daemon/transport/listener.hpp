@@ -27,8 +27,8 @@
 #pragma once
 
 #include <agnocast/error.hpp>
-#include <base/packet_socket.hpp>
-#include <base/unique_fd.hpp>
+#include <base/sockets/packet_socket.hpp>
+#include <base/descriptors/unique_fd.hpp>
 #include <daemon/transport/descriptor_store.hpp>
 
 #include <tl/expected.hpp>

@@ -8,7 +8,7 @@
 // connection is read later like any other.
 #pragma once
 
-#include <base/log.hpp>
+#include <base/text/log.hpp>
 #include <daemon/transport/connection_table.hpp>
 #include <daemon/transport/dispatcher.hpp>
 #include <daemon/transport/client_channel.hpp>

@@ -3,9 +3,9 @@
 #include <daemon/transport/requests.hpp>
 
 #include <agnocast/abi/limits.hpp>
-#include <base/log.hpp>
-#include <base/names.hpp>
-#include <base/text.hpp>
+#include <base/text/log.hpp>
+#include <base/text/names.hpp>
+#include <base/text/text.hpp>
 
 #include <algorithm>
 #include <cinttypes>

@@ -17,8 +17,8 @@
 
 #include <agnocast/abi/wire.hpp>
 #include <agnocast/result.hpp>
-#include <base/packet_socket.hpp>
-#include <base/peer_identity.hpp>
+#include <base/sockets/packet_socket.hpp>
+#include <base/sockets/peer_identity.hpp>
 #include <daemon/state/tables.hpp>
 #include <daemon/transport/requests.hpp>
 #include <daemon/transport/shared_fd.hpp>

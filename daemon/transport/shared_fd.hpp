@@ -5,7 +5,7 @@
 // client would receive a descriptor that is not its own.
 #pragma once
 
-#include <base/unique_fd.hpp>
+#include <base/descriptors/unique_fd.hpp>
 
 #include <memory>
 #include <utility>

@@ -10,9 +10,9 @@
 #include <ctl/snapshot/audit.hpp>
 
 #include <agnocast/abi/fingerprint.hpp>
-#include <base/packet_socket.hpp>
+#include <base/sockets/packet_socket.hpp>
 
-#include <tests/support/listen_at.hpp>
+#include <tests/support/wire/listen_at.hpp>
 
 #include <fuzzer/FuzzedDataProvider.h>
 #include <sys/mman.h>

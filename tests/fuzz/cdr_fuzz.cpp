@@ -10,7 +10,7 @@
 
 #include <bridge/cdr/cdr.hpp>
 
-#include <tests/support/random_message.hpp>
+#include <tests/support/messages/random_message.hpp>
 #include <tests/support/schema_tables.hpp>
 #include <tests/unit/bridge/pieces.hpp>
 

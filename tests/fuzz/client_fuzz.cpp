@@ -12,10 +12,10 @@
 
 #include <agnocast/abi/client_region.hpp>
 #include <agnocast/abi/fingerprint.hpp>
-#include <base/mapping.hpp>
+#include <base/memory/mapping.hpp>
 #include <region/views.hpp>
 
-#include <tests/support/listen_at.hpp>
+#include <tests/support/wire/listen_at.hpp>
 
 #include <fuzzer/FuzzedDataProvider.h>
 #include <poll.h>

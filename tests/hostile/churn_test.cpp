@@ -7,7 +7,7 @@
 // invariant.
 
 #include <tests/hostile/hostile_node.hpp>
-#include <tests/support/ctl.hpp>
+#include <tests/support/processes/ctl.hpp>
 
 #include <chrono>
 #include <string>

@@ -9,8 +9,8 @@
 // close not even a signal ends.
 
 #include <tests/hostile/hostile_node.hpp>
-#include <tests/support/deaf_peer.hpp>
-#include <tests/support/silent_fuse.hpp>
+#include <tests/support/wire/deaf_peer.hpp>
+#include <tests/support/machine/silent_fuse.hpp>
 
 #include <fcntl.h>
 #include <poll.h>

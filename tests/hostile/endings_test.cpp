@@ -7,10 +7,10 @@
 // until nothing of the attacker is left. The attack table (largest gap) has the honest pair's
 // waiting times: they depend on the machine, so no test judges them.
 
-#include <base/memfd.hpp>
-#include <base/populate.hpp>
+#include <base/memory/memfd.hpp>
+#include <base/memory/populate.hpp>
 #include <tests/hostile/hostile_node.hpp>
-#include <tests/support/ctl.hpp>
+#include <tests/support/processes/ctl.hpp>
 
 #include <fcntl.h>
 #include <sys/stat.h>

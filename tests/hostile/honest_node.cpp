@@ -24,7 +24,7 @@
 
 #include <base/clock.hpp>
 #include <tests/hostile/messages.hpp>
-#include <tests/support/plain_node.hpp>
+#include <tests/support/processes/plain_node.hpp>
 
 #include <grp.h>
 #include <sched.h>

@@ -6,8 +6,8 @@
 #pragma once
 
 #include <agnocast/abi/observe.hpp>
-#include <base/doorbell.hpp>
-#include <base/memfd.hpp>
+#include <base/descriptors/doorbell.hpp>
+#include <base/memory/memfd.hpp>
 #include <region/views.hpp>
 #include <tests/hostile/stage.hpp>
 

@@ -9,8 +9,8 @@
 
 #include <tests/hostile/hostile_node.hpp>
 
-#include <base/memfd.hpp>
-#include <base/populate.hpp>
+#include <base/memory/memfd.hpp>
+#include <base/memory/populate.hpp>
 
 #include <fcntl.h>
 #include <linux/fs.h>

@@ -5,7 +5,7 @@
 // Method: attackers of another user shut down their doorbells before the daemon announces them.
 
 #include <tests/hostile/hostile_node.hpp>
-#include <tests/support/ctl.hpp>
+#include <tests/support/processes/ctl.hpp>
 
 #include <gmock/gmock.h>
 

@@ -16,7 +16,7 @@
 #include <agnocast/agnocast.hpp>
 #include <agnocast/relay.hpp>
 #include <tests/hostile/messages.hpp>
-#include <tests/support/plain_node.hpp>
+#include <tests/support/processes/plain_node.hpp>
 
 #include <std_msgs/msg/string.hpp>
 

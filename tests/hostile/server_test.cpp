@@ -7,9 +7,9 @@
 // connections and received bytes.
 
 #include <tests/hostile/stage.hpp>
-#include <tests/support/ctl.hpp>
+#include <tests/support/processes/ctl.hpp>
 
-#include <base/packet_socket.hpp>
+#include <base/sockets/packet_socket.hpp>
 
 #include <fcntl.h>
 #include <sys/stat.h>

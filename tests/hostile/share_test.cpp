@@ -7,7 +7,7 @@
 // process cannot map, so that the publisher does not know its holds.
 
 #include <tests/hostile/hostile_node.hpp>
-#include <tests/support/ctl.hpp>
+#include <tests/support/processes/ctl.hpp>
 
 #include <memory>
 #include <sstream>

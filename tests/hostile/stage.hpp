@@ -17,10 +17,10 @@
 
 #include <agnocast/abi/observe.hpp>
 #include <tests/hostile/attack_table.hpp>
-#include <tests/support/child.hpp>
-#include <tests/support/daemon_process.hpp>
-#include <tests/support/steered_process.hpp>
-#include <tests/support/wire_client.hpp>
+#include <tests/support/processes/child.hpp>
+#include <tests/support/processes/daemon_process.hpp>
+#include <tests/support/processes/steered_process.hpp>
+#include <tests/support/wire/wire_client.hpp>
 
 #include <gtest/gtest.h>
 #include <unistd.h>

@@ -33,9 +33,9 @@ class Layers(unittest.TestCase):
         self.assertEqual(layers.check(ROOT), [])
 
     def test_includes(self):
-        below = {"base/text.hpp": "", "dataplane/core.hpp": "", "client/session/context.hpp": "", "journal/x.hpp": ""}
+        below = {"base/text/text.hpp": "", "dataplane/core.hpp": "", "client/session/context.hpp": "", "journal/x.hpp": ""}
         for path, line, allowed in [
-            ("region/a.hpp", "#include <base/text.hpp>", True),
+            ("region/a.hpp", "#include <base/text/text.hpp>", True),
             ("base/a.hpp", "#include <region/a.hpp>", False),
             ("base/a.hpp", '#include "../journal/x.hpp"', False),
             ("journal/a.hpp", "#include <dataplane/core.hpp>", False),
@@ -45,8 +45,8 @@ class Layers(unittest.TestCase):
             ("client/endpoint/a.cpp", "#include <client/session/context.hpp>", False),
             ("client/executors/a.cpp", "#include <client/session/context.hpp>", True),
             ("client/session/a.cpp", '#include "context.hpp"', True),
-            ("examples/a.cpp", "#include <base/text.hpp>", False),
-            ("bench/a.cpp", "#include <base/text.hpp>", True),
+            ("examples/a.cpp", "#include <base/text/text.hpp>", False),
+            ("bench/a.cpp", "#include <base/text/text.hpp>", True),
             ("base/a.cpp", "#include <vector>", True),
         ]:
             with self.subTest(path=path, line=line):

@@ -16,7 +16,7 @@
 // of its buffer: exactly what a SIGKILL between two instructions leaves.
 #pragma once
 
-#include <tests/support/step_names.hpp>
+#include <tests/support/crash/step_names.hpp>
 
 #include <setjmp.h>
 

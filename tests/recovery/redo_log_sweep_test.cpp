@@ -5,10 +5,10 @@
 // killed at its n-th crash point; a second child redoes and is killed at its m-th; then the parent
 // redoes and compares with the changes that the log shows as committed.
 
-#include <base/mapping.hpp>
-#include <base/memfd.hpp>
+#include <base/memory/mapping.hpp>
+#include <base/memory/memfd.hpp>
 #include <journal/redo_log.hpp>
-#include <tests/support/crash_point.hpp>
+#include <tests/support/crash/crash_point.hpp>
 
 #include <gtest/gtest.h>
 #include <sys/wait.h>

@@ -15,10 +15,10 @@
 #include <journal/board_steps.hpp>
 #include <journal/recovery.hpp>
 #include <journal/verify.hpp>
-#include <tests/support/crash_point.hpp>
+#include <tests/support/crash/crash_point.hpp>
 
-#include <base/mapping.hpp>
-#include <base/memfd.hpp>
+#include <base/memory/mapping.hpp>
+#include <base/memory/memfd.hpp>
 
 #include <gtest/gtest.h>
 #include <sys/mman.h>

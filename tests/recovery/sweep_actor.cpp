@@ -22,10 +22,10 @@
 //   sync                          everything announced so far has been handled
 //   quit                          ends like a program that returns from main
 
-#include <base/packet_socket.hpp>
+#include <base/sockets/packet_socket.hpp>
 #include <tests/recovery/sweep_parcel.hpp>
-#include <tests/support/actor.hpp>
-#include <tests/support/crash_point.hpp>
+#include <tests/support/processes/actor.hpp>
+#include <tests/support/crash/crash_point.hpp>
 
 #include <fcntl.h>
 #include <grp.h>

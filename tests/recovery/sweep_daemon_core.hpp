@@ -8,7 +8,7 @@
 #include <daemon/death/reaper.hpp>
 #include <daemon/lifecycle/endpoint_manager.hpp>
 #include <daemon/state/steps.hpp>
-#include <tests/support/crash_point.hpp>
+#include <tests/support/crash/crash_point.hpp>
 
 #include <cstdint>
 #include <iterator>

@@ -13,8 +13,8 @@
 // it opens its tables, and every 31st or so of the others.
 
 #include <tests/recovery/sweep_daemon_core.hpp>
-#include <tests/support/step_names.hpp>
-#include <tests/support/temporary_directory.hpp>
+#include <tests/support/crash/step_names.hpp>
+#include <tests/support/machine/temporary_directory.hpp>
 
 #include <gtest/gtest.h>
 

@@ -19,7 +19,7 @@
 
 #include <tests/recovery/sweep_script.hpp>
 #include <tests/recovery/sweep_scripts.hpp>
-#include <tests/support/unix_peers.hpp>
+#include <tests/support/wire/unix_peers.hpp>
 
 #include <gtest/gtest.h>
 #include <signal.h>

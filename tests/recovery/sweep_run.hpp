@@ -4,7 +4,7 @@
 #pragma once
 
 #include <tests/recovery/sweep_stage.hpp>
-#include <tests/support/step_names.hpp>
+#include <tests/support/crash/step_names.hpp>
 
 #include <algorithm>
 #include <cstdint>

@@ -21,7 +21,7 @@
 
 #include <tests/recovery/sweep_run.hpp>
 #include <tests/recovery/sweep_stage.hpp>
-#include <tests/support/step_names.hpp>
+#include <tests/support/crash/step_names.hpp>
 
 #include <algorithm>
 #include <cstdint>

@@ -3,9 +3,9 @@
 // Member: a CtlNode in its own process, which runs a function and then lives until it is killed.
 #pragma once
 
-#include <base/unique_fd.hpp>
-#include <tests/integration/ctl_node.hpp>
-#include <tests/support/child.hpp>
+#include <base/descriptors/unique_fd.hpp>
+#include <tests/integration/ctl/ctl_node.hpp>
+#include <tests/support/processes/child.hpp>
 
 #include <fcntl.h>
 #include <sys/prctl.h>

@@ -6,7 +6,7 @@
 
 #include <agnocast/abi/wire.hpp>
 #include <daemon/state/registry.hpp>
-#include <tests/support/registry_memory.hpp>
+#include <tests/support/memory/registry_memory.hpp>
 
 #include <cstdint>
 #include <string>

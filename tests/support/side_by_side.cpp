@@ -6,7 +6,7 @@
 // them did. For a table of attacks (scripts/attack-table) it is one process, because each attack's
 // cost is measured.
 
-#include <base/unique_fd.hpp>
+#include <base/descriptors/unique_fd.hpp>
 
 #include <signal.h>
 #include <sys/mman.h>

@@ -18,7 +18,7 @@
 //   run_sub ID DEPTH PUBLISHERS SEED PROGRESS → free run: verdict (tests/system/free_run.hpp)
 //   live                                 → bytes allocated in the shared heap, and its frontier
 
-#include <tests/support/actor.hpp>
+#include <tests/support/processes/actor.hpp>
 #include <tests/system/free_run.hpp>
 #include <tests/system/specimen.hpp>
 

@@ -4,7 +4,7 @@
 // of this folder print theirs; --seed=N or AGNOCAST_SEED=N repeats one.
 #pragma once
 
-#include <tests/support/steered_process.hpp>
+#include <tests/support/processes/steered_process.hpp>
 
 #include <cstdint>
 #include <cstdlib>

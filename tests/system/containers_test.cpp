@@ -8,10 +8,10 @@
 // empty root, IPC, PID, UTS, network, once also user); /proc shows the kernel's mappings.
 
 #include <agnocast/error.hpp>
-#include <tests/support/client_tool.hpp>
-#include <tests/support/container.hpp>
-#include <tests/support/ctl.hpp>
-#include <tests/support/daemon_process.hpp>
+#include <tests/support/processes/client_tool.hpp>
+#include <tests/support/machine/container.hpp>
+#include <tests/support/processes/ctl.hpp>
+#include <tests/support/processes/daemon_process.hpp>
 
 #include <gmock/gmock.h>
 #include <grp.h>

@@ -7,9 +7,9 @@
 // Method: nodes of the public interface in their own processes, ended at once after a publish,
 // killed, or stopped by SIGSTOP meanwhile.
 
-#include <tests/support/ctl.hpp>
-#include <tests/support/daemon_process.hpp>
-#include <tests/support/steered_process.hpp>
+#include <tests/support/processes/ctl.hpp>
+#include <tests/support/processes/daemon_process.hpp>
+#include <tests/support/processes/steered_process.hpp>
 #include <tests/system/random.hpp>
 
 #include <gmock/gmock.h>

@@ -10,8 +10,8 @@
 //   AGNOCAST_ENDURANCE=short   a tenth of these numbers.
 //   AGNOCAST_RESTARTS=100000   the restarts of a publisher beside a subscriber that lives.
 
-#include <tests/support/daemon_process.hpp>
-#include <tests/support/steered_process.hpp>
+#include <tests/support/processes/daemon_process.hpp>
+#include <tests/support/processes/steered_process.hpp>
 #include <tests/system/random.hpp>
 
 #include <gtest/gtest.h>

@@ -11,7 +11,7 @@
 // The last rule is stricter than "no more lost than committed" and needs no clock.
 #pragma once
 
-#include <base/unique_fd.hpp>
+#include <base/descriptors/unique_fd.hpp>
 
 #include <fcntl.h>
 #include <sys/mman.h>

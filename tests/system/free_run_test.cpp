@@ -7,7 +7,7 @@
 // in stepped_test.cpp; a free run's interleaving is the machine's, its contents and pauses are the
 // seed's. AGNOCAST_FREE_RUNS: the number of runs (10 if not set).
 
-#include <tests/support/daemon_process.hpp>
+#include <tests/support/processes/daemon_process.hpp>
 #include <tests/system/actor_process.hpp>
 #include <tests/system/free_run.hpp>
 #include <tests/system/specimen.hpp>

@@ -9,9 +9,9 @@
 //
 //   AGNOCAST_RECORD=1 ctest … -R system_instructions
 
-#include <tests/support/child.hpp>
-#include <tests/support/daemon_process.hpp>
-#include <tests/support/steered_process.hpp>
+#include <tests/support/processes/child.hpp>
+#include <tests/support/processes/daemon_process.hpp>
+#include <tests/support/processes/steered_process.hpp>
 
 #include <gtest/gtest.h>
 

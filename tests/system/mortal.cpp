@@ -19,7 +19,7 @@
 //     events                                → CALLS CURRENT of the matched callback
 //   QOS: a depth, then t (transient local), a (keep-all)
 
-#include <tests/support/actor.hpp>
+#include <tests/support/processes/actor.hpp>
 #include <tests/system/sheaf.hpp>
 
 #include <agnocast/agnocast.hpp>

@@ -6,7 +6,7 @@
 #pragma once
 
 #include <agnocast/error.hpp>
-#include <tests/support/crash_point.hpp>
+#include <tests/support/crash/crash_point.hpp>
 
 #include <sys/mman.h>
 #include <time.h>

@@ -12,7 +12,7 @@
 //   go on (60 if not set).
 
 #include <agnocast/error.hpp>
-#include <tests/support/daemon_process.hpp>
+#include <tests/support/processes/daemon_process.hpp>
 #include <tests/system/actor_process.hpp>
 #include <tests/system/reference.hpp>
 #include <tests/system/specimen.hpp>

@@ -10,7 +10,7 @@
 //   clock                label 7: reading the clock
 //   received             the number of the callback's messages
 
-#include <tests/support/syscall_tracer.hpp>
+#include <tests/support/machine/syscall_tracer.hpp>
 #include <tests/system/specimen.hpp>
 
 #include <agnocast/agnocast.hpp>

@@ -2,7 +2,7 @@
 //
 // Goal: in the steady state publish, take, release, borrow and filling a message make no system
 // calls; a publish makes one per sleeping receiver for one and two of them, and three when there
-// are more. Method: a process of syscall_subject is traced (tests/support/syscall_tracer.hpp) and
+// are more. Method: a process of syscall_subject is traced (tests/support/machine/syscall_tracer.hpp) and
 // marks the counted sections. "Asleep" is made certain: a signal stops a receiver while its
 // callback thread is inside epoll_wait, so it stays armed until it is continued. Growth of the
 // heap is counted apart.
@@ -10,9 +10,9 @@
 // One call is allowed now and then: a futex, when the process's own control thread has the
 // publisher's private mutex during a reclamation scan.
 
-#include <tests/support/daemon_process.hpp>
-#include <tests/support/steered_process.hpp>
-#include <tests/support/syscall_tracer.hpp>
+#include <tests/support/processes/daemon_process.hpp>
+#include <tests/support/processes/steered_process.hpp>
+#include <tests/support/machine/syscall_tracer.hpp>
 
 #include <gmock/gmock.h>
 #include <gtest/gtest.h>

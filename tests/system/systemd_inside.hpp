@@ -4,12 +4,12 @@
 // and systemd_unit_inside.cpp.
 #pragma once
 
-#include <base/memfd.hpp>
+#include <base/memory/memfd.hpp>
 #include <tests/recovery/stage.hpp>
-#include <tests/support/steered_process.hpp>
-#include <tests/support/wire_client.hpp>
-#include <tests/support/wire_dump.hpp>
-#include <tests/support/wire_node.hpp>
+#include <tests/support/processes/steered_process.hpp>
+#include <tests/support/wire/wire_client.hpp>
+#include <tests/support/wire/wire_dump.hpp>
+#include <tests/support/wire/wire_node.hpp>
 
 #include <grp.h>
 #include <gtest/gtest.h>

@@ -11,7 +11,7 @@
 #include <dataplane/subscription_core.hpp>
 #include <journal/board_steps.hpp>
 #include <journal/verify.hpp>
-#include <tests/support/aligned_region.hpp>
+#include <tests/support/memory/aligned_region.hpp>
 
 #include <gtest/gtest.h>
 

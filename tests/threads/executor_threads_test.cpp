@@ -9,8 +9,8 @@
 
 #include <client/executors/executor_core.hpp>
 #include <client/executors/node_thread.hpp>
-#include <tests/support/aligned_region.hpp>
-#include <tests/support/daemon_process.hpp>
+#include <tests/support/memory/aligned_region.hpp>
+#include <tests/support/processes/daemon_process.hpp>
 
 #include <sys/epoll.h>
 #include <sys/eventfd.h>

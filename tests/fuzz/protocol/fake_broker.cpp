@@ -11,7 +11,7 @@
 #include <daemon/observers/flight_recorder.hpp>
 #include <daemon/requests/rejoin_facts.hpp>
 
-#include <tests/support/temporary_directory.hpp>
+#include <tests/support/machine/temporary_directory.hpp>
 
 #include <string>
 #include <utility>

@@ -9,7 +9,7 @@
 // Each input gets a new one.
 #pragma once
 
-#include <base/unique_fd.hpp>
+#include <base/descriptors/unique_fd.hpp>
 #include <daemon/lifecycle/endpoint_manager.hpp>
 #include <daemon/state/address_plan.hpp>
 #include <daemon/state/obstacles.hpp>

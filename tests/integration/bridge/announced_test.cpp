@@ -5,7 +5,7 @@
 // sends for the real bridge, captured in a file, compared with those recorded from ROS 2.
 
 #include <tests/integration/bridge/bridge_side.hpp>
-#include <tests/support/plain_node.hpp>
+#include <tests/support/processes/plain_node.hpp>
 #include <tests/unit/bridge/golden_sample.hpp>
 
 #include <agnocast/agnocast.hpp>

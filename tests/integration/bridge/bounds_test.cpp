@@ -5,7 +5,7 @@
 // Method: more writers than places, a stopped reader in DDS, an allocation that fails.
 
 #include <tests/integration/bridge/bridge_side.hpp>
-#include <tests/support/plain_node.hpp>
+#include <tests/support/processes/plain_node.hpp>
 
 #include <agnocast/agnocast.hpp>
 #include <bridge/plan/routes.hpp>

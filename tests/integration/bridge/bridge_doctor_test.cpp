@@ -7,10 +7,10 @@
 #include <agnocast/agnocast.hpp>
 #include <bridge/dds/participant.hpp>
 #include <tests/integration/bridge/dds_domain.hpp>
-#include <tests/support/doctored.hpp>
-#include <tests/support/plain_node.hpp>
-#include <tests/support/steered_process.hpp>
-#include <tests/support/temporary_directory.hpp>
+#include <tests/support/machine/doctored.hpp>
+#include <tests/support/processes/plain_node.hpp>
+#include <tests/support/processes/steered_process.hpp>
+#include <tests/support/machine/temporary_directory.hpp>
 
 #include <std_msgs/msg/string.hpp>
 

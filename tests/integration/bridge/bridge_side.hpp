@@ -7,13 +7,13 @@
 
 #include <agnocast/agnocast.hpp>
 #include <agnocast/generic.hpp>
-#include <base/unix_address.hpp>
+#include <base/sockets/unix_address.hpp>
 #include <bridge/cdr/cdr.hpp>
 #include <bridge/dds/names.hpp>
 #include <bridge/dds/participant.hpp>
 #include <tests/integration/bridge/dds_domain.hpp>
-#include <tests/support/daemon_process.hpp>
-#include <tests/support/steered_process.hpp>
+#include <tests/support/processes/daemon_process.hpp>
+#include <tests/support/processes/steered_process.hpp>
 
 #include <rosidl_runtime_cpp/traits.hpp>
 

@@ -8,7 +8,7 @@
 #include <bridge/cdr/cdr.hpp>
 #include <bridge/dds/participant.hpp>
 #include <tests/integration/bridge/dds_domain.hpp>
-#include <tests/support/plain_node.hpp>
+#include <tests/support/processes/plain_node.hpp>
 
 #include <std_msgs/msg/string.hpp>
 

@@ -7,7 +7,7 @@
 // the other participant in DDS, on the loopback interface and in a domain of its own.
 
 #include <tests/integration/bridge/bridge_side.hpp>
-#include <tests/support/plain_node.hpp>
+#include <tests/support/processes/plain_node.hpp>
 
 #include <agnocast/agnocast.hpp>
 #include <agnocast/generic.hpp>

@@ -5,7 +5,7 @@
 #pragma once
 
 #include <tests/integration/bridge/dds_side.hpp>
-#include <tests/support/steered_process.hpp>
+#include <tests/support/processes/steered_process.hpp>
 
 #include <sys/socket.h>
 #include <sys/un.h>

@@ -4,7 +4,7 @@
 #pragma once
 
 #include <tests/integration/bridge/dds_domain.hpp>
-#include <tests/support/descriptors.hpp>
+#include <tests/support/memory/descriptors.hpp>
 
 #include <dirent.h>
 #include <gtest/gtest.h>

@@ -5,7 +5,7 @@
 // to both vendors.
 
 #include <tests/integration/bridge/peer_side.hpp>
-#include <tests/support/ctl.hpp>
+#include <tests/support/processes/ctl.hpp>
 
 #include <std_msgs/msg/bool.hpp>
 

@@ -5,7 +5,7 @@
 
 #include <tests/integration/bridge/bridge_side.hpp>
 #include <tests/integration/bridge/held.hpp>
-#include <tests/support/plain_node.hpp>
+#include <tests/support/processes/plain_node.hpp>
 
 #include <std_msgs/msg/string.hpp>
 

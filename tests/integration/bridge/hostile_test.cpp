@@ -7,7 +7,7 @@
 // participant, on which messages go on.
 
 #include <tests/integration/bridge/bridge_side.hpp>
-#include <tests/support/plain_node.hpp>
+#include <tests/support/processes/plain_node.hpp>
 
 #include <agnocast/agnocast.hpp>
 #include <bridge/dds/limits.hpp>

@@ -5,9 +5,9 @@
 #pragma once
 
 #include <tests/integration/bridge/held.hpp>
-#include <tests/support/ctl.hpp>
-#include <tests/support/daemon_process.hpp>
-#include <tests/support/steered_process.hpp>
+#include <tests/support/processes/ctl.hpp>
+#include <tests/support/processes/daemon_process.hpp>
+#include <tests/support/processes/steered_process.hpp>
 
 #include <gtest/gtest.h>
 

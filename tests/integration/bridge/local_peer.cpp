@@ -16,7 +16,7 @@
 //     ended NAME              calls that ended since: "SUM" or "failed", each and a space
 //     pending NAME            how many have not ended
 
-#include <tests/support/plain_node.hpp>
+#include <tests/support/processes/plain_node.hpp>
 
 #include <agnocast/agnocast.hpp>
 

@@ -7,7 +7,7 @@
 // one that reads, since none receives its own messages.
 
 #include <tests/integration/bridge/bridge_side.hpp>
-#include <tests/support/plain_node.hpp>
+#include <tests/support/processes/plain_node.hpp>
 
 #include <agnocast/agnocast.hpp>
 

@@ -7,7 +7,7 @@
 
 #include <tests/integration/bridge/bridge_side.hpp>
 #include <tests/integration/bridge/values.hpp>
-#include <tests/support/plain_node.hpp>
+#include <tests/support/processes/plain_node.hpp>
 
 #include <agnocast/agnocast.hpp>
 

@@ -4,7 +4,7 @@
 // that change the durability of endpoints in DDS while both sides live.
 
 #include <tests/integration/bridge/bridge_side.hpp>
-#include <tests/support/plain_node.hpp>
+#include <tests/support/processes/plain_node.hpp>
 
 #include <agnocast/agnocast.hpp>
 

@@ -5,7 +5,7 @@
 // in the form of rmw_cyclonedds.
 
 #include <tests/integration/bridge/bridge_side.hpp>
-#include <tests/support/plain_node.hpp>
+#include <tests/support/processes/plain_node.hpp>
 
 #include <agnocast/agnocast.hpp>
 #include <bridge/dds/ros_graph.hpp>

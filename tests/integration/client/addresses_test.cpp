@@ -10,9 +10,9 @@
 
 #include <agnocast/abi/limits.hpp>
 #include <agnocast/agnocast.hpp>
-#include <tests/support/client_tool.hpp>
-#include <tests/support/daemon_process.hpp>
-#include <tests/support/plain_node.hpp>
+#include <tests/support/processes/client_tool.hpp>
+#include <tests/support/processes/daemon_process.hpp>
+#include <tests/support/processes/plain_node.hpp>
 
 #include <gmock/gmock.h>
 

@@ -7,10 +7,10 @@
 // with paths, process numbers and hashes replaced by words.
 
 #include <agnocast/abi/fingerprint.hpp>
-#include <tests/support/daemon_process.hpp>
-#include <tests/support/listen_at.hpp>
-#include <tests/support/proxy_without_descriptors.hpp>
-#include <tests/support/wire_client.hpp>
+#include <tests/support/processes/daemon_process.hpp>
+#include <tests/support/wire/listen_at.hpp>
+#include <tests/support/wire/proxy_without_descriptors.hpp>
+#include <tests/support/wire/wire_client.hpp>
 
 #include <gtest/gtest.h>
 #include <sys/resource.h>

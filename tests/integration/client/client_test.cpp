@@ -5,8 +5,8 @@
 // SIGKILL for deaths. Nothing sleeps a fixed time: the test polls each asynchronous condition
 // until it is true, up to a bound.
 
-#include <tests/support/client_tool.hpp>
-#include <tests/support/daemon_process.hpp>
+#include <tests/support/processes/client_tool.hpp>
+#include <tests/support/processes/daemon_process.hpp>
 
 #include <gtest/gtest.h>
 

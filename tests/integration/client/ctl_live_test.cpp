@@ -5,9 +5,9 @@
 // linked) for the counters, processes of client_tool for the traffic, SIGKILL for the deaths.
 
 #include <agnocast/agnocast.hpp>
-#include <tests/support/client_tool.hpp>
-#include <tests/support/ctl.hpp>
-#include <tests/support/daemon_process.hpp>
+#include <tests/support/processes/client_tool.hpp>
+#include <tests/support/processes/ctl.hpp>
+#include <tests/support/processes/daemon_process.hpp>
 
 #include <sensor_msgs/msg/point_cloud2.hpp>
 

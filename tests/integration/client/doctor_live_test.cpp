@@ -4,8 +4,8 @@
 // its remedy, run completely, repairs the program. Method: the installed examples with the real
 // hook.
 
-#include <tests/support/doctored.hpp>
-#include <tests/support/steered_process.hpp>
+#include <tests/support/machine/doctored.hpp>
+#include <tests/support/processes/steered_process.hpp>
 
 #include <gmock/gmock.h>
 

@@ -7,9 +7,9 @@
 
 #include <agnocast/agnocast.hpp>
 #include <tests/integration/client/second_process.hpp>
-#include <tests/support/daemon_process.hpp>
-#include <tests/support/foreign_socket.hpp>
-#include <tests/support/suite_daemon.hpp>
+#include <tests/support/processes/daemon_process.hpp>
+#include <tests/support/wire/foreign_socket.hpp>
+#include <tests/support/processes/suite_daemon.hpp>
 
 #include <gmock/gmock.h>
 

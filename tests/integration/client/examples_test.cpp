@@ -4,7 +4,7 @@
 // report errors clearly.
 // Method: run them as a user would, against the real daemon; check exit status and text.
 
-#include <tests/support/daemon_process.hpp>
+#include <tests/support/processes/daemon_process.hpp>
 
 #include <gmock/gmock.h>
 #include <sys/wait.h>

@@ -6,9 +6,9 @@
 // occasion while it is destroyed; late user code writes into a pipe that this process reads.
 
 #include <agnocast/agnocast.hpp>
-#include <tests/support/child.hpp>
-#include <tests/support/daemon_process.hpp>
-#include <tests/support/plain_node.hpp>
+#include <tests/support/processes/child.hpp>
+#include <tests/support/processes/daemon_process.hpp>
+#include <tests/support/processes/plain_node.hpp>
 
 #include <gmock/gmock.h>
 

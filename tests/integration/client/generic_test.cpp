@@ -10,16 +10,16 @@
 #include <agnocast/abi/heaphook.h>
 #include <agnocast/generic.hpp>
 #include <agnocast/heap.hpp>
-#include <tests/support/daemon_process.hpp>
-#include <tests/support/plain_node.hpp>
-#include <tests/support/suite_daemon.hpp>
+#include <tests/support/processes/daemon_process.hpp>
+#include <tests/support/processes/plain_node.hpp>
+#include <tests/support/processes/suite_daemon.hpp>
 
 #include <gmock/gmock.h>
 
 #ifndef AGNOCAST_TEST_SANITIZED
 #include <every_kind_of_message.hpp>
 #include <every_message_name.hpp>
-#include <tests/support/random_message.hpp>
+#include <tests/support/messages/random_message.hpp>
 #endif
 #include <std_msgs/msg/header.hpp>
 #include <std_msgs/msg/string.hpp>

@@ -5,10 +5,10 @@
 // daemon; endpoints of raw clients (CtlNode), so that the test determines every fact.
 
 #include <agnocast/graph.hpp>
-#include <tests/integration/ctl_node.hpp>
-#include <tests/support/daemon_process.hpp>
+#include <tests/integration/ctl/ctl_node.hpp>
+#include <tests/support/processes/daemon_process.hpp>
 #include <tests/support/node_process.hpp>
-#include <tests/support/wire_dump.hpp>
+#include <tests/support/wire/wire_dump.hpp>
 
 #include <gmock/gmock.h>
 

@@ -7,10 +7,10 @@
 
 #include <agnocast/abi/heaphook.h>
 #include <agnocast/agnocast.hpp>
-#include <tests/support/bulk.hpp>
-#include <tests/support/daemon_process.hpp>
-#include <tests/support/own_process.hpp>
-#include <tests/support/plain_node.hpp>
+#include <tests/support/messages/bulk.hpp>
+#include <tests/support/processes/daemon_process.hpp>
+#include <tests/support/processes/own_process.hpp>
+#include <tests/support/processes/plain_node.hpp>
 
 #include <gtest/gtest.h>
 

@@ -6,9 +6,9 @@
 // real daemon and hook, a message type of rosidl.
 
 #include <agnocast/agnocast.hpp>
-#include <tests/support/daemon_process.hpp>
-#include <tests/support/own_process.hpp>
-#include <tests/support/plain_node.hpp>
+#include <tests/support/processes/daemon_process.hpp>
+#include <tests/support/processes/own_process.hpp>
+#include <tests/support/processes/plain_node.hpp>
 
 #include <sensor_msgs/msg/point_cloud2.hpp>
 

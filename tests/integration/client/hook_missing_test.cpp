@@ -5,8 +5,8 @@
 // Method: this program has no hook.
 
 #include <agnocast/agnocast.hpp>
-#include <tests/support/daemon_process.hpp>
-#include <tests/support/plain_node.hpp>
+#include <tests/support/processes/daemon_process.hpp>
+#include <tests/support/processes/plain_node.hpp>
 
 #include <gmock/gmock.h>
 

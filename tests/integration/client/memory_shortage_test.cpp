@@ -9,9 +9,9 @@
 #include <agnocast/agnocast.hpp>
 #include <client/session/reconnection.hpp>
 #include <tests/integration/services/services.hpp>
-#include <tests/support/daemon_process.hpp>
-#include <tests/support/own_process.hpp>
-#include <tests/support/wire_dump.hpp>
+#include <tests/support/processes/daemon_process.hpp>
+#include <tests/support/processes/own_process.hpp>
+#include <tests/support/wire/wire_dump.hpp>
 
 #include <gtest/gtest.h>
 #include <pthread.h>

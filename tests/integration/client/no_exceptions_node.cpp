@@ -8,7 +8,7 @@
 #include <agnocast/generic_service.hpp>
 #include <agnocast/relay.hpp>
 #include <tests/integration/services/services.hpp>
-#include <tests/support/plain_node.hpp>
+#include <tests/support/processes/plain_node.hpp>
 
 #include <cstdint>
 #include <cstdio>

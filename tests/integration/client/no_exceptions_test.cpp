@@ -4,8 +4,8 @@
 // the reason.
 // Method: no_exceptions_node, compiled without them.
 
-#include <tests/support/daemon_process.hpp>
-#include <tests/support/steered_process.hpp>
+#include <tests/support/processes/daemon_process.hpp>
+#include <tests/support/processes/steered_process.hpp>
 
 #include <gmock/gmock.h>
 

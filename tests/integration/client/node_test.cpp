@@ -7,9 +7,9 @@
 
 #include <agnocast/agnocast.hpp>
 #include <tests/integration/client/second_process.hpp>
-#include <tests/support/daemon_process.hpp>
-#include <tests/support/error_of.hpp>
-#include <tests/support/suite_daemon.hpp>
+#include <tests/support/processes/daemon_process.hpp>
+#include <tests/support/messages/error_of.hpp>
+#include <tests/support/processes/suite_daemon.hpp>
 
 #include <gmock/gmock.h>
 

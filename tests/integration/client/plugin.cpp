@@ -6,7 +6,7 @@
 #include "plugin.hpp"
 
 #include <agnocast/agnocast.hpp>
-#include <tests/support/plain_node.hpp>
+#include <tests/support/processes/plain_node.hpp>
 
 #include <unistd.h>
 

@@ -8,8 +8,8 @@
 
 #include "plugin.hpp"
 
-#include <tests/support/daemon_process.hpp>
-#include <tests/support/own_process.hpp>
+#include <tests/support/processes/daemon_process.hpp>
+#include <tests/support/processes/own_process.hpp>
 
 #include <gmock/gmock.h>
 

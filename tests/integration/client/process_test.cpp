@@ -5,10 +5,10 @@
 // ends as without the library.
 // Method: a program (process_node.cpp) that does it, with the real daemon; its output and its end.
 
-#include <base/unique_fd.hpp>
-#include <base/unix_address.hpp>
-#include <tests/support/daemon_process.hpp>
-#include <tests/support/steered_process.hpp>
+#include <base/descriptors/unique_fd.hpp>
+#include <base/sockets/unix_address.hpp>
+#include <tests/support/processes/daemon_process.hpp>
+#include <tests/support/processes/steered_process.hpp>
 
 #include <gmock/gmock.h>
 

@@ -7,9 +7,9 @@
 
 #include <agnocast/abi/heaphook.h>
 #include <agnocast/agnocast.hpp>
-#include <tests/support/daemon_process.hpp>
-#include <tests/support/plain_node.hpp>
-#include <tests/support/suite_daemon.hpp>
+#include <tests/support/processes/daemon_process.hpp>
+#include <tests/support/processes/plain_node.hpp>
+#include <tests/support/processes/suite_daemon.hpp>
 
 #include <gmock/gmock.h>
 

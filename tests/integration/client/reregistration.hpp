@@ -4,8 +4,8 @@
 // same socket, killed with its supervisor or stopped, each without the previous one's store.
 #pragma once
 
-#include <tests/support/client_tool.hpp>
-#include <tests/support/daemon_process.hpp>
+#include <tests/support/processes/client_tool.hpp>
+#include <tests/support/processes/daemon_process.hpp>
 
 #include <gtest/gtest.h>
 

@@ -7,9 +7,9 @@
 // killed with their supervisors and restarted without a store at the same socket.
 
 #include <tests/integration/client/reregistration_in_process.hpp>
-#include <tests/support/child.hpp>
-#include <tests/support/client_tool.hpp>
-#include <tests/support/wire_dump.hpp>
+#include <tests/support/processes/child.hpp>
+#include <tests/support/processes/client_tool.hpp>
+#include <tests/support/wire/wire_dump.hpp>
 
 #include <time.h>
 

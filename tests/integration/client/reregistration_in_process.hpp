@@ -6,7 +6,7 @@
 
 #include <agnocast/agnocast.hpp>
 #include <tests/integration/client/second_process.hpp>
-#include <tests/support/daemon_process.hpp>
+#include <tests/support/processes/daemon_process.hpp>
 
 #include <gtest/gtest.h>
 

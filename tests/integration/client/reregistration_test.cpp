@@ -8,11 +8,11 @@
 
 #include <agnocast/abi/wire.hpp>
 #include <agnocast/error.hpp>
-#include <base/packet_socket.hpp>
+#include <base/sockets/packet_socket.hpp>
 #include <tests/integration/client/reregistration.hpp>
-#include <tests/support/foreign_socket.hpp>
-#include <tests/support/listen_at.hpp>
-#include <tests/support/wire_dump.hpp>
+#include <tests/support/wire/foreign_socket.hpp>
+#include <tests/support/wire/listen_at.hpp>
+#include <tests/support/wire/wire_dump.hpp>
 
 #include <poll.h>
 

@@ -4,7 +4,7 @@
 // this program has no hook, and no daemon runs.
 
 #include <agnocast/agnocast.hpp>
-#include <tests/support/plain_node.hpp>
+#include <tests/support/processes/plain_node.hpp>
 
 #include <gtest/gtest.h>
 

@@ -7,11 +7,11 @@
 // another window makes room. Each in a process of its own, because a process has one heap.
 
 #include <agnocast/agnocast.hpp>
-#include <tests/support/bulk.hpp>
-#include <tests/support/daemon_process.hpp>
-#include <tests/support/own_process.hpp>
-#include <tests/support/plain_node.hpp>
-#include <tests/support/wire_client.hpp>
+#include <tests/support/messages/bulk.hpp>
+#include <tests/support/processes/daemon_process.hpp>
+#include <tests/support/processes/own_process.hpp>
+#include <tests/support/processes/plain_node.hpp>
+#include <tests/support/wire/wire_client.hpp>
 
 #include <gmock/gmock.h>
 

@@ -7,8 +7,8 @@
 
 #include <agnocast/agnocast.hpp>
 #include <agnocast/generic_service.hpp>
-#include <tests/support/daemon_process.hpp>
-#include <tests/support/suite_daemon.hpp>
+#include <tests/support/processes/daemon_process.hpp>
+#include <tests/support/processes/suite_daemon.hpp>
 
 #include <example_interfaces/srv/add_two_ints.hpp>
 #include <std_srvs/srv/empty.hpp>

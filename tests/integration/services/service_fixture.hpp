@@ -4,9 +4,9 @@
 #pragma once
 
 #include <tests/integration/services/services.hpp>
-#include <tests/support/daemon_process.hpp>
-#include <tests/support/plain_node.hpp>
-#include <tests/support/suite_daemon.hpp>
+#include <tests/support/processes/daemon_process.hpp>
+#include <tests/support/processes/plain_node.hpp>
+#include <tests/support/processes/suite_daemon.hpp>
 
 #include <agnocast/abi/heaphook.h>
 

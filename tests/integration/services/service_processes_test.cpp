@@ -4,10 +4,10 @@
 // Method: service_tool as servers and clients, real signals, the real daemon.
 
 #ifdef AGNOCAST_TEST_CTL
-#include <tests/support/ctl.hpp>
+#include <tests/support/processes/ctl.hpp>
 #endif
-#include <tests/support/daemon_process.hpp>
-#include <tests/support/steered_process.hpp>
+#include <tests/support/processes/daemon_process.hpp>
+#include <tests/support/processes/steered_process.hpp>
 
 #include <gmock/gmock.h>
 

@@ -4,7 +4,7 @@
 // once, however late the discarding thread runs. Method: this program's own syscall(), which
 // delays that thread before its first step.
 
-#include <base/closing.hpp>
+#include <base/descriptors/closing.hpp>
 
 #include <dlfcn.h>
 #include <gtest/gtest.h>

@@ -3,7 +3,7 @@
 // Goal: a process trusts a daemon by the uid of the listener and by which users could have put the
 // socket there. Method: every kind of server and directory; directories of other users need root.
 
-#include <base/daemon_socket.hpp>
+#include <base/sockets/daemon_socket.hpp>
 
 #include <gtest/gtest.h>
 #include <sys/stat.h>

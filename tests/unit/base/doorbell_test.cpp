@@ -4,13 +4,13 @@
 // doorbell of another. Method: doorbells as the daemon makes them in a private directory, an epoll
 // set as an executor uses, and raw system calls for what a hostile holder would do.
 
-#include <base/doorbell.hpp>
-#include <base/packet_socket.hpp>
+#include <base/descriptors/doorbell.hpp>
+#include <base/sockets/packet_socket.hpp>
 
-#include "tests/support/child.hpp"
-#include "tests/support/deaf_peer.hpp"
-#include "tests/support/descriptors.hpp"
-#include "tests/support/temporary_directory.hpp"
+#include "tests/support/processes/child.hpp"
+#include "tests/support/wire/deaf_peer.hpp"
+#include "tests/support/memory/descriptors.hpp"
+#include "tests/support/machine/temporary_directory.hpp"
 
 #include <gmock/gmock.h>
 

@@ -3,7 +3,7 @@
 // Goal: exactly the names of ROS 2 pass, and every refusal says what is wrong and where. Method:
 // tables of good names, bad names with the text a user sees, and expansions.
 
-#include <base/names.hpp>
+#include <base/text/names.hpp>
 
 #include <agnocast/abi/wire.hpp>
 

@@ -4,13 +4,13 @@
 // Method: both ends in this process; where PacketSocket would refuse to send, the test uses raw
 // sendmsg. Counting /proc/self/fd finds leaks.
 
-#include <base/packet_socket.hpp>
-#include <base/unix_address.hpp>
+#include <base/sockets/packet_socket.hpp>
+#include <base/sockets/unix_address.hpp>
 
-#include "tests/support/child.hpp"
-#include "tests/support/descriptors.hpp"
-#include "tests/support/listen_at.hpp"
-#include "tests/support/temporary_directory.hpp"
+#include "tests/support/processes/child.hpp"
+#include "tests/support/memory/descriptors.hpp"
+#include "tests/support/wire/listen_at.hpp"
+#include "tests/support/machine/temporary_directory.hpp"
 
 #include <gmock/gmock.h>
 

@@ -4,14 +4,14 @@
 // passes for another one. Method: forked children connect, one as another user; a seccomp filter
 // or an argument takes SO_PEERPIDFD away, as on an old kernel.
 
-#include <base/packet_socket.hpp>
-#include <base/peer_identity.hpp>
+#include <base/sockets/packet_socket.hpp>
+#include <base/sockets/peer_identity.hpp>
 
-#include "tests/support/child.hpp"
-#include "tests/support/descriptors.hpp"
-#include "tests/support/listen_at.hpp"
-#include "tests/support/seccomp_filter.hpp"
-#include "tests/support/temporary_directory.hpp"
+#include "tests/support/processes/child.hpp"
+#include "tests/support/memory/descriptors.hpp"
+#include "tests/support/wire/listen_at.hpp"
+#include "tests/support/machine/seccomp_filter.hpp"
+#include "tests/support/machine/temporary_directory.hpp"
 
 #include <gmock/gmock.h>
 

@@ -3,10 +3,10 @@
 // Goal: a Pidfd reports the end of exactly its process, and identities distinguish processes.
 // Method: forked children, killed.
 
-#include <base/pidfd.hpp>
+#include <base/descriptors/pidfd.hpp>
 
-#include "tests/support/child.hpp"
-#include "tests/support/descriptors.hpp"
+#include "tests/support/processes/child.hpp"
+#include "tests/support/memory/descriptors.hpp"
 
 #include <gtest/gtest.h>
 

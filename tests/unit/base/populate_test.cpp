@@ -3,9 +3,9 @@
 // Goal: pages become present for writing with their content, and an impossible range is a failure,
 // not a signal. Method: a memfd with a hole, a used page and an end; both ways of the kernel.
 
-#include <base/mapping.hpp>
-#include <base/memfd.hpp>
-#include <base/populate.hpp>
+#include <base/memory/mapping.hpp>
+#include <base/memory/memfd.hpp>
+#include <base/memory/populate.hpp>
 
 #include <gtest/gtest.h>
 #include <sys/stat.h>

@@ -3,7 +3,7 @@
 // Goal: untrusted text cannot forge lines or drive a terminal, and a mistyped word finds the right
 // one. Method: every byte, and tables.
 
-#include <base/text.hpp>
+#include <base/text/text.hpp>
 
 #include <gtest/gtest.h>
 

@@ -5,7 +5,7 @@
 // type's table; bytes written by hand. golden_test.cpp compares the bytes themselves.
 
 #include <bridge/cdr/cdr.hpp>
-#include <tests/support/random_message.hpp>
+#include <tests/support/messages/random_message.hpp>
 #include <tests/support/schema_tables.hpp>
 #include <tests/unit/bridge/golden_sample.hpp>
 #include <tests/unit/bridge/pieces.hpp>

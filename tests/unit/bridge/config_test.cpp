@@ -7,7 +7,7 @@
 #include <bridge/program/config.hpp>
 #include <bridge/program/options.hpp>
 #include <bridge/program/status_socket.hpp>
-#include <tests/support/temporary_directory.hpp>
+#include <tests/support/machine/temporary_directory.hpp>
 
 #include <gmock/gmock.h>
 

@@ -1,7 +1,7 @@
 // SPDX-License-Identifier: Apache-2.0
 
 #include <ctl/cli/unicode.hpp>
-#include <tests/support/random_message.hpp>
+#include <tests/support/messages/random_message.hpp>
 #include <tests/unit/bridge/golden_sample.hpp>
 
 #include <algorithm>

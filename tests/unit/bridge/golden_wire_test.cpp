@@ -6,7 +6,7 @@
 
 #include <bridge/cdr/cdr.hpp>
 #include <bridge/dds/names.hpp>
-#include <tests/support/random_message.hpp>
+#include <tests/support/messages/random_message.hpp>
 #include <tests/unit/bridge/golden_sample.hpp>
 #include <tests/unit/bridge/pieces.hpp>
 

@@ -5,7 +5,7 @@
 // schema tables, whose sequences use it.
 
 #include <bridge/cdr/cdr.hpp>
-#include <tests/support/random_message.hpp>
+#include <tests/support/messages/random_message.hpp>
 #include <tests/unit/bridge/golden_sample.hpp>
 #include <tests/unit/bridge/pieces.hpp>
 

@@ -7,7 +7,7 @@
 
 #include <bridge/program/status_socket.hpp>
 
-#include <tests/support/temporary_directory.hpp>
+#include <tests/support/machine/temporary_directory.hpp>
 
 #include <gtest/gtest.h>
 

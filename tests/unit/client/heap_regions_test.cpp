@@ -7,7 +7,7 @@
 #include <client/heap/heap.hpp>
 
 #include <agnocast/abi/client_region.hpp>
-#include <base/mapping.hpp>
+#include <base/memory/mapping.hpp>
 
 #include <gtest/gtest.h>
 #include <sys/mman.h>

@@ -1,7 +1,7 @@
 // SPDX-License-Identifier: Apache-2.0
 
 #include <client/shares/machine_memory.hpp>
-#include <tests/support/temporary_directory.hpp>
+#include <tests/support/machine/temporary_directory.hpp>
 
 #include <gtest/gtest.h>
 #include <unistd.h>

@@ -4,7 +4,7 @@
 // by name, written by hand, and reads the tag that operator new left in front of each allocation.
 #pragma once
 
-#include "tests/support/tagging_heap.hpp"
+#include "tests/support/memory/tagging_heap.hpp"
 
 #include <agnocast_test_msgs/msg/everything.hpp>
 #include <agnocast_test_msgs/msg/forest.hpp>

@@ -4,12 +4,12 @@
 // are announced and mapped up to the frontier. Method: windows of memfds in a reservation of this
 // test, which writes the owner's header as an owner would, honest or not.
 
-#include <base/kept_fd.hpp>
-#include <base/mapping.hpp>
-#include <base/memfd.hpp>
+#include <base/descriptors/kept_fd.hpp>
+#include <base/memory/mapping.hpp>
+#include <base/memory/memfd.hpp>
 #include <client/heap/address_users.hpp>
 #include <client/heap/peer_heap.hpp>
-#include <tests/support/aligned_region.hpp>
+#include <tests/support/memory/aligned_region.hpp>
 
 #include <agnocast/abi/client_region.hpp>
 

@@ -7,7 +7,7 @@
 #include <client/endpoint/peer_table.hpp>
 
 #include <agnocast/abi/client_region.hpp>
-#include <base/memfd.hpp>
+#include <base/memory/memfd.hpp>
 
 #include <gtest/gtest.h>
 #include <poll.h>

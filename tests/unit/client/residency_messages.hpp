@@ -5,7 +5,7 @@
 #pragma once
 
 #include "client/api/message_plan.hpp"
-#include "tests/support/tagging_heap.hpp"
+#include "tests/support/memory/tagging_heap.hpp"
 #include "tests/unit/client/message_oracle.hpp"
 
 #include <agnocast/residency.hpp>

@@ -1,8 +1,8 @@
 // SPDX-License-Identifier: Apache-2.0
 //
-// Goal: the control thread looks, and asks again, as often as pass_timer.hpp and reannouncement.hpp say.
+// Goal: the control thread looks, and asks again, as often as scan_timer.hpp and reannouncement.hpp say.
 
-#include <client/session/pass_timer.hpp>
+#include <client/session/scan_timer.hpp>
 #include <client/session/reannouncement.hpp>
 
 #include <gtest/gtest.h>
@@ -14,30 +14,30 @@ namespace {
 
 using namespace std::chrono_literals;
 
-TEST(PassTimer, LooksSoonAfterAPublishAndThenEverMoreRarely) {
-  PassTimer timer;
-  EXPECT_EQ(timer.next_ms(false, false, false), PassTimer::last_ms);
+TEST(ScanTimer, LooksSoonAfterAPublishAndThenEverMoreRarely) {
+  ScanTimer timer;
+  EXPECT_EQ(timer.next_ms(false, false, false), ScanTimer::last_ms);
   std::vector<int> pauses;
   for (int i = 0; i < 6; ++i) pauses.push_back(timer.next_ms(true, false, false));
   EXPECT_EQ(pauses, (std::vector<int>{100, 200, 400, 800, 1000, 1000}));
-  EXPECT_EQ(timer.next_ms(false, false, false), PassTimer::last_ms);
-  EXPECT_EQ(timer.next_ms(true, false, false), PassTimer::first_ms);
+  EXPECT_EQ(timer.next_ms(false, false, false), ScanTimer::last_ms);
+  EXPECT_EQ(timer.next_ms(true, false, false), ScanTimer::first_ms);
 }
 
-TEST(PassTimer, LooksForALinkSooner) {
-  PassTimer timer;
-  EXPECT_EQ(timer.next_ms(false, false, false), PassTimer::last_ms);
+TEST(ScanTimer, LooksForALinkSooner) {
+  ScanTimer timer;
+  EXPECT_EQ(timer.next_ms(false, false, false), ScanTimer::last_ms);
   std::vector<int> pauses;
   for (int i = 0; i < 9; ++i) pauses.push_back(timer.next_ms(false, true, false));
   EXPECT_EQ(pauses, (std::vector<int>{1, 2, 4, 8, 16, 32, 64, 100, 100}));
-  EXPECT_EQ(timer.next_ms(false, false, false), PassTimer::last_ms);
-  EXPECT_EQ(timer.next_ms(false, true, false), PassTimer::link_first_ms);
+  EXPECT_EQ(timer.next_ms(false, false, false), ScanTimer::last_ms);
+  EXPECT_EQ(timer.next_ms(false, true, false), ScanTimer::link_first_ms);
 }
 
-TEST(PassTimer, LooksAtOnePaceWithoutADaemon) {
-  PassTimer timer;
+TEST(ScanTimer, LooksAtOnePaceWithoutADaemon) {
+  ScanTimer timer;
   for (const bool reclaimable : {false, true})
-    EXPECT_EQ(timer.next_ms(reclaimable, true, true), PassTimer::alone_ms);
+    EXPECT_EQ(timer.next_ms(reclaimable, true, true), ScanTimer::alone_ms);
 }
 
 struct ReannouncementTest : testing::Test {

@@ -5,10 +5,10 @@
 
 #include <client/heap/sparse_region.hpp>
 
-#include <base/kept_fd.hpp>
-#include <base/memfd.hpp>
+#include <base/descriptors/kept_fd.hpp>
+#include <base/memory/memfd.hpp>
 #include <client/process/forked_child.hpp>
-#include <tests/support/child.hpp>
+#include <tests/support/processes/child.hpp>
 
 #include <fcntl.h>
 #include <gtest/gtest.h>

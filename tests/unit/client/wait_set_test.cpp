@@ -7,7 +7,7 @@
 #include <client/process/wait_set.hpp>
 
 #include <client/process/forked_child.hpp>
-#include <tests/support/child.hpp>
+#include <tests/support/processes/child.hpp>
 
 #include <gtest/gtest.h>
 #include <sys/epoll.h>

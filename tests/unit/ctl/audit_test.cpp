@@ -7,7 +7,7 @@
 #include <ctl/snapshot/audit.hpp>
 
 #include <agnocast/abi/fingerprint.hpp>
-#include <base/memfd.hpp>
+#include <base/memory/memfd.hpp>
 
 #include <gtest/gtest.h>
 

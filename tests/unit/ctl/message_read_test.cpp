@@ -7,7 +7,7 @@
 #include <ctl/messages/message_read.hpp>
 #include <ctl/messages/message_text.hpp>
 #include <every_message_name.hpp>
-#include <tests/support/random_message.hpp>
+#include <tests/support/messages/random_message.hpp>
 #include <tests/unit/ctl/made_message.hpp>
 
 #include <gmock/gmock.h>

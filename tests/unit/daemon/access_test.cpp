@@ -4,7 +4,7 @@
 // Method: tables of patterns and decisions; a plain recursive matcher as a second opinion.
 
 #include <agnocast/topic_pattern.hpp>
-#include <base/names.hpp>
+#include <base/text/names.hpp>
 #include <daemon/config/access.hpp>
 
 #include <gtest/gtest.h>

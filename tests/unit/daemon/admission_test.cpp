@@ -5,7 +5,7 @@
 // Method: the daemon's core with small quotas; each request is asked for before it is carried out.
 
 #include <daemon/admission/admission.hpp>
-#include <tests/support/daemon_core.hpp>
+#include <tests/support/processes/daemon_core.hpp>
 
 #include <gtest/gtest.h>
 

@@ -5,7 +5,7 @@
 // Method: the daemon's core with peers that have no socket, and a log that is read.
 
 #include <daemon/death/client_termination.hpp>
-#include <tests/support/daemon_core.hpp>
+#include <tests/support/processes/daemon_core.hpp>
 
 #include <gtest/gtest.h>
 

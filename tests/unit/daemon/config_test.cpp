@@ -6,8 +6,8 @@
 
 #include <daemon/config/config.hpp>
 
-#include "tests/support/child.hpp"
-#include "tests/support/temporary_directory.hpp"
+#include "tests/support/processes/child.hpp"
+#include "tests/support/machine/temporary_directory.hpp"
 
 #include <gmock/gmock.h>
 

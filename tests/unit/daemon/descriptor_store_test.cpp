@@ -5,8 +5,8 @@
 // manager: a socket for the datagrams, and a child that gets descriptors as LISTEN_FDS.
 
 #include <daemon/transport/descriptor_store.hpp>
-#include <tests/support/child.hpp>
-#include <tests/support/own_process.hpp>
+#include <tests/support/processes/child.hpp>
+#include <tests/support/processes/own_process.hpp>
 
 #include <fcntl.h>
 #include <gtest/gtest.h>

@@ -5,7 +5,7 @@
 // Method: the runner over a registry, with connections that only count; what happened is read from the tables.
 
 #include <daemon/lifecycle/effect_runner.hpp>
-#include <tests/support/daemon_core.hpp>
+#include <tests/support/processes/daemon_core.hpp>
 #include <tests/support/registry_scene.hpp>
 
 #include <gtest/gtest.h>

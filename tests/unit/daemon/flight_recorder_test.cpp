@@ -6,7 +6,7 @@
 // reused, a bit flipped.
 
 #include <daemon/observers/flight_recorder.hpp>
-#include <tests/support/registry_memory.hpp>
+#include <tests/support/memory/registry_memory.hpp>
 
 #include <gtest/gtest.h>
 

@@ -7,7 +7,7 @@
 
 #include <daemon/state/hold_pool.hpp>
 #include <daemon/state/registry.hpp>
-#include <tests/support/registry_memory.hpp>
+#include <tests/support/memory/registry_memory.hpp>
 
 #include <gtest/gtest.h>
 

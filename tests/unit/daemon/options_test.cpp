@@ -6,7 +6,7 @@
 #include <agnocast/version.hpp>
 #include <daemon/config/options.hpp>
 
-#include "tests/support/temporary_directory.hpp"
+#include "tests/support/machine/temporary_directory.hpp"
 
 #include <gmock/gmock.h>
 

@@ -6,7 +6,7 @@
 // past, so that each call is one step; a step's work is counted in redo log records.
 
 #include <daemon/death/reaper.hpp>
-#include <tests/support/daemon_core.hpp>
+#include <tests/support/processes/daemon_core.hpp>
 
 #include <gtest/gtest.h>
 

@@ -5,7 +5,7 @@
 // Method: registry, endpoint manager and regions as the daemon has them; a budget of nothing, so each turn is one step.
 
 #include <daemon/death/reaping_queue.hpp>
-#include <tests/support/daemon_core.hpp>
+#include <tests/support/processes/daemon_core.hpp>
 
 #include <gtest/gtest.h>
 

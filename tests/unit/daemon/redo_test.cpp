@@ -8,7 +8,7 @@
 // is opened over it.
 
 #include <daemon/state/registry.hpp>
-#include <tests/support/registry_memory.hpp>
+#include <tests/support/memory/registry_memory.hpp>
 
 #include <gtest/gtest.h>
 

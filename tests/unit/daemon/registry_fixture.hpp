@@ -5,7 +5,7 @@
 
 #include <agnocast/abi/fingerprint.hpp>
 #include <daemon/state/registry.hpp>
-#include <tests/support/registry_memory.hpp>
+#include <tests/support/memory/registry_memory.hpp>
 
 #include <gtest/gtest.h>
 

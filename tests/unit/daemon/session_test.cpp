@@ -4,7 +4,7 @@
 // books alone, without a socket, and with the endpoint manager that asks them.
 
 #include <daemon/transport/session.hpp>
-#include <tests/support/daemon_core.hpp>
+#include <tests/support/processes/daemon_core.hpp>
 
 #include <gtest/gtest.h>
 

@@ -9,7 +9,7 @@
 #include <daemon/death/hold_watch.hpp>
 #include <daemon/death/unmap_watch.hpp>
 #include <region/views.hpp>
-#include <tests/support/daemon_core.hpp>
+#include <tests/support/processes/daemon_core.hpp>
 
 #include <gtest/gtest.h>
 

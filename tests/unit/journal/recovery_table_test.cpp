@@ -14,7 +14,7 @@
 #include <journal/record.hpp>
 #include <journal/recovery.hpp>
 #include <journal/redo_log.hpp>
-#include <tests/support/aligned_region.hpp>
+#include <tests/support/memory/aligned_region.hpp>
 #include <tests/support/recovery_document.hpp>
 
 #include <gtest/gtest.h>

@@ -1,0 +1,43 @@
+// SPDX-License-Identifier: Apache-2.0
+//
+// ScanTimer: how long the control thread may sleep before somebody must look at the publishers again. Pure.
+//
+// Scans of an idle publisher come soon after the last publish, then ever more rarely (docs/protocol.md, who runs a
+// scan). A subscription that has not linked yet is looked for sooner: usually it links within a millisecond, and nobody
+// rings when it has. A session without a daemon is looked at at one pace: nobody says who is gone.
+#pragma once
+
+#include <algorithm>
+
+namespace agnocast {
+
+class ScanTimer {
+ public:
+  static constexpr int first_ms = 100, last_ms = 1000;
+  static constexpr int link_first_ms = 1;
+  static constexpr int alone_ms = 20;
+
+  /// What there is to wait for: a message that a scan may free, a subscription that has not linked.
+  int next_ms(bool reclaimable, bool awaits_link, bool is_alone) noexcept {
+    if (!reclaimable) {
+      pause_ = last_ms;
+    } else {
+      pause_ = was_reclaimable_ ? std::min(pause_ * 2, last_ms) : first_ms;
+    }
+    was_reclaimable_ = reclaimable;
+    if (is_alone) return alone_ms;
+    if (!awaits_link) {
+      link_pause_ = link_first_ms;
+      return pause_;
+    }
+    const int look = link_pause_;
+    link_pause_ = std::min(link_pause_ * 2, first_ms);
+    return std::min(pause_, look);
+  }
+
+ private:
+  int pause_ = 0, link_pause_ = 0;
+  bool was_reclaimable_ = false;
+};
+
+}  // namespace agnocast
