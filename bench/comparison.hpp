@@ -28,8 +28,8 @@ struct Series {
   double p50_ns() const;
   double publish_p50_ns() const;
   /// Return medians over the rounds: of the mean of eight publish calls in a row, because small
-  /// messages have one expensive call in eight (docs/protocol.md, deferred scan), and of the sender's
-  /// processor time per message.
+  /// messages have one expensive call in eight (docs/protocol.md, deferred scan), and of the
+  /// sender's processor time per message.
   double publish_of_eight_ns() const;
   double sender_cpu_ns() const;
   /// Returns the latencies of all rounds: a tail needs all samples.

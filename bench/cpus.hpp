@@ -13,10 +13,9 @@
 namespace agnocast::bench {
 
 struct Cpus {
-  std::vector<int> usable;    ///< in order, at least one
-  int first = 0, second = 0;  ///< the same if there is only one
-  std::optional<bool>
-      are_siblings;  ///< threads of one core; empty: unknown, or there is only one
+  std::vector<int> usable;           ///< in order, at least one
+  int first = 0, second = 0;         ///< the same if there is only one
+  std::optional<bool> are_siblings;  ///< threads of one core; empty: unknown, or there is only one
 
   bool has_two() const noexcept { return first != second; }
 };

@@ -59,9 +59,8 @@ class Lane {
   enum State : std::uint32_t { waiting, running, over };
 
   struct alignas(64) Seen {
-    std::atomic<std::uint64_t>
-        number;          ///< of the last verified message; they count from 1
-    std::int64_t at_ns;  ///< its time
+    std::atomic<std::uint64_t> number;  ///< of the last verified message; they count from 1
+    std::int64_t at_ns;                 ///< its time
   };
   struct Sent {
     std::int64_t begin_ns, end_ns;

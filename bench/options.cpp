@@ -24,7 +24,8 @@ bool split(const std::string& text, double& number, std::string& unit) {
 }
 
 std::string check_size(const std::string& text) {
-  return size_of(text) >= 16 ? "" : "'" + text + "' is not a size of 16 bytes or more, like 1K or 8M";
+  return size_of(text) >= 16 ? ""
+                             : "'" + text + "' is not a size of 16 bytes or more, like 1K or 8M";
 }
 std::string check_period(const std::string& text) {
   return period_of(text).count() >= 0 ? "" : "'" + text + "' is not a time like 250us, 1ms or 1s";
@@ -194,10 +195,9 @@ Options parse(const std::vector<std::string>& arguments, const std::vector<Case>
       ->check(one_of(with_all, "case"));
   app.add_flag("--list", options.is_list,
                "print the cases and systems of this build, and how long they take");
-  auto* const rounds_option =
-      app.add_option("--rounds", rounds, "number of rounds of each system")
-          ->check(CLI::Range(1, 1000))
-          ->type_name("N");
+  auto* const rounds_option = app.add_option("--rounds", rounds, "number of rounds of each system")
+                                  ->check(CLI::Range(1, 1000))
+                                  ->type_name("N");
   auto* const messages_option =
       app.add_option("--messages", messages, "messages of a system per round")
           ->check(CLI::Range(1, 1000000))

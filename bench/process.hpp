@@ -26,11 +26,11 @@ class Process {
   struct Options {
     std::vector<std::string> command;           ///< searched in PATH unless it has a slash
     std::vector<std::string> environment = {};  ///< NAME=value, in addition to the caller's
-    std::vector<int> descriptors = {};  ///< inherited under the same numbers; no others are
-    std::string output = {};            ///< file for both streams, appended; empty: the caller's
-    bool has_pipes = false;             ///< send() and line() use its input and output
-    int end_signal = 9;                 ///< sent by the destructor, and by the kernel at our death
-    void (*at_end)() = nullptr;         ///< called after its end, to remove leftovers
+    std::vector<int> descriptors = {};          ///< inherited under the same numbers; no others are
+    std::string output = {};     ///< file for both streams, appended; empty: the caller's
+    bool has_pipes = false;      ///< send() and line() use its input and output
+    int end_signal = 9;          ///< sent by the destructor, and by the kernel at our death
+    void (*at_end)() = nullptr;  ///< called after its end, to remove leftovers
   };
   /// Throws std::system_error if no process can be made; a missing program appears as status 127.
   /// The process dies with the thread that calls this.

@@ -21,11 +21,11 @@ namespace agnocast::bench {
 
 /// Data for both sides of a run.
 struct Carriage {
-  std::string topic;                 ///< used by this run only
-  std::size_t bytes = 1024;          ///< of each payload, at least 16
-  std::size_t receivers = 1;         ///< processes
-  std::size_t index = 0;             ///< of this receiver
-  std::size_t depth = 10;            ///< keep-last, reliable
+  std::string topic;          ///< used by this run only
+  std::size_t bytes = 1024;   ///< of each payload, at least 16
+  std::size_t receivers = 1;  ///< processes
+  std::size_t index = 0;      ///< of this receiver
+  std::size_t depth = 10;     ///< keep-last, reliable
   /// Zeroed part of the lane, shared by all processes of a run: floors keep their words and rings
   /// there.
   void* scratch = nullptr;

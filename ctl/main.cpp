@@ -56,7 +56,8 @@ int complete(std::span<const std::string> words, const Surroundings& around) {
 int run(int argc, const char* const* argv) {
   const std::vector<std::string> words(argv + (argc > 0 ? 1 : 0), argv + argc);
   const Surroundings around = Surroundings::of_process();
-  const Problem unwritten{Status::failed, "output", "it cannot be written", "df; agnocast-ctl status"};
+  const Problem unwritten{Status::failed, "output", "it cannot be written",
+                          "df; agnocast-ctl status"};
   if (!words.empty() && words.front() == "--complete")
     return complete(std::span(words).subspan(1), around);
   const auto parsed = parse_arguments(words, all_commands, around);

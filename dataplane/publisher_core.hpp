@@ -16,8 +16,8 @@
 //         min over active and leaving s of low_s
 //   unk   from it on an unmapped endpoint may have started
 //         min over unmapped s of since_s
-// An endpoint that is withdrawn takes nothing more: it counts in none of them, and what it holds counts
-// until it has let go of it once, or is disregarded.
+// An endpoint that is withdrawn takes nothing more: it counts in none of them, and what it holds
+// counts until it has let go of it once, or is disregarded.
 //
 //            past            need                          h
 //   ---------|---------------|-----------------------------|--->  sequence
@@ -51,8 +51,8 @@ struct Entry {
 template <class M>
 class PublisherCore {
  public:
-  /// What publishes without a look at links may keep back together, in bytes: so little that it stays in
-  /// the first-level cache beside what the process works with.
+  /// What publishes without a look at links may keep back together, in bytes: so little that it
+  /// stays in the first-level cache beside what the process works with.
   static constexpr std::uint64_t kept_back_max = 16 * 1024;
 
   struct Identity {
@@ -63,7 +63,8 @@ class PublisherCore {
     std::uint64_t first_sequence;  // the queue is empty while head stands here
     abi::Qos qos;
     std::uint64_t slot_count;
-    std::uint64_t deferred_limit;  // publishes in a row that may leave out the look at links; 0 = none
+    std::uint64_t
+        deferred_limit;  // publishes in a row that may leave out the look at links; 0 = none
   };
 
   explicit PublisherCore(const Identity& identity) noexcept
@@ -75,9 +76,10 @@ class PublisherCore {
 
   /// Commits one message. `environment` is told which wait sets to ring and which messages to
   /// destroy: ring(executor, armed) and freed(slot, address); and, if it has commits(entry), that
-  /// nothing can refuse the message any more, directly ahead of the commit. If it has scans_soon(), that
-  /// says behind the rings whether somebody else is about to make a whole scan. On an error the caller
-  /// keeps the message. One that `was_published` before, in another queue, waits for nobody.
+  /// nothing can refuse the message any more, directly ahead of the commit. If it has scans_soon(),
+  /// that says behind the rings whether somebody else is about to make a whole scan. On an error
+  /// the caller keeps the message. One that `was_published` before, in another queue, waits for
+  /// nobody.
   template <class Environment>
   PublishOutcome publish(const Entry& entry, Environment& environment,
                          bool was_published = false) noexcept {
@@ -117,9 +119,9 @@ class PublisherCore {
     return PublishOutcome::published;
   }
 
-  /// Looks at every endpoint once and frees what may go. Called by publish, and by the control thread
-  /// when an endpoint died, left or was mapped, and by its timer while anything outside the history is
-  /// allocated.
+  /// Looks at every endpoint once and frees what may go. Called by publish, and by the control
+  /// thread when an endpoint died, left or was mapped, and by its timer while anything outside the
+  /// history is allocated.
   template <class Environment>
   void scan(Environment& environment) noexcept {
     scan(environment, false);
@@ -135,7 +137,8 @@ class PublisherCore {
               Environment& environment) noexcept {
     Endpoint& endpoint = endpoints_[index];
     endpoint.executor = executor;
-    if (abi::generation_of(endpoint.word) != generation) end_withdrawal(index);  // of the one before
+    if (abi::generation_of(endpoint.word) != generation)
+      end_withdrawal(index);  // of the one before
     // The number may have been another wait set's.
     AGNOCAST_STEP(J7_rung) rung_[executor] = 0;
     AGNOCAST_STEP(J7_member) {
@@ -148,19 +151,21 @@ class PublisherCore {
     if (index >= endpoint_high_) endpoint_high_ = index + 1;
     AGNOCAST_STEP(J7_ring) environment.ring(executor, 0);
   }
-  /// Behind attach(): of this publisher the endpoint may hold no more, whatever the board says that it may
-  /// hold of others.
+  /// Behind attach(): of this publisher the endpoint may hold no more, whatever the board says that
+  /// it may hold of others.
   void limit_holds(std::uint64_t index, std::uint64_t quota) noexcept {
     endpoints_[index].limit = quota;
   }
   /// The control thread is about to unmap it.
   void detach(std::uint64_t index, std::uint64_t generation) noexcept {
-    if (endpoints_[index].attached_generation == generation) endpoints_[index].attached_generation = 0;
+    if (endpoints_[index].attached_generation == generation)
+      endpoints_[index].attached_generation = 0;
   }
 
-  /// E1. An endpoint gets nothing more: it takes nothing, and nothing is kept for it but what it holds, or
-  /// may hold while it is not mapped. That is looked at until it has let go of everything, or disregard().
-  /// The caller makes a scan afterwards. False: it is no endpoint of this generation.
+  /// E1. An endpoint gets nothing more: it takes nothing, and nothing is kept for it but what it
+  /// holds, or may hold while it is not mapped. That is looked at until it has let go of
+  /// everything, or disregard(). The caller makes a scan afterwards. False: it is no endpoint of
+  /// this generation.
   bool withdraw(std::uint64_t index, std::uint64_t generation, abi::Withdrawal why) noexcept {
     Endpoint& endpoint = endpoints_[index];
     if (abi::generation_of(endpoint.word) != generation || !takes_part(endpoint.word)) return false;
@@ -169,14 +174,15 @@ class PublisherCore {
     say_withdrawal(index, why);
     return true;
   }
-  /// What a withdrawn endpoint holds counts no more: if it does hold something, it reads what it likes.
+  /// What a withdrawn endpoint holds counts no more: if it does hold something, it reads what it
+  /// likes.
   void disregard(std::uint64_t index, std::uint64_t generation) noexcept {
     Endpoint& endpoint = endpoints_[index];
     if (abi::generation_of(endpoint.word) == generation && endpoint.withdrawn_at != 0)
       endpoint.word = abi::pack_board_word(generation, abi::BoardState::free);
   }
-  /// It is mapped and served again. Who was disregarded not before it holds nothing: a slot that it has held
-  /// since may be another message's by now.
+  /// It is mapped and served again. Who was disregarded not before it holds nothing: a slot that it
+  /// has held since may be another message's by now.
   template <class Environment>
   bool serve_again(std::uint64_t index, std::uint64_t generation,
                    Environment& environment) noexcept {
@@ -217,9 +223,10 @@ class PublisherCore {
         function(i, generation);
     }
   }
-  /// Bytes of the messages that stay because of these mapped endpoints, with what belongs to them: what one of
-  /// them holds, or has not read and may still ask for. One that several keep counts once, and one of the history that
-  /// is kept for late joiners does not: it would stay without them.
+  /// Bytes of the messages that stay because of these mapped endpoints, with what belongs to them:
+  /// what one of them holds, or has not read and may still ask for. One that several keep counts
+  /// once, and one of the history that is kept for late joiners does not: it would stay without
+  /// them.
   struct EndpointId {
     std::uint64_t index, generation;
   };
@@ -250,8 +257,8 @@ class PublisherCore {
 
   /// Nothing is kept for late joiners any more. The caller makes a scan afterwards.
   void keep_no_history() noexcept { history_ = 0; }
-  /// The process of an endpoint is gone, and there is no daemon to say so: its holds and what it has not
-  /// read count no more. The caller makes a scan afterwards.
+  /// The process of an endpoint is gone, and there is no daemon to say so: its holds and what it
+  /// has not read count no more. The caller makes a scan afterwards.
   void bury(std::uint64_t index, std::uint64_t generation) noexcept {
     Endpoint& endpoint = endpoints_[index];
     if (abi::generation_of(endpoint.word) == generation)
@@ -287,8 +294,8 @@ class PublisherCore {
     std::uint64_t extent = 0;
     std::uint64_t armed_offset = 0;
     std::uint64_t executor = 0;
-    std::uint64_t low = 0;    // of the last scan, for room_for_one_more
-    std::uint64_t quota = 0;  // messages that it may hold at once
+    std::uint64_t low = 0;           // of the last scan, for room_for_one_more
+    std::uint64_t quota = 0;         // messages that it may hold at once
     std::uint64_t limit = infinite;  // likewise, of this publisher
     std::uint64_t withdrawn_at =
         0;  // head when it was told that it gets nothing more; 0 = it was not
@@ -308,16 +315,18 @@ class PublisherCore {
     return room;
   }
 
-  /// P7: learn who is an endpoint now. An endpoint seen for the first time may have started as early as
-  /// the head of the previous look: that look missed its J3, so its J6 reads a head at or after it.
+  /// P7: learn who is an endpoint now. An endpoint seen for the first time may have started as
+  /// early as the head of the previous look: that look missed its J3, so its J6 reads a head at or
+  /// after it.
   void refresh_endpoints() noexcept {
     std::uint64_t epoch = epoch_seen_;
     // [sync:join] acquire; pairs with the daemon's seq_cst store at J3, behind the fence of P6.
     AGNOCAST_STEP(P7_epoch) epoch = self_.topic.epoch().load(std::memory_order_acquire);
     if (M::holds(steps::P7_changed, epoch != epoch_seen_)) {
       epoch_seen_ = epoch;
-      // The own word before the endpoints' words: once it says orphan no history is kept for late joiners, and whoever joined before that must
-      // be seen by the same scan. [sync:join] acquire; pairs with D3_word, which the daemon stores after every earlier J3.
+      // The own word before the endpoints' words: once it says orphan no history is kept for late
+      // joiners, and whoever joined before that must be seen by the same scan. [sync:join] acquire;
+      // pairs with D3_word, which the daemon stores after every earlier J3.
       std::uint64_t self_word = abi::pack_board_word(self_.generation, abi::BoardState::active);
       AGNOCAST_STEP(P7_self)
       self_word = self_.topic.publisher(self_.index, offsetof(abi::PublisherEntry, word))
@@ -333,7 +342,8 @@ class PublisherCore {
 
   /// After the endpoints: a first sight of one still counts with the history that it was promised.
   void refresh_self(std::uint64_t word) noexcept {
-    // Free again, or already somebody else's: everybody it was announced to has unlinked or is dead (rule RU), so nobody holds anything.
+    // Free again, or already somebody else's: everybody it was announced to has unlinked or is dead
+    // (rule RU), so nobody holds anything.
     if (abi::generation_of(word) != self_.generation ||
         abi::state_of(word) == abi::BoardState::free) {
       over_ = 1;
@@ -362,7 +372,7 @@ class PublisherCore {
       AGNOCAST_STEP(P7_window) endpoint.window = abi::window_of(qos);
       endpoint.bound = qos.keep_all && qos.reliable ? qos.depth : 0;
       endpoint.quota = self_.topic.subscription(index, offsetof(abi::SubscriptionEntry, quota))
-                         .load(std::memory_order_relaxed);
+                           .load(std::memory_order_relaxed);
       end_withdrawal(index);
       endpoint.since = head_sequence_ + 1;
       AGNOCAST_STEP(P7_since)
@@ -370,7 +380,7 @@ class PublisherCore {
       endpoint.low = endpoint.since;
     } else if (endpoint.word != word && !takes_part(endpoint.word)) {
       word = abi::pack_board_word(abi::generation_of(word),
-                              abi::BoardState::free);  // refused or over: it stays so
+                                  abi::BoardState::free);  // refused or over: it stays so
     } else if (endpoint.withdrawn_at != 0 && takes_part(word)) {
       word = endpoint.word;
     }
@@ -479,13 +489,15 @@ class PublisherCore {
       endpoint.low = low;
       past = std::min(past, low);
       if (!leaving)
-        need = std::min(need, std::max(low, region::minus_at_least(head_sequence_ + 1, endpoint.window, 0)));
+        need = std::min(
+            need, std::max(low, region::minus_at_least(head_sequence_ + 1, endpoint.window, 0)));
     }
     retire_and_free(environment, need, past, {unknown_from, unknown_to}, held);
   }
 
-  /// An honest subscription takes nothing while it holds its quota. One that holds more would take all
-  /// slots of this publisher; from then on its holds are not looked at, and it reads what it likes.
+  /// An honest subscription takes nothing while it holds its quota. One that holds more would take
+  /// all slots of this publisher; from then on its holds are not looked at, and it reads what it
+  /// likes.
   void collect_holds(const region::LinkWords<M>& link, std::uint64_t index,
                      typename Slots::Mask& held) noexcept {
     Endpoint& endpoint = endpoints_[index];
@@ -499,18 +511,20 @@ class PublisherCore {
       // this message is destroyed.
       const std::uint64_t bits = link.hold(word).load(std::memory_order_acquire);
       held[word] |= bits;
-      if (bits != 0) count += static_cast<std::uint64_t>(std::popcount(bits & slots_.allocated(word)));
+      if (bits != 0)
+        count += static_cast<std::uint64_t>(std::popcount(bits & slots_.allocated(word)));
     }
     const std::uint64_t quota = std::min(endpoint.quota, endpoint.limit);
     if (count > quota && slots_.holds_too_many(link, quota)) {
       endpoint.withdrawn_at = head_sequence_;
-      endpoint.word = abi::pack_board_word(abi::generation_of(endpoint.word), abi::BoardState::free);
+      endpoint.word =
+          abi::pack_board_word(abi::generation_of(endpoint.word), abi::BoardState::free);
       say_withdrawal(index, abi::Withdrawal::over_quota);
     }
   }
 
-  /// Of an endpoint that is withdrawn. It was told before the fence of this scan, so it takes nothing that this
-  /// look has not seen.
+  /// Of an endpoint that is withdrawn. It was told before the fence of this scan, so it takes
+  /// nothing that this look has not seen.
   void collect_last_holds(const region::LinkWords<M>& link, Endpoint& endpoint,
                           typename Slots::Mask& held) const noexcept {
     std::uint64_t any = 0;
@@ -522,7 +536,8 @@ class PublisherCore {
       any |= bits;
     }
     if (M::holds(steps::E2_clear, any == 0))
-      endpoint.word = abi::pack_board_word(abi::generation_of(endpoint.word), abi::BoardState::free);
+      endpoint.word =
+          abi::pack_board_word(abi::generation_of(endpoint.word), abi::BoardState::free);
   }
 
   struct Unknown {
@@ -533,8 +548,8 @@ class PublisherCore {
                        Unknown unknown, const typename Slots::Mask& held) noexcept {
     slots_.for_each([&](std::uint64_t slot) {
       const std::uint64_t sequence = slots_.sequence(slot);
-      // By an earlier scan: this one marks a slot below, when it has decided about it. So the mark is
-      // older than the fence at P6.
+      // By an earlier scan: this one marks a slot below, when it has decided about it. So the mark
+      // is older than the fence at P6.
       const bool retired = slots_.is_retired(slot);
       if (!M::holds(steps::P10_needed, sequence < need) && !retired) return;
       const bool untouchable =
@@ -557,8 +572,8 @@ class PublisherCore {
   std::uint64_t head_sequence_;
   std::uint64_t seen_;  // head at the last epoch check
   std::uint64_t epoch_seen_ = 0;
-  std::uint64_t history_;     // H
-  std::uint64_t over_ = 0;    // 1: the daemon has freed this publisher's index
+  std::uint64_t history_;   // H
+  std::uint64_t over_ = 0;  // 1: the daemon has freed this publisher's index
   std::uint64_t deferred_scans_ = 0;
   std::uint64_t kept_back_ = 0;  // bytes published since the last look at links
   std::uint64_t left_ = 0;       // 1: a look after a large message was left to somebody else

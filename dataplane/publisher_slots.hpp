@@ -1,7 +1,8 @@
 // SPDX-License-Identifier: Apache-2.0
 //
-// Publisher slots: which slots of its queue a publisher has allocated, and what lies in each. Memory of this process
-// alone; what others see of a slot the publisher core stores (dataplane/publisher_core.hpp).
+// Publisher slots: which slots of its queue a publisher has allocated, and what lies in each.
+// Memory of this process alone; what others see of a slot the publisher core stores
+// (dataplane/publisher_core.hpp).
 //
 //   free ──enter──▶ allocated ──retire──▶ retired ──free──▶ free
 //                       └───────free──────────────────────────▲
@@ -83,8 +84,8 @@ class PublisherSlots {
 
   // --- what others hold of them
 
-  /// Of these bits of a word, those of messages up to this sequence number: who is served no more has
-  /// taken nothing that came later, whatever its bits say.
+  /// Of these bits of a word, those of messages up to this sequence number: who is served no more
+  /// has taken nothing that came later, whatever its bits say.
   std::uint64_t published_before(std::uint64_t sequence, std::size_t word,
                                  std::uint64_t bits) const noexcept {
     std::uint64_t kept = 0;
@@ -95,18 +96,23 @@ class PublisherSlots {
     return kept;
   }
 
-  /// Does an endpoint hold more of them than its quota? Not what one look finds: while it lasts, messages are released and
-  /// others taken. Three looks decide, of which only what all have found counts. An honest subscription takes one message after the other and none at its quota,
-  /// so it never has more bits at one moment. Were more of them set in all looks, a bit A would be clear between the
-  /// first two and be set by a take (T4) ahead of the third. That take begins below the quota: another bit B is clear
-  /// then, which the first look has found and the third will find. So takes have undone A and B, and set them again
-  /// later; what is released is not taken again. A take undoes its bit
-  ///   - at T5, for the slot's former message. Nothing is published or freed during a scan, so only the take does that
+  /// Does an endpoint hold more of them than its quota? Not what one look finds: while it lasts,
+  /// messages are released and others taken. Three looks decide, of which only what all have found
+  /// counts. An honest subscription takes one message after the other and none at its quota, so it
+  /// never has more bits at one moment. Were more of them set in all looks, a bit A would be clear
+  /// between the first two and be set by a take (T4) ahead of the third. That take begins below the
+  /// quota: another bit B is clear then, which the first look has found and the third will find. So
+  /// takes have undone A and B, and set them again later; what is released is not taken again. A
+  /// take undoes its bit
+  ///   - at T5, for the slot's former message. Nothing is published or freed during a scan, so only
+  ///   the take does that
   ///     that was under way when the scan began, and it is the first one of the scan;
-  ///   - at T6, and leaves its message unread. The next take is of that message, and later ones are of newer ones.
-  /// So A was undone at T6 and B at T5, as the other way round, or both at T6, the take that sets A would be of a
-  /// message behind that of B, which nobody would take any more. Then the take that sets B begins below the quota as
-  /// well, and a third bit has to be clear that is set again later: there is none.
+  ///   - at T6, and leaves its message unread. The next take is of that message, and later ones are
+  ///   of newer ones.
+  /// So A was undone at T6 and B at T5, as the other way round, or both at T6, the take that sets A
+  /// would be of a message behind that of B, which nobody would take any more. Then the take that
+  /// sets B begins below the quota as well, and a third bit has to be clear that is set again
+  /// later: there is none.
   bool holds_too_many(const region::LinkWords<M>& link, std::uint64_t quota) const noexcept {
     Mask all = allocated_;
     for (int look = 0; look < 3; ++look) {

@@ -37,8 +37,8 @@ class LinkCore {
     region::TopicWords<M> topic;
     region::PublisherWords<M> publisher;  // in the publisher's client region, read-only here
     region::LinkWords<M> line;            // in this process's client region
-    std::uint64_t index;          // of the publisher in the topic
-    std::uint64_t generation;     // of the publisher
+    std::uint64_t index;                  // of the publisher in the topic
+    std::uint64_t generation;             // of the publisher
     std::uint64_t first_sequence;
     abi::Qos offered;
     abi::Qos requested;
@@ -62,9 +62,9 @@ class LinkCore {
     const bool history = M::holds(steps::J6_history,
                                   self_.offered.transient_local && self_.requested.transient_local);
     const std::uint64_t back = history ? std::min(self_.offered.depth, self_.requested.depth) : 0;
-    cursor_ = from_start
-                  ? self_.first_sequence + 1
-                  : region::minus_at_least(abi::sequence_of(head) + 1, back, self_.first_sequence + 1);
+    cursor_ = from_start ? self_.first_sequence + 1
+                         : region::minus_at_least(abi::sequence_of(head) + 1, back,
+                                                  self_.first_sequence + 1);
     AGNOCAST_STEP(J6_cursor) self_.line.cursor().store(cursor_, std::memory_order_relaxed);
     // [sync:link] seq_cst; pairs with the acquire at P9.
     AGNOCAST_STEP(J6_generation)
@@ -114,8 +114,8 @@ class LinkCore {
       if (newest_sequence < cursor_) break;
       std::uint64_t wanted = cursor_;
       AGNOCAST_STEP(T1_window)
-      wanted = std::max(cursor_,
-                        region::minus_at_least(newest_sequence + 1, abi::window_of(self_.requested), 0));
+      wanted = std::max(
+          cursor_, region::minus_at_least(newest_sequence + 1, abi::window_of(self_.requested), 0));
       lose(wanted - cursor_);
       // [sync:publish] acquire; pairs with P4.
       const std::uint64_t entry =
@@ -164,8 +164,9 @@ class LinkCore {
                   self_.publisher.slot_size(slot).load(std::memory_order_relaxed),
                   self_.publisher.slot_stamp(slot).load(std::memory_order_relaxed)};
       AGNOCAST_STEP(T6_frontier) windows.open();
-      const region::Place place =
-          has_right_shape(taken) ? windows.place_of(taken.address, taken.size) : region::Place::outside;
+      const region::Place place = has_right_shape(taken)
+                                      ? windows.place_of(taken.address, taken.size)
+                                      : region::Place::outside;
       if (!M::holds(steps::T6_inside, place == region::Place::readable)) {
         release(slot);
         if (place == region::Place::awaited) {  // it stays unread until the announcement is here
@@ -199,8 +200,8 @@ class LinkCore {
   std::optional<std::uint64_t> next_stamp(std::uint64_t head) const noexcept {
     const std::uint64_t newest_sequence = abi::sequence_of(head);
     if (newest_sequence < cursor_) return std::nullopt;
-    const std::uint64_t wanted =
-        std::max(cursor_, region::minus_at_least(newest_sequence + 1, abi::window_of(self_.requested), 0));
+    const std::uint64_t wanted = std::max(
+        cursor_, region::minus_at_least(newest_sequence + 1, abi::window_of(self_.requested), 0));
     const std::uint64_t entry = wanted == newest_sequence
                                     ? head
                                     : self_.publisher.order(wanted).load(std::memory_order_acquire);

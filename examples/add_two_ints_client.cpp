@@ -33,14 +33,17 @@ int main(int argc, char** argv) try {
   std::int64_t a = 0, b = 0;
   if (words.size() != 3 || !read(words[1], a) || !read(words[2], b)) {
     const bool is_help = words.size() == 2 && words[1] == "--help";
-    std::fputs("usage: add_two_ints_client A B [--ros-args -r FROM:=TO …]\n", is_help ? stdout : stderr);
+    std::fputs("usage: add_two_ints_client A B [--ros-args -r FROM:=TO …]\n",
+               is_help ? stdout : stderr);
     return is_help ? 0 : 2;
   }
   agnocast::Node node("add_two_ints_client");
   auto client = node.create_client<AddTwoInts>("add_two_ints");
   while (!client->wait_for_service(std::chrono::seconds(1))) {
     if (!client->is_active()) {
-      std::fputs("add_two_ints_client: agnocast is switched off, or agnocastd has revoked this process\n", stderr);
+      std::fputs(
+          "add_two_ints_client: agnocast is switched off, or agnocastd has revoked this process\n",
+          stderr);
       return 1;
     }
     std::puts("Service not available, waiting again…"), std::fflush(stdout);
@@ -54,6 +57,7 @@ int main(int argc, char** argv) try {
   std::printf("Sum: %lld\n", static_cast<long long>(sent.get()->sum));
   return 0;
 } catch (const agnocast::Error& error) {
-  std::fprintf(stderr, "add_two_ints_client: %s\nhint: %s\n", error.what(), agnocast::remedy_of(error.failure().code));
+  std::fprintf(stderr, "add_two_ints_client: %s\nhint: %s\n", error.what(),
+               agnocast::remedy_of(error.failure().code));
   return 1;
 }

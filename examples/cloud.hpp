@@ -26,7 +26,9 @@ struct Scan {
   std::size_t fields = fields_max;
 };
 
-inline float value_of(std::uint64_t number, std::uint64_t i) { return static_cast<float>((number * 2654435761u + i * 40503u) % 1000003u) / 1000.0f; }
+inline float value_of(std::uint64_t number, std::uint64_t i) {
+  return static_cast<float>((number * 2654435761u + i * 40503u) % 1000003u) / 1000.0f;
+}
 
 /// Fills it in an arbitrary way: push_back, resize, assign and insert mixed, so that the vectors
 /// reallocate as in real code.
@@ -71,8 +73,10 @@ inline std::string read_scan(const std::string& path, std::size_t fields, Scan& 
   if (end <= 0) return "no points";
   const auto bytes = static_cast<std::size_t>(end);
   const auto fits = [&](std::size_t count) { return bytes % (count * sizeof(float)) == 0; };
-  if (fields == 0 && fits(4) && fits(5)) return "its size fits 4 and 5 float32 per point: give --fields 4 or --fields 5";
-  if (fields == 0 && !fits(4) && !fits(5)) return "not a scan of 4 or 5 float32 per point: x y z intensity [ring]";
+  if (fields == 0 && fits(4) && fits(5))
+    return "its size fits 4 and 5 float32 per point: give --fields 4 or --fields 5";
+  if (fields == 0 && !fits(4) && !fits(5))
+    return "not a scan of 4 or 5 float32 per point: x y z intensity [ring]";
   if (fields == 0) fields = fits(5) ? 5 : 4;
   if (!fits(fields)) return "not a scan of " + std::to_string(fields) + " float32 per point";
   scan.fields = fields;
@@ -93,7 +97,9 @@ inline bool check(const Cloud& cloud, std::uint64_t number, const Scan& scan) {
     if (field.datatype != sensor_msgs::msg::PointField::FLOAT32 || field.count != 1) return false;
   }
   if (cloud.height != 1 || cloud.is_bigendian || !cloud.is_dense) return false;
-  if (cloud.point_step != scan.fields * sizeof(float) || cloud.row_step != cloud.point_step * cloud.width) return false;
+  if (cloud.point_step != scan.fields * sizeof(float) ||
+      cloud.row_step != cloud.point_step * cloud.width)
+    return false;
   if (cloud.data.size() != cloud.row_step) return false;
   if (!scan.values.empty())
     return cloud.data.size() == scan.values.size() * sizeof(float) &&

@@ -14,10 +14,15 @@
 #include <thread>
 
 int main(int argc, char** argv) try {
-  const example::Options options = example::parse(argc, argv, "points", " [--points N | --scan FILE [--fields N]]");
+  const example::Options options =
+      example::parse(argc, argv, "points", " [--points N | --scan FILE [--fields N]]");
   example::Scan scan;
-  if (const std::string wrong = options.scan.empty() ? "" : example::read_scan(options.scan, options.fields, scan); !wrong.empty()) {
-    std::fprintf(stderr, "cloud_publisher: %s: %s\nhint: cloud_publisher --help describes the files\n", options.scan.c_str(), wrong.c_str());
+  if (const std::string wrong =
+          options.scan.empty() ? "" : example::read_scan(options.scan, options.fields, scan);
+      !wrong.empty()) {
+    std::fprintf(stderr,
+                 "cloud_publisher: %s: %s\nhint: cloud_publisher --help describes the files\n",
+                 options.scan.c_str(), wrong.c_str());
     return 1;
   }
   agnocast::Node node("cloud_publisher");
@@ -29,18 +34,22 @@ int main(int argc, char** argv) try {
     const std::size_t bytes = message->data.size();
     const auto result = publisher->publish(std::move(message));
     if (!result) {
-      std::fprintf(stderr, "cloud_publisher: publish: %s\nhint: %s\n", agnocast::sentence_of(result.code), agnocast::remedy_of(result.code));
+      std::fprintf(stderr, "cloud_publisher: publish: %s\nhint: %s\n",
+                   agnocast::sentence_of(result.code), agnocast::remedy_of(result.code));
       return 1;
     }
     if (options.verbose) {
-      std::printf("published %llu: %zu bytes, %llu adopted\n", static_cast<unsigned long long>(number), bytes,
+      std::printf("published %llu: %zu bytes, %llu adopted\n",
+                  static_cast<unsigned long long>(number), bytes,
                   static_cast<unsigned long long>(result.adopted_bytes));
       std::fflush(stdout);
     }
-    std::this_thread::sleep_until(next += std::chrono::duration_cast<std::chrono::nanoseconds>(std::chrono::duration<double>(1 / options.rate)));
+    std::this_thread::sleep_until(next += std::chrono::duration_cast<std::chrono::nanoseconds>(
+                                      std::chrono::duration<double>(1 / options.rate)));
   }
   return 0;
 } catch (const agnocast::Error& error) {
-  std::fprintf(stderr, "cloud_publisher: %s\nhint: %s\n", error.what(), agnocast::remedy_of(error.failure().code));
+  std::fprintf(stderr, "cloud_publisher: %s\nhint: %s\n", error.what(),
+               agnocast::remedy_of(error.failure().code));
   return 1;
 }

@@ -33,18 +33,24 @@ struct Options {
 inline constexpr std::uint64_t points_max = UINT32_MAX / (5 * sizeof(float));
 
 [[noreturn]] inline void help(const char* program, const char* topic, const char* extra) {
-  std::printf("usage: %s [--topic NAME] [--count N] [--rate HZ] [--depth N] [--verbose]%s [--ros-args -r FROM:=TO …]\n"
-               "  --topic NAME   topic (default %s)\n"
-               "  --count N      end after N messages (default: never)\n"
-               "  --rate HZ      messages per second, publishers only (default 1)\n"
-               "  --depth N      history depth (default 10)\n"
-               "  --verbose      a line for each message\n",
-               program, extra, topic);
-  if (std::strstr(extra, "--points") != nullptr) std::fputs("  --points N     points of each cloud (default 10000)\n", stdout);
+  std::printf(
+      "usage: %s [--topic NAME] [--count N] [--rate HZ] [--depth N] [--verbose]%s [--ros-args -r "
+      "FROM:=TO …]\n"
+      "  --topic NAME   topic (default %s)\n"
+      "  --count N      end after N messages (default: never)\n"
+      "  --rate HZ      messages per second, publishers only (default 1)\n"
+      "  --depth N      history depth (default 10)\n"
+      "  --verbose      a line for each message\n",
+      program, extra, topic);
+  if (std::strstr(extra, "--points") != nullptr)
+    std::fputs("  --points N     points of each cloud (default 10000)\n", stdout);
   if (std::strstr(extra, "--scan") != nullptr) {
-    std::fputs("  --scan FILE    replay the points of this file again and again: float32 x y z intensity ring\n"
-               "  --fields N     fields of each of its points: 3, 4 (KITTI) or 5 (nuScenes); default: 4 or 5, as the size of the file fits\n",
-               stdout);
+    std::fputs(
+        "  --scan FILE    replay the points of this file again and again: float32 x y z intensity "
+        "ring\n"
+        "  --fields N     fields of each of its points: 3, 4 (KITTI) or 5 (nuScenes); default: 4 "
+        "or 5, as the size of the file fits\n",
+        stdout);
   }
   std::exit(0);
 }
@@ -55,7 +61,8 @@ inline Options parse(int argc, char** argv, const char* topic, const char* extra
   const char* const slash = std::strrchr(argv[0], '/');
   const char* const program = slash != nullptr ? slash + 1 : argv[0];
   const auto refuse = [&](const std::string& what, const std::string& why) {
-    std::fprintf(stderr, "%s: %s: %s\nhint: %s --help\n", program, what.c_str(), why.c_str(), program);
+    std::fprintf(stderr, "%s: %s: %s\nhint: %s --help\n", program, what.c_str(), why.c_str(),
+                 program);
     std::exit(2);
   };
   Options options;
@@ -71,8 +78,10 @@ inline Options parse(int argc, char** argv, const char* topic, const char* extra
     }
     const char* const value = i + 1 < own.size() ? own[++i].c_str() : nullptr;
     char* end = nullptr;
-    const bool has_points = std::strstr(extra, "--points") != nullptr, has_scan = std::strstr(extra, "--scan") != nullptr;
-    const bool known = name == "--topic" || name == "--count" || name == "--rate" || name == "--depth" || (name == "--points" && has_points) ||
+    const bool has_points = std::strstr(extra, "--points") != nullptr,
+               has_scan = std::strstr(extra, "--scan") != nullptr;
+    const bool known = name == "--topic" || name == "--count" || name == "--rate" ||
+                       name == "--depth" || (name == "--points" && has_points) ||
                        ((name == "--scan" || name == "--fields") && has_scan);
     if (!known) refuse(name, "unknown option");
     if (value == nullptr) refuse(name, "needs a value");
@@ -92,10 +101,13 @@ inline Options parse(int argc, char** argv, const char* topic, const char* extra
     } else {
       options.scan = value;
     }
-    if (end != nullptr && (*value == '-' || *end != '\0' || end == value)) refuse(name, std::string("must be a number, not ") + value);
+    if (end != nullptr && (*value == '-' || *end != '\0' || end == value))
+      refuse(name, std::string("must be a number, not ") + value);
   }
-  if (!(options.rate >= 1e-6 && options.rate <= 1e9)) refuse("--rate", "must be a number from 0.000001 to 1000000000");
-  if (options.points > points_max) refuse("--points", "a cloud has at most " + std::to_string(points_max) + " points");
+  if (!(options.rate >= 1e-6 && options.rate <= 1e9))
+    refuse("--rate", "must be a number from 0.000001 to 1000000000");
+  if (options.points > points_max)
+    refuse("--points", "a cloud has at most " + std::to_string(points_max) + " points");
   return options;
 }
 

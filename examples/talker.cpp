@@ -20,15 +20,19 @@ int main(int argc, char** argv) try {
   for (std::uint64_t number = 1; options.count == 0 || number <= options.count; ++number) {
     auto message = publisher->borrow_loaned_message();
     message->data = "Hello World: " + std::to_string(number);
-    if (options.verbose) std::printf("Publishing: '%s'\n", message->data.c_str()), std::fflush(stdout);
+    if (options.verbose)
+      std::printf("Publishing: '%s'\n", message->data.c_str()), std::fflush(stdout);
     if (const auto result = publisher->publish(std::move(message)); !result) {
-      std::fprintf(stderr, "talker: publish: %s\nhint: %s\n", agnocast::sentence_of(result.code), agnocast::remedy_of(result.code));
+      std::fprintf(stderr, "talker: publish: %s\nhint: %s\n", agnocast::sentence_of(result.code),
+                   agnocast::remedy_of(result.code));
       return 1;
     }
-    std::this_thread::sleep_until(next += std::chrono::duration_cast<std::chrono::nanoseconds>(std::chrono::duration<double>(1 / options.rate)));
+    std::this_thread::sleep_until(next += std::chrono::duration_cast<std::chrono::nanoseconds>(
+                                      std::chrono::duration<double>(1 / options.rate)));
   }
   return 0;
 } catch (const agnocast::Error& error) {
-  std::fprintf(stderr, "talker: %s\nhint: %s\n", error.what(), agnocast::remedy_of(error.failure().code));
+  std::fprintf(stderr, "talker: %s\nhint: %s\n", error.what(),
+               agnocast::remedy_of(error.failure().code));
   return 1;
 }

@@ -15,7 +15,8 @@
 namespace agnocast::heaphook {
 namespace {
 
-int attach(const struct agnocast_heaphook_window* window, const struct agnocast_heaphook_options* options) {
+int attach(const struct agnocast_heaphook_window* window,
+           const struct agnocast_heaphook_options* options) {
   if (window == nullptr || options == nullptr) return AGNOCAST_HEAPHOOK_INVALID;
   const auto status = shared_heap::attach(*window, *options);
   if (status == AGNOCAST_HEAPHOOK_OK && options->scope == AGNOCAST_HEAPHOOK_SCOPE_ALL) {
@@ -58,7 +59,8 @@ agnocast_heaphook_no_room on_no_room(agnocast_heaphook_no_room no_room) {
 
 void* allocate(std::size_t alignment, std::size_t size) {
   if (thread_state.blocked != 0 || !windows::is_owner()) return nullptr;
-  return alignment <= alignof(std::max_align_t) ? shared_heap::allocate(size) : shared_heap::allocate_aligned(alignment, size);
+  return alignment <= alignof(std::max_align_t) ? shared_heap::allocate(size)
+                                                : shared_heap::allocate_aligned(alignment, size);
 }
 
 int deallocate(void* block) {
@@ -110,6 +112,7 @@ constexpr struct agnocast_heaphook_table table = {
 }  // namespace
 }  // namespace agnocast::heaphook
 
-extern "C" __attribute__((visibility("default"))) const struct agnocast_heaphook_table* agnocast_heaphook(void) {
+extern "C" __attribute__((visibility("default"))) const struct agnocast_heaphook_table*
+agnocast_heaphook(void) {
   return &agnocast::heaphook::table;
 }

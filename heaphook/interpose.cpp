@@ -16,8 +16,12 @@ namespace libc_heap = agnocast::heaphook::libc_heap;
 extern "C" {
 
 AGNOCAST_INTERPOSED void* malloc(std::size_t size) { return route::allocate(size); }
-AGNOCAST_INTERPOSED void* calloc(std::size_t count, std::size_t size) { return route::allocate_zeroed(count, size); }
-AGNOCAST_INTERPOSED void* realloc(void* block, std::size_t size) { return route::reallocate(block, size); }
+AGNOCAST_INTERPOSED void* calloc(std::size_t count, std::size_t size) {
+  return route::allocate_zeroed(count, size);
+}
+AGNOCAST_INTERPOSED void* realloc(void* block, std::size_t size) {
+  return route::reallocate(block, size);
+}
 AGNOCAST_INTERPOSED void* reallocarray(void* block, std::size_t count, std::size_t size) {
   return route::reallocate_array(block, count, size);
 }
@@ -34,9 +38,13 @@ AGNOCAST_INTERPOSED void* memalign(std::size_t alignment, std::size_t size) {
 }
 AGNOCAST_INTERPOSED void* valloc(std::size_t size) { return route::allocate_pages(size); }
 AGNOCAST_INTERPOSED void* pvalloc(std::size_t size) { return route::allocate_whole_pages(size); }
-AGNOCAST_INTERPOSED std::size_t malloc_usable_size(void* block) { return route::usable_size(block); }
+AGNOCAST_INTERPOSED std::size_t malloc_usable_size(void* block) {
+  return route::usable_size(block);
+}
 
 // C23; programs built on a newer libc call them. Neither heap needs the size.
 AGNOCAST_INTERPOSED void free_sized(void* block, std::size_t) { route::release(block); }
-AGNOCAST_INTERPOSED void free_aligned_sized(void* block, std::size_t, std::size_t) { route::release(block); }
+AGNOCAST_INTERPOSED void free_aligned_sized(void* block, std::size_t, std::size_t) {
+  route::release(block);
+}
 }

@@ -25,7 +25,8 @@ extern "C" {
 // dss:disabled         no sbrk: the program break belongs to libc
 // abort*:false         never ends the process for its own reasons
 const char* agnocast_je_malloc_conf =
-    "narenas:1,dirty_decay_ms:-1,muzzy_decay_ms:-1,background_thread:false,oversize_threshold:0,dss:disabled,"
+    "narenas:1,dirty_decay_ms:-1,muzzy_decay_ms:-1,background_thread:false,oversize_threshold:0,"
+    "dss:disabled,"
     "lg_extent_max_active_fit:64,"
     "abort:false,abort_conf:false";
 
@@ -38,9 +39,19 @@ ssize_t agnocast_je_readlink(const char*, char*, std::size_t) {
 
 // Only jemalloc's heap profiler, which is off, calls these. Defined here so that the hook needs
 // neither libm nor libgcc_s.
-double agnocast_je_exp(double) { return agnocast::heaphook::shared_heap::note_internal_error(), 1.0; }
-double agnocast_je_log(double) { return agnocast::heaphook::shared_heap::note_internal_error(), 0.0; }
-double agnocast_je_round(double value) { return agnocast::heaphook::shared_heap::note_internal_error(), value; }
-int agnocast_je__Unwind_Backtrace(void*, void*) { return agnocast::heaphook::shared_heap::note_internal_error(), 5; }
-std::size_t agnocast_je__Unwind_GetIP(void*) { return agnocast::heaphook::shared_heap::note_internal_error(), 0; }
+double agnocast_je_exp(double) {
+  return agnocast::heaphook::shared_heap::note_internal_error(), 1.0;
+}
+double agnocast_je_log(double) {
+  return agnocast::heaphook::shared_heap::note_internal_error(), 0.0;
+}
+double agnocast_je_round(double value) {
+  return agnocast::heaphook::shared_heap::note_internal_error(), value;
+}
+int agnocast_je__Unwind_Backtrace(void*, void*) {
+  return agnocast::heaphook::shared_heap::note_internal_error(), 5;
+}
+std::size_t agnocast_je__Unwind_GetIP(void*) {
+  return agnocast::heaphook::shared_heap::note_internal_error(), 0;
+}
 }

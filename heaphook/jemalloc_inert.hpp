@@ -13,22 +13,24 @@
 extern "C" {
 
 struct agnocast_je_extent_hooks {
-  void* (*alloc)(agnocast_je_extent_hooks*, void* new_address, std::size_t size, std::size_t alignment, bool* zero,
-                 bool* commit, unsigned arena);
-  bool (*dalloc)(agnocast_je_extent_hooks*, void* address, std::size_t size, bool committed, unsigned arena);
-  void (*destroy)(agnocast_je_extent_hooks*, void* address, std::size_t size, bool committed, unsigned arena);
-  bool (*commit)(agnocast_je_extent_hooks*, void* address, std::size_t size, std::size_t offset, std::size_t length,
+  void* (*alloc)(agnocast_je_extent_hooks*, void* new_address, std::size_t size,
+                 std::size_t alignment, bool* zero, bool* commit, unsigned arena);
+  bool (*dalloc)(agnocast_je_extent_hooks*, void* address, std::size_t size, bool committed,
                  unsigned arena);
-  bool (*decommit)(agnocast_je_extent_hooks*, void* address, std::size_t size, std::size_t offset, std::size_t length,
-                   unsigned arena);
-  bool (*purge_lazy)(agnocast_je_extent_hooks*, void* address, std::size_t size, std::size_t offset, std::size_t length,
-                     unsigned arena);
-  bool (*purge_forced)(agnocast_je_extent_hooks*, void* address, std::size_t size, std::size_t offset, std::size_t length,
-                       unsigned arena);
-  bool (*split)(agnocast_je_extent_hooks*, void* address, std::size_t size, std::size_t size_a, std::size_t size_b,
-                bool committed, unsigned arena);
-  bool (*merge)(agnocast_je_extent_hooks*, void* address_a, std::size_t size_a, void* address_b, std::size_t size_b,
-                bool committed, unsigned arena);
+  void (*destroy)(agnocast_je_extent_hooks*, void* address, std::size_t size, bool committed,
+                  unsigned arena);
+  bool (*commit)(agnocast_je_extent_hooks*, void* address, std::size_t size, std::size_t offset,
+                 std::size_t length, unsigned arena);
+  bool (*decommit)(agnocast_je_extent_hooks*, void* address, std::size_t size, std::size_t offset,
+                   std::size_t length, unsigned arena);
+  bool (*purge_lazy)(agnocast_je_extent_hooks*, void* address, std::size_t size, std::size_t offset,
+                     std::size_t length, unsigned arena);
+  bool (*purge_forced)(agnocast_je_extent_hooks*, void* address, std::size_t size,
+                       std::size_t offset, std::size_t length, unsigned arena);
+  bool (*split)(agnocast_je_extent_hooks*, void* address, std::size_t size, std::size_t size_a,
+                std::size_t size_b, bool committed, unsigned arena);
+  bool (*merge)(agnocast_je_extent_hooks*, void* address_a, std::size_t size_a, void* address_b,
+                std::size_t size_b, bool committed, unsigned arena);
 };
 
 // Argument of "experimental.arenas_create_ext": unlike "arenas.create" it lets an arena keep its
@@ -46,7 +48,8 @@ std::size_t agnocast_je_xallocx(void* block, std::size_t size, std::size_t extra
 void agnocast_je_free(void* block);
 void agnocast_je_dallocx(void* block, int flags);
 std::size_t agnocast_je_malloc_usable_size(const void* block);
-int agnocast_je_mallctl(const char* name, void* old_value, std::size_t* old_size, void* new_value, std::size_t new_size);
+int agnocast_je_mallctl(const char* name, void* old_value, std::size_t* old_size, void* new_value,
+                        std::size_t new_size);
 
 extern const char* agnocast_je_malloc_conf;
 // Set to false before the first call: large blocks then start on a page and need no extra one, so

@@ -35,9 +35,11 @@ void* bootstrap_aligned(std::size_t alignment, std::size_t size) {
     errno = ENOMEM;
     return nullptr;
   }
-  const std::uintptr_t first = reinterpret_cast<std::uintptr_t>(bootstrap_buffer) + start + header_size;
+  const std::uintptr_t first =
+      reinterpret_cast<std::uintptr_t>(bootstrap_buffer) + start + header_size;
   const std::uintptr_t block = (first + alignment - 1) & ~(alignment - 1);
-  void* const pointer = bootstrap_buffer + (block - reinterpret_cast<std::uintptr_t>(bootstrap_buffer));
+  void* const pointer =
+      bootstrap_buffer + (block - reinterpret_cast<std::uintptr_t>(bootstrap_buffer));
   memcpy(static_cast<char*>(pointer) - header_size, &size, sizeof size);
   return pointer;
 }
@@ -72,7 +74,9 @@ int bootstrap_posix_memalign(void** result, std::size_t alignment, std::size_t s
 
 void* bootstrap_page(std::size_t size) { return bootstrap_aligned(4096, size); }
 
-std::size_t bootstrap_size_of(void* block) { return block == nullptr ? 0 : bootstrap_usable_size(block); }
+std::size_t bootstrap_size_of(void* block) {
+  return block == nullptr ? 0 : bootstrap_usable_size(block);
+}
 
 constexpr Functions bootstrap_functions = {
     .malloc = bootstrap_malloc,

@@ -41,12 +41,14 @@ extern constinit std::atomic<bool> next_ready;
 const Functions& resolve();
 
 inline const Functions& next() {
-  if (next_ready.load(std::memory_order_acquire)) [[likely]] return next_functions;
+  if (next_ready.load(std::memory_order_acquire)) [[likely]]
+    return next_functions;
   return resolve();
 }
 
 inline bool from_bootstrap(const void* address) {
-  return reinterpret_cast<std::uintptr_t>(address) - reinterpret_cast<std::uintptr_t>(bootstrap_buffer) <
+  return reinterpret_cast<std::uintptr_t>(address) -
+             reinterpret_cast<std::uintptr_t>(bootstrap_buffer) <
          bootstrap_size_bytes;
 }
 

@@ -79,7 +79,8 @@ bool look_up(F& slot, void* library, const char* name) {
 }
 
 void look_up_all(Next& next, void* library) {
-  if (!look_up(next.new_, library, "_Znwm")) return;  // no C++ runtime: the other names would not be found either
+  if (!look_up(next.new_, library, "_Znwm"))
+    return;  // no C++ runtime: the other names would not be found either
   look_up(next.new_array, library, "_Znam");
   look_up(next.new_nothrow, library, "_ZnwmRKSt9nothrow_t");
   look_up(next.new_array_nothrow, library, "_ZnamRKSt9nothrow_t");
@@ -136,7 +137,10 @@ void* plain_new_nothrow(std::size_t size) { return malloc(size == 0 ? 1 : size);
 void* plain_new_aligned_nothrow(std::size_t size, Align alignment) {
   void* block = nullptr;
   const auto bytes = static_cast<std::size_t>(alignment);
-  return posix_memalign(&block, bytes < sizeof(void*) ? sizeof(void*) : bytes, size == 0 ? 1 : size) == 0 ? block : nullptr;
+  return posix_memalign(&block, bytes < sizeof(void*) ? sizeof(void*) : bytes,
+                        size == 0 ? 1 : size) == 0
+             ? block
+             : nullptr;
 }
 
 void* plain_new_aligned(std::size_t size, Align alignment) {
@@ -146,8 +150,8 @@ void* plain_new_aligned(std::size_t size, Align alignment) {
 
 // One form of new: the windows, else the next definition, else the plain one.
 template <typename... Rest>
-inline void* form_of_new(void* (*Next::*member)(std::size_t, Rest...), void* shared, void* (*plain)(std::size_t),
-                         std::size_t size, Rest... rest) {
+inline void* form_of_new(void* (*Next::*member)(std::size_t, Rest...), void* shared,
+                         void* (*plain)(std::size_t), std::size_t size, Rest... rest) {
   if (shared != nullptr) return shared;
   constexpr bool throws = sizeof...(Rest) == 0;  // then it has thrown where it is refused
   if (!throws && route::is_refused()) return nullptr;
@@ -156,11 +160,13 @@ inline void* form_of_new(void* (*Next::*member)(std::size_t, Rest...), void* sha
 }
 
 template <typename... Rest>
-inline void* form_of_aligned_new(void* (*Next::*member)(std::size_t, Align, Rest...), void* (*plain)(std::size_t, Align),
-                                 std::size_t size, Align alignment, Rest... rest) {
+inline void* form_of_aligned_new(void* (*Next::*member)(std::size_t, Align, Rest...),
+                                 void* (*plain)(std::size_t, Align), std::size_t size,
+                                 Align alignment, Rest... rest) {
   constexpr bool throws = sizeof...(Rest) == 0;
   const auto bytes = static_cast<std::size_t>(alignment);
-  void* const shared = throws ? route::try_shared_aligned_or_throw(bytes, size) : route::try_shared_aligned(bytes, size);
+  void* const shared = throws ? route::try_shared_aligned_or_throw(bytes, size)
+                              : route::try_shared_aligned(bytes, size);
   if (shared != nullptr) return shared;
   if (!throws && route::is_refused()) return nullptr;
   const auto function = next().*member;
@@ -189,10 +195,12 @@ AGNOCAST_INTERPOSED void* operator new[](std::size_t size) {
   return form_of_new(&Next::new_array, route::try_shared_or_throw(size), plain_new, size);
 }
 AGNOCAST_INTERPOSED void* operator new(std::size_t size, Nothrow tag) noexcept {
-  return form_of_new<Nothrow>(&Next::new_nothrow, route::try_shared(size), plain_new_nothrow, size, tag);
+  return form_of_new<Nothrow>(&Next::new_nothrow, route::try_shared(size), plain_new_nothrow, size,
+                              tag);
 }
 AGNOCAST_INTERPOSED void* operator new[](std::size_t size, Nothrow tag) noexcept {
-  return form_of_new<Nothrow>(&Next::new_array_nothrow, route::try_shared(size), plain_new_nothrow, size, tag);
+  return form_of_new<Nothrow>(&Next::new_array_nothrow, route::try_shared(size), plain_new_nothrow,
+                              size, tag);
 }
 AGNOCAST_INTERPOSED void* operator new(std::size_t size, Align alignment) {
   return form_of_aligned_new(&Next::new_aligned, plain_new_aligned, size, alignment);
@@ -201,14 +209,20 @@ AGNOCAST_INTERPOSED void* operator new[](std::size_t size, Align alignment) {
   return form_of_aligned_new(&Next::new_array_aligned, plain_new_aligned, size, alignment);
 }
 AGNOCAST_INTERPOSED void* operator new(std::size_t size, Align alignment, Nothrow tag) noexcept {
-  return form_of_aligned_new<Nothrow>(&Next::new_aligned_nothrow, plain_new_aligned_nothrow, size, alignment, tag);
+  return form_of_aligned_new<Nothrow>(&Next::new_aligned_nothrow, plain_new_aligned_nothrow, size,
+                                      alignment, tag);
 }
 AGNOCAST_INTERPOSED void* operator new[](std::size_t size, Align alignment, Nothrow tag) noexcept {
-  return form_of_aligned_new<Nothrow>(&Next::new_array_aligned_nothrow, plain_new_aligned_nothrow, size, alignment, tag);
+  return form_of_aligned_new<Nothrow>(&Next::new_array_aligned_nothrow, plain_new_aligned_nothrow,
+                                      size, alignment, tag);
 }
 
-AGNOCAST_INTERPOSED void operator delete(void* block) noexcept { form_of_delete(&Next::delete_, block); }
-AGNOCAST_INTERPOSED void operator delete[](void* block) noexcept { form_of_delete(&Next::delete_array, block); }
+AGNOCAST_INTERPOSED void operator delete(void* block) noexcept {
+  form_of_delete(&Next::delete_, block);
+}
+AGNOCAST_INTERPOSED void operator delete[](void* block) noexcept {
+  form_of_delete(&Next::delete_array, block);
+}
 AGNOCAST_INTERPOSED void operator delete(void* block, std::size_t size) noexcept {
   form_of_delete(&Next::delete_sized, block, size);
 }
@@ -230,7 +244,8 @@ AGNOCAST_INTERPOSED void operator delete[](void* block, Align alignment) noexcep
 AGNOCAST_INTERPOSED void operator delete(void* block, std::size_t size, Align alignment) noexcept {
   form_of_delete(&Next::delete_sized_aligned, block, size, alignment);
 }
-AGNOCAST_INTERPOSED void operator delete[](void* block, std::size_t size, Align alignment) noexcept {
+AGNOCAST_INTERPOSED void operator delete[](void* block, std::size_t size,
+                                           Align alignment) noexcept {
   form_of_delete(&Next::delete_array_sized_aligned, block, size, alignment);
 }
 AGNOCAST_INTERPOSED void operator delete(void* block, Align alignment, Nothrow tag) noexcept {

@@ -35,7 +35,9 @@ bool is_power_of_two(std::size_t value) { return value != 0 && (value & (value -
 }  // namespace
 
 void* try_shared_aligned(std::size_t alignment, std::size_t size) {
-  return is_power_of_two(alignment) && wants_shared() ? shared_heap::allocate_aligned(alignment, size) : nullptr;
+  return is_power_of_two(alignment) && wants_shared()
+             ? shared_heap::allocate_aligned(alignment, size)
+             : nullptr;
 }
 
 // The callers hold no resource that an exception would leak.
@@ -65,7 +67,8 @@ void* reallocate(void* block, std::size_t size) {
     return move_to(libc_heap::next().malloc(size), block, shared_heap::usable_size(block), size);
   }
   if (wants_shared() && size != 0) {
-    if (void* const home = shared_heap::allocate(size)) return move_to(home, block, private_usable_size(block), size);
+    if (void* const home = shared_heap::allocate(size))
+      return move_to(home, block, private_usable_size(block), size);
   }
   if (libc_heap::from_bootstrap(block)) {
     return move_to(libc_heap::next().malloc(size), block, private_usable_size(block), size);
@@ -92,7 +95,8 @@ int allocate_posix(void** result, std::size_t alignment, std::size_t size) {
   return libc_heap::next().posix_memalign(result, alignment, size);
 }
 
-void* allocate_aligned(std::size_t alignment, std::size_t size, void* (*next)(std::size_t, std::size_t)) {
+void* allocate_aligned(std::size_t alignment, std::size_t size,
+                       void* (*next)(std::size_t, std::size_t)) {
   if (void* const block = try_shared_aligned(alignment, size)) return block;
   return next(alignment, size);
 }
@@ -112,7 +116,8 @@ void* allocate_whole_pages(std::size_t size) {
 
 std::size_t usable_size(void* block) {
   if (block == nullptr) return 0;
-  return windows::window_of(block) != nullptr ? shared_heap::usable_size(block) : private_usable_size(block);
+  return windows::window_of(block) != nullptr ? shared_heap::usable_size(block)
+                                              : private_usable_size(block);
 }
 
 }  // namespace agnocast::heaphook::route

@@ -28,12 +28,15 @@ extern constinit std::atomic<bool> scope_all;
 // Returns whether the calling thread's next allocation tries the windows.
 inline bool wants_shared() {
   const ThreadState& thread = thread_state;
-  if (thread.depth == 0 && !scope_all.load(std::memory_order_relaxed)) [[likely]] return false;
+  if (thread.depth == 0 && !scope_all.load(std::memory_order_relaxed)) [[likely]]
+    return false;
   return thread.blocked == 0 && windows::is_owner();
 }
 
 // The shared part of an allocation, also for operator new: null means "call the next definition".
-inline void* try_shared(std::size_t size) { return wants_shared() ? shared_heap::allocate(size) : nullptr; }
+inline void* try_shared(std::size_t size) {
+  return wants_shared() ? shared_heap::allocate(size) : nullptr;
+}
 void* try_shared_aligned(std::size_t alignment, std::size_t size);
 // For new: whether the thread has forbidden libc's memory where the windows have no room.
 inline bool is_refused() { return thread_state.no_room != nullptr && wants_shared(); }
@@ -41,12 +44,14 @@ void say_no_room();
 inline void* try_shared_or_throw(std::size_t size) {
   if (!wants_shared()) return nullptr;
   void* const block = shared_heap::allocate(size);
-  if (block == nullptr) [[unlikely]] say_no_room();
+  if (block == nullptr) [[unlikely]]
+    say_no_room();
   return block;
 }
 inline void* try_shared_aligned_or_throw(std::size_t alignment, std::size_t size) {
   void* const block = try_shared_aligned(alignment, size);
-  if (block == nullptr && wants_shared()) [[unlikely]] say_no_room();
+  if (block == nullptr && wants_shared()) [[unlikely]]
+    say_no_room();
   return block;
 }
 
@@ -59,7 +64,8 @@ void* reallocate(void* block, std::size_t size);
 void* reallocate_array(void* block, std::size_t count, std::size_t size);
 int allocate_posix(void** result, std::size_t alignment, std::size_t size);
 // `next` is the corresponding libc function: aligned_alloc or memalign.
-void* allocate_aligned(std::size_t alignment, std::size_t size, void* (*next)(std::size_t, std::size_t));
+void* allocate_aligned(std::size_t alignment, std::size_t size,
+                       void* (*next)(std::size_t, std::size_t));
 void* allocate_pages(std::size_t size);
 void* allocate_whole_pages(std::size_t size);
 inline void release(void* block) {

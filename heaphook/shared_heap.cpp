@@ -29,9 +29,13 @@ constinit unsigned arenas[AGNOCAST_HEAPHOOK_WINDOWS_MAX] = {};
 // earlier windows closed for allocation. arena_count is stored first.
 constinit std::atomic<std::uint64_t> current{0};
 constinit std::atomic<std::uint32_t> arena_count{0};
-constexpr std::uint64_t packed(std::uint32_t window, unsigned arena) { return std::uint64_t{window} << 32 | arena; }
+constexpr std::uint64_t packed(std::uint32_t window, unsigned arena) {
+  return std::uint64_t{window} << 32 | arena;
+}
 constexpr unsigned arena_of(std::uint64_t word) { return static_cast<unsigned>(word); }
-constexpr std::uint32_t first_of(std::uint64_t word) { return static_cast<std::uint32_t>(word >> 32); }
+constexpr std::uint32_t first_of(std::uint64_t word) {
+  return static_cast<std::uint32_t>(word >> 32);
+}
 // Windows before this one only take blocks back.
 bool is_given_up(const windows::Window& window) {
   return windows::number_of(window) < first_of(current.load(std::memory_order_acquire));
@@ -49,16 +53,19 @@ constinit std::atomic<std::uint64_t> counted_bytes_max{0};  // since the last id
 
 // Returns whether asking the allocator for the size is worthwhile.
 bool may_be_counted(const void* block) {
-  return reinterpret_cast<std::uintptr_t>(block) % page_min == 0 && counted_bytes.load(std::memory_order_relaxed) != 0;
+  return reinterpret_cast<std::uintptr_t>(block) % page_min == 0 &&
+         counted_bytes.load(std::memory_order_relaxed) != 0;
 }
 
 void count_block(std::size_t before, std::size_t after) {
   if (before < counted_min) before = 0;
   if (after < counted_min) after = 0;
   if (before == after) return;
-  const std::uint64_t now = counted_bytes.fetch_add(after - before, std::memory_order_relaxed) + after - before;
+  const std::uint64_t now =
+      counted_bytes.fetch_add(after - before, std::memory_order_relaxed) + after - before;
   std::uint64_t seen = counted_bytes_max.load(std::memory_order_relaxed);
-  while (now > seen && !counted_bytes_max.compare_exchange_weak(seen, now, std::memory_order_relaxed)) {
+  while (now > seen &&
+         !counted_bytes_max.compare_exchange_weak(seen, now, std::memory_order_relaxed)) {
   }
 }
 
@@ -72,7 +79,8 @@ constinit std::uintptr_t handed_address = 0;
 
 // The arena gets addresses only from hand_over(), which requests exactly the size that it passes
 // on.
-void* extent_alloc(agnocast_je_extent_hooks*, void* new_address, std::size_t, std::size_t, bool* zero, bool* commit, unsigned) {
+void* extent_alloc(agnocast_je_extent_hooks*, void* new_address, std::size_t, std::size_t,
+                   bool* zero, bool* commit, unsigned) {
   if (!thread_state.handing_over || new_address != nullptr || handed_address == 0) return nullptr;
   void* const extent = reinterpret_cast<void*>(handed_address);
   handed_address = 0;
@@ -81,7 +89,8 @@ void* extent_alloc(agnocast_je_extent_hooks*, void* new_address, std::size_t, st
   return extent;
 }
 
-bool extent_commit(agnocast_je_extent_hooks*, void* address, std::size_t, std::size_t offset, std::size_t length, unsigned) {
+bool extent_commit(agnocast_je_extent_hooks*, void* address, std::size_t, std::size_t offset,
+                   std::size_t length, unsigned) {
   return thread_state.handing_over || !windows::open(static_cast<char*>(address) + offset, length);
 }
 
@@ -89,7 +98,8 @@ bool extent_commit(agnocast_je_extent_hooks*, void* address, std::size_t, std::s
 bool extent_dalloc(agnocast_je_extent_hooks*, void*, std::size_t, bool, unsigned) { return true; }
 
 // Closes an idle extent, so that the arena calls extent_commit before it uses it again.
-bool extent_decommit(agnocast_je_extent_hooks*, void* address, std::size_t, std::size_t offset, std::size_t length, unsigned) {
+bool extent_decommit(agnocast_je_extent_hooks*, void* address, std::size_t, std::size_t offset,
+                     std::size_t length, unsigned) {
   if (purging.load(std::memory_order_relaxed) == 0) {
     note_internal_error();
     return true;
@@ -99,8 +109,12 @@ bool extent_decommit(agnocast_je_extent_hooks*, void* address, std::size_t, std:
 
 // Extents are only addresses here, so any part of a window can be split and any two neighbours
 // joined. Neighbours in different windows must stay apart: they belong to different files.
-bool extent_split(agnocast_je_extent_hooks*, void*, std::size_t, std::size_t, std::size_t, bool, unsigned) { return false; }
-bool extent_merge(agnocast_je_extent_hooks*, void* a, std::size_t, void* b, std::size_t, bool, unsigned) {
+bool extent_split(agnocast_je_extent_hooks*, void*, std::size_t, std::size_t, std::size_t, bool,
+                  unsigned) {
+  return false;
+}
+bool extent_merge(agnocast_je_extent_hooks*, void* a, std::size_t, void* b, std::size_t, bool,
+                  unsigned) {
   return windows::window_of(a) != windows::window_of(b);
 }
 
@@ -133,9 +147,12 @@ bool set(const char* name, T value) {
 // 1.
 struct ArenaName {
   char text[64];
-  ArenaName(const char* before, unsigned arena, const char* after) { append(append(text, before), arena, after); }
+  ArenaName(const char* before, unsigned arena, const char* after) {
+    append(append(text, before), arena, after);
+  }
   // "stats.arenas.1.bins.12.nslabs"
-  ArenaName(const char* before, unsigned arena, const char* middle, unsigned index, const char* after) {
+  ArenaName(const char* before, unsigned arena, const char* middle, unsigned index,
+            const char* after) {
     append(append(append(text, before), arena, middle), index, after);
   }
 
@@ -157,7 +174,8 @@ struct ArenaName {
 // binding.
 void bind_thread() {
   const std::uint64_t now = current.load(std::memory_order_acquire);
-  if (thread_state.bound == arena_of(now)) [[likely]] return;
+  if (thread_state.bound == arena_of(now)) [[likely]]
+    return;
   // Returns cached free blocks of earlier windows to those, not to the next caller.
   if (first_of(now) != 0) agnocast_je_mallctl("thread.tcache.flush", nullptr, nullptr, nullptr, 0);
   // If unbound (out of memory), this allocation comes from libc, and the next one tries again.
@@ -170,7 +188,8 @@ void bind_thread() {
 void* if_in_window(void* block) {
   if (block == nullptr) return nullptr;
   const windows::Window* const window = windows::window_of(block);
-  if (window != nullptr && !is_given_up(*window)) [[likely]] return block;
+  if (window != nullptr && !is_given_up(*window)) [[likely]]
+    return block;
   agnocast_je_free(block);
   return nullptr;
 }
@@ -185,7 +204,8 @@ constexpr std::size_t at_least_min(std::size_t size) { return size < size_min ? 
 void* or_refused(void* block, std::size_t size) {
   if (block != nullptr) [[likely]] {
     // A size class is less than twice the requested size.
-    if (size >= counted_min / 2) [[unlikely]] count_made(block);
+    if (size >= counted_min / 2) [[unlikely]]
+      count_made(block);
     return block;
   }
   ++thread_state.spilled;
@@ -194,7 +214,8 @@ void* or_refused(void* block, std::size_t size) {
   if (purging.load(std::memory_order_relaxed) != 0) return nullptr;
   // Nor is it full if the request is larger than a window.
   const std::uint32_t window_count = windows::count.load(std::memory_order_acquire);
-  if (window_count != 0 && size <= windows::table[window_count - 1].length) refused_count.fetch_add(1, std::memory_order_relaxed);
+  if (window_count != 0 && size <= windows::table[window_count - 1].length)
+    refused_count.fetch_add(1, std::memory_order_relaxed);
   auto& refused_max = windows::counters.refused_bytes_max;
   std::uint64_t seen = refused_max.load(std::memory_order_relaxed);
   while (size > seen && !refused_max.compare_exchange_weak(seen, size, std::memory_order_relaxed)) {
@@ -218,8 +239,10 @@ class KeepErrno {
 // Returns whether `size` more bytes of private memory may be mapped: a PROT_NONE mapping uses no
 // memory, but counts as locked and against RLIMIT_AS.
 enum agnocast_heaphook_status room_for(std::size_t size) {
-  void* const probe = mmap(nullptr, size, PROT_NONE, MAP_PRIVATE | MAP_ANONYMOUS | MAP_NORESERVE, -1, 0);
-  if (probe == MAP_FAILED) return errno == EAGAIN ? AGNOCAST_HEAPHOOK_LOCK_LIMIT : AGNOCAST_HEAPHOOK_OS;
+  void* const probe =
+      mmap(nullptr, size, PROT_NONE, MAP_PRIVATE | MAP_ANONYMOUS | MAP_NORESERVE, -1, 0);
+  if (probe == MAP_FAILED)
+    return errno == EAGAIN ? AGNOCAST_HEAPHOOK_LOCK_LIMIT : AGNOCAST_HEAPHOOK_OS;
   munmap(probe, size);
   return AGNOCAST_HEAPHOOK_OK;
 }
@@ -258,7 +281,8 @@ bool never_without_threads(unsigned number) {
   if (arena == nullptr) return false;
   agnocast_je_internal_arena_nthreads_inc(arena, false);
   unsigned thread_count = 0;
-  return set("epoch", std::uint64_t{1}) && get(ArenaName("stats.arenas.", number, ".nthreads").text, thread_count) &&
+  return set("epoch", std::uint64_t{1}) &&
+         get(ArenaName("stats.arenas.", number, ".nthreads").text, thread_count) &&
          thread_count == 1;
 }
 
@@ -272,7 +296,9 @@ unsigned make_arena() {
   agnocast_je_arena_config config = {.extent_hooks = &extent_hooks, .metadata_use_hooks = false};
   unsigned arena = 0;
   std::size_t size = sizeof arena;
-  if (agnocast_je_mallctl("experimental.arenas_create_ext", &arena, &size, &config, sizeof config) != 0) return 0;
+  if (agnocast_je_mallctl("experimental.arenas_create_ext", &arena, &size, &config,
+                          sizeof config) != 0)
+    return 0;
   return never_without_threads(arena) ? arena : 0;
 }
 
@@ -288,7 +314,8 @@ bool hand_over(const windows::Window& window, unsigned arena) {
   std::size_t offset = 0;
   while (taken && offset < window.length) {
     const std::size_t left = window.length - offset;
-    const std::size_t class_distance = std::size_t{1} << (61 - __builtin_clzl(left));  // a quarter of the next lower power of two
+    const std::size_t class_distance =
+        std::size_t{1} << (61 - __builtin_clzl(left));  // a quarter of the next lower power of two
     const std::size_t size = left & ~(class_distance - 1);
     handed_address = window.base + offset;
     taken = agnocast_je_mallocx(size, flags) == nullptr && handed_address == 0;
@@ -344,7 +371,9 @@ void* reallocate(void* block, std::size_t size) {
     const LibcOnly inside;
     // In place, or not at all; in an earlier window it may only shrink.
     const std::size_t before = usable_size(block);
-    room = is_given_up(*windows::window_of(block)) ? before : agnocast_je_xallocx(block, at_least_min(size), 0, 0);
+    room = is_given_up(*windows::window_of(block))
+               ? before
+               : agnocast_je_xallocx(block, at_least_min(size), 0, 0);
     count_block(before, room);
   }
   // A block that shrinks stays in place if that wastes little.
@@ -392,7 +421,8 @@ void release(void* block, const windows::Window& window) {
     thread_state.deferred = block;
     return;
   }
-  if (may_be_counted(block)) [[unlikely]] return give_back_counted(block, window);
+  if (may_be_counted(block)) [[unlikely]]
+    return give_back_counted(block, window);
   give_back(block, window);
 }
 
@@ -401,8 +431,8 @@ std::size_t usable_size(const void* block) { return agnocast_je_malloc_usable_si
 enum agnocast_heaphook_status attach(const struct agnocast_heaphook_window& window,
                                      const struct agnocast_heaphook_options& options) {
   if (getauxval(AT_SECURE) != 0) return AGNOCAST_HEAPHOOK_SECURE;
-  if (options.grown == nullptr || options.scope > AGNOCAST_HEAPHOOK_SCOPE_ALL || options.reserved != 0 ||
-      (window.flags & AGNOCAST_HEAPHOOK_WINDOW_FRESH) != 0) {
+  if (options.grown == nullptr || options.scope > AGNOCAST_HEAPHOOK_SCOPE_ALL ||
+      options.reserved != 0 || (window.flags & AGNOCAST_HEAPHOOK_WINDOW_FRESH) != 0) {
     return AGNOCAST_HEAPHOOK_INVALID;
   }
   State expected = State::inert;
@@ -422,8 +452,8 @@ enum agnocast_heaphook_status attach(const struct agnocast_heaphook_window& wind
   }
   // From here on failures are final: fork handlers cannot be unregistered.
   start_allocator();
-  if (!fork_rules::register_inner() || !begin_arena(windows::table[0]) || !fork_rules::register_outer() ||
-      !windows::become_owner()) {
+  if (!fork_rules::register_inner() || !begin_arena(windows::table[0]) ||
+      !fork_rules::register_outer() || !windows::become_owner()) {
     windows::remove_first();
     note_internal_error();
     state.store(State::broken, std::memory_order_release);
@@ -443,7 +473,8 @@ enum agnocast_heaphook_status add_window(const struct agnocast_heaphook_window& 
   }
   if (const auto refused = windows::add(window); refused != AGNOCAST_HEAPHOOK_OK) return refused;
   const windows::Window& added = windows::table[windows::count.load(std::memory_order_relaxed) - 1];
-  if (fresh ? !begin_arena(added) : !hand_over(added, arena_of(current.load(std::memory_order_relaxed)))) {
+  if (fresh ? !begin_arena(added)
+            : !hand_over(added, arena_of(current.load(std::memory_order_relaxed)))) {
     note_internal_error();  // the window stays, unused
     return AGNOCAST_HEAPHOOK_INTERNAL;
   }
@@ -470,7 +501,8 @@ void usage(struct agnocast_heaphook_usage& usage) {
   }
   usage.refused_bytes_max = windows::counters.refused_bytes_max.load(std::memory_order_relaxed);
   usage.refused_count = refused_count.load(std::memory_order_relaxed);
-  usage.mapping_refused_count = windows::counters.mapping_refused_count.load(std::memory_order_relaxed);
+  usage.mapping_refused_count =
+      windows::counters.mapping_refused_count.load(std::memory_order_relaxed);
   usage.punch_count = windows::counters.punch_count.load(std::memory_order_relaxed);
   usage.punched_bytes = windows::counters.punched_bytes.load(std::memory_order_relaxed);
   usage.internal_error_count = internal_error_count.load(std::memory_order_relaxed);
@@ -489,7 +521,9 @@ std::uint64_t purge() {
   purging.fetch_add(1, std::memory_order_relaxed);
   agnocast_je_mallctl("thread.tcache.flush", nullptr, nullptr, nullptr, 0);
   for (std::uint32_t i = 0; i < arena_count.load(std::memory_order_acquire); ++i) {
-    if (agnocast_je_mallctl(ArenaName("arena.", arenas[i], ".purge").text, nullptr, nullptr, nullptr, 0) != 0) note_internal_error();
+    if (agnocast_je_mallctl(ArenaName("arena.", arenas[i], ".purge").text, nullptr, nullptr,
+                            nullptr, 0) != 0)
+      note_internal_error();
   }
   windows::punch_unused();
   purging.fetch_sub(1, std::memory_order_relaxed);
@@ -503,9 +537,11 @@ struct Classes {
   const char *all, *description, *size, *group, *taken;
   std::size_t size_end;
 };
-constexpr Classes slabs = {"arenas.nbins", "arenas.bin.", ".slab_size", ".bins.", ".nslabs", ~std::size_t{0}};
+constexpr Classes slabs = {"arenas.nbins", "arenas.bin.", ".slab_size",
+                           ".bins.",       ".nslabs",     ~std::size_t{0}};
 // Without those counted by count_block().
-constexpr Classes pages = {"arenas.nlextents", "arenas.lextent.", ".size", ".lextents.", ".nmalloc", counted_min};
+constexpr Classes pages = {"arenas.nlextents", "arenas.lextent.", ".size",
+                           ".lextents.",       ".nmalloc",        counted_min};
 
 // Adds the bytes of all allocations of these classes in an arena so far, reuse included. Returns
 // false if the allocator has no numbers.
@@ -517,7 +553,8 @@ bool add_taken(unsigned arena, const Classes& classes, std::uint64_t& bytes) {
     std::uint64_t times = 0;
     if (!get(ArenaName(classes.description, i, classes.size).text, size)) return false;
     if (size >= classes.size_end) break;  // they grow
-    if (!get(ArenaName("stats.arenas.", arena, classes.group, i, classes.taken).text, times)) return false;
+    if (!get(ArenaName("stats.arenas.", arena, classes.group, i, classes.taken).text, times))
+      return false;
     bytes += times * size;
   }
   return true;
@@ -534,8 +571,8 @@ std::uint64_t idle() {
   std::uint64_t bytes = 0, taken = 0;
   for (std::uint32_t i = 0; known && i < arena_count.load(std::memory_order_acquire); ++i) {
     std::size_t dirty_pages = 0;
-    known = get(ArenaName("stats.arenas.", arenas[i], ".pdirty").text, dirty_pages) && add_taken(arenas[i], slabs, taken) &&
-            add_taken(arenas[i], pages, taken);
+    known = get(ArenaName("stats.arenas.", arenas[i], ".pdirty").text, dirty_pages) &&
+            add_taken(arenas[i], slabs, taken) && add_taken(arenas[i], pages, taken);
     bytes += dirty_pages * page;
   }
   if (!known) {

@@ -59,7 +59,8 @@ bool lengthen(const Window& window, std::size_t target) {
   if (fstat(window.write_fd, &status) != 0) return false;
   if (static_cast<std::size_t>(status.st_size) >= target) return true;
   struct rlimit limit;
-  if (getrlimit(RLIMIT_FSIZE, &limit) == 0 && limit.rlim_cur != RLIM_INFINITY && target > limit.rlim_cur) {
+  if (getrlimit(RLIMIT_FSIZE, &limit) == 0 && limit.rlim_cur != RLIM_INFINITY &&
+      target > limit.rlim_cur) {
     errno = EFBIG;  // ftruncate would send SIGXFSZ as well
     return false;
   }
@@ -78,8 +79,8 @@ bool open_to(Window& window, std::uint32_t index, std::size_t target) {
   // MAP_FIXED replaces the caller's PROT_NONE reservation; MAP_FIXED_NOREPLACE refuses to replace
   // any other mapping.
   const int placement = window.reserved ? MAP_FIXED : MAP_FIXED_NOREPLACE;
-  void* const piece = mmap(wanted, target - frontier, PROT_READ | PROT_WRITE, MAP_SHARED | placement, window.write_fd,
-                           static_cast<off_t>(frontier));
+  void* const piece = mmap(wanted, target - frontier, PROT_READ | PROT_WRITE,
+                           MAP_SHARED | placement, window.write_fd, static_cast<off_t>(frontier));
   if (piece == MAP_FAILED) return false;
   if (piece != wanted || madvise(piece, target - frontier, MADV_DONTFORK) != 0) {
     const int reason = errno;
@@ -116,27 +117,37 @@ bool grow(Window& window, std::uint32_t index, std::size_t needed) {
 
 enum agnocast_heaphook_status status_of_errno() {
   switch (errno) {
-    case EEXIST: return AGNOCAST_HEAPHOOK_OCCUPIED;
-    case EAGAIN: return AGNOCAST_HEAPHOOK_LOCK_LIMIT;  // the only EAGAIN of mmap(2): locked memory
-    default: return AGNOCAST_HEAPHOOK_OS;
+    case EEXIST:
+      return AGNOCAST_HEAPHOOK_OCCUPIED;
+    case EAGAIN:
+      return AGNOCAST_HEAPHOOK_LOCK_LIMIT;  // the only EAGAIN of mmap(2): locked memory
+    default:
+      return AGNOCAST_HEAPHOOK_OS;
   }
 }
 
-enum agnocast_heaphook_status check(const struct agnocast_heaphook_window& window, struct stat& status) {
+enum agnocast_heaphook_status check(const struct agnocast_heaphook_window& window,
+                                    struct stat& status) {
   const auto base = reinterpret_cast<std::uintptr_t>(window.base);
-  if (base == 0 || base % window_granule != 0 || window.length == 0 || window.length % window_granule != 0 ||
-      base + window.length < base || (window.flags & ~(AGNOCAST_HEAPHOOK_WINDOW_RESERVED | AGNOCAST_HEAPHOOK_WINDOW_FRESH)) != 0 || window.reserved != 0) {
+  if (base == 0 || base % window_granule != 0 || window.length == 0 ||
+      window.length % window_granule != 0 || base + window.length < base ||
+      (window.flags & ~(AGNOCAST_HEAPHOOK_WINDOW_RESERVED | AGNOCAST_HEAPHOOK_WINDOW_FRESH)) != 0 ||
+      window.reserved != 0) {
     return AGNOCAST_HEAPHOOK_INVALID;
   }
   for (std::uint32_t i = 0; i < count.load(std::memory_order_relaxed); ++i) {
-    if (base < table[i].base + table[i].length && table[i].base < base + window.length) return AGNOCAST_HEAPHOOK_INVALID;
+    if (base < table[i].base + table[i].length && table[i].base < base + window.length)
+      return AGNOCAST_HEAPHOOK_INVALID;
   }
   struct stat read_status;
-  if (fstat(window.write_fd, &status) != 0 || fstat(window.read_fd, &read_status) != 0) return AGNOCAST_HEAPHOOK_OS;
+  if (fstat(window.write_fd, &status) != 0 || fstat(window.read_fd, &read_status) != 0)
+    return AGNOCAST_HEAPHOOK_OS;
   const int write_flags = fcntl(window.write_fd, F_GETFL);
   const int read_flags = fcntl(window.read_fd, F_GETFL);
-  const int seals = fcntl(window.write_fd, F_GET_SEALS);  // -1 for a file without seals: all bits set
-  if (status.st_dev != read_status.st_dev || status.st_ino != read_status.st_ino || status.st_size < 0 ||
+  const int seals =
+      fcntl(window.write_fd, F_GET_SEALS);  // -1 for a file without seals: all bits set
+  if (status.st_dev != read_status.st_dev || status.st_ino != read_status.st_ino ||
+      status.st_size < 0 ||
       ((seals & F_SEAL_GROW) != 0 && static_cast<std::size_t>(status.st_size) < window.length) ||
       (write_flags & O_ACCMODE) != O_RDWR || (read_flags & O_ACCMODE) != O_RDONLY) {
     return AGNOCAST_HEAPHOOK_INVALID;
@@ -152,9 +163,13 @@ void close_both(const Window& window) {
 }
 
 constexpr std::size_t bit_bytes = 4096;  // the allocator's pages are no smaller
-constexpr std::size_t map_bytes(std::size_t length) { return (length / bit_bytes + 63) / 64 * sizeof(std::uint64_t); }
+constexpr std::size_t map_bytes(std::size_t length) {
+  return (length / bit_bytes + 63) / 64 * sizeof(std::uint64_t);
+}
 
-bool is_closed(const Window& window, std::size_t bit) { return (window.closed[bit / 64] >> bit % 64 & 1) != 0; }
+bool is_closed(const Window& window, std::size_t bit) {
+  return (window.closed[bit / 64] >> bit % 64 & 1) != 0;
+}
 
 // Call it under the growth lock.
 void mark(Window& window, std::size_t offset, std::size_t length, bool closed) {
@@ -175,7 +190,8 @@ void unlock_growth() { pthread_mutex_unlock(&growth_mutex); }
 
 bool become_owner() {
   const auto page = static_cast<std::size_t>(sysconf(_SC_PAGESIZE));
-  void* const word = mmap(nullptr, page, PROT_READ | PROT_WRITE, MAP_PRIVATE | MAP_ANONYMOUS, -1, 0);
+  void* const word =
+      mmap(nullptr, page, PROT_READ | PROT_WRITE, MAP_PRIVATE | MAP_ANONYMOUS, -1, 0);
   if (word == MAP_FAILED) return false;
   if (madvise(word, page, MADV_WIPEONFORK) != 0) {
     const int reason = errno;
@@ -183,7 +199,8 @@ bool become_owner() {
     errno = reason;
     return false;
   }
-  auto* const owner = static_cast<std::atomic<std::uint32_t>*>(word);  // zero pages are a zero atomic
+  auto* const owner =
+      static_cast<std::atomic<std::uint32_t>*>(word);  // zero pages are a zero atomic
   owner->store(1, std::memory_order_relaxed);
   owner_word.store(owner, std::memory_order_release);
   return true;
@@ -216,7 +233,8 @@ enum agnocast_heaphook_status add(const struct agnocast_heaphook_window& window)
   slot.reserved = (window.flags & AGNOCAST_HEAPHOOK_WINDOW_RESERVED) != 0;
   slot.used.store(0, std::memory_order_relaxed);
   slot.frontier.store(0, std::memory_order_relaxed);
-  void* const bits = mmap(nullptr, map_bytes(slot.length), PROT_READ | PROT_WRITE, MAP_PRIVATE | MAP_ANONYMOUS, -1, 0);
+  void* const bits = mmap(nullptr, map_bytes(slot.length), PROT_READ | PROT_WRITE,
+                          MAP_PRIVATE | MAP_ANONYMOUS, -1, 0);
   if (bits == MAP_FAILED) {
     const auto refused = status_of_errno();
     close_both(slot);
@@ -249,7 +267,8 @@ void remove_first() {
   const std::size_t frontier = window.frontier.load(std::memory_order_relaxed);
   munmap(address_in(window, 0), frontier);
   if (window.reserved) {  // the addresses were reserved before us: keep them reserved
-    mmap(address_in(window, 0), frontier, PROT_NONE, MAP_PRIVATE | MAP_ANONYMOUS | MAP_NORESERVE | MAP_FIXED_NOREPLACE, -1, 0);
+    mmap(address_in(window, 0), frontier, PROT_NONE,
+         MAP_PRIVATE | MAP_ANONYMOUS | MAP_NORESERVE | MAP_FIXED_NOREPLACE, -1, 0);
   }
   munmap(window.closed, map_bytes(window.length));
   close_both(window);
@@ -288,8 +307,8 @@ bool punch_slice(char* address, std::size_t length) {
   const Window* const window = window_of(address);
   if (errno != EINVAL || window == nullptr || !same_file(window->write_fd, *window)) return false;
   const std::size_t offset = reinterpret_cast<std::uintptr_t>(address) - window->base;
-  return fallocate(window->write_fd, FALLOC_FL_PUNCH_HOLE | FALLOC_FL_KEEP_SIZE, static_cast<off_t>(offset),
-                   static_cast<off_t>(length)) == 0;
+  return fallocate(window->write_fd, FALLOC_FL_PUNCH_HOLE | FALLOC_FL_KEEP_SIZE,
+                   static_cast<off_t>(offset), static_cast<off_t>(length)) == 0;
 }
 
 bool punch(void* address, std::size_t length) {
@@ -297,7 +316,8 @@ bool punch(void* address, std::size_t length) {
   // Slices end at huge page boundaries.
   std::size_t done = 0;
   while (done < length) {
-    const std::size_t to_boundary = slice_bytes - (reinterpret_cast<std::uintptr_t>(begin) + done) % slice_bytes;
+    const std::size_t to_boundary =
+        slice_bytes - (reinterpret_cast<std::uintptr_t>(begin) + done) % slice_bytes;
     const std::size_t slice = length - done < to_boundary ? length - done : to_boundary;
     if (!punch_slice(begin + done, slice)) return false;
     done += slice;
@@ -321,7 +341,8 @@ std::size_t grown_back_in(const Window& window) {
 
 // Returns whether the page is not in use: it was returned, or never used.
 bool is_unused(const Window& window, std::size_t offset) {
-  return offset >= window.used.load(std::memory_order_relaxed) || is_closed(window, offset / bit_bytes);
+  return offset >= window.used.load(std::memory_order_relaxed) ||
+         is_closed(window, offset / bit_bytes);
 }
 
 }  // namespace
@@ -380,10 +401,11 @@ void map_private_view() {
     const Window& window = table[i];
     const std::size_t frontier = window.frontier.load(std::memory_order_relaxed);
     void* const wanted = address_in(window, 0);
-    void* const view = same_file(window.read_fd, window)
-                           ? mmap(wanted, frontier, PROT_READ | PROT_WRITE,
-                                  MAP_PRIVATE | MAP_NORESERVE | MAP_FIXED_NOREPLACE, window.read_fd, 0)
-                           : MAP_FAILED;
+    void* const view =
+        same_file(window.read_fd, window)
+            ? mmap(wanted, frontier, PROT_READ | PROT_WRITE,
+                   MAP_PRIVATE | MAP_NORESERVE | MAP_FIXED_NOREPLACE, window.read_fd, 0)
+            : MAP_FAILED;
     if (view != wanted) {
       if (view != MAP_FAILED) munmap(view, frontier);
       counters.mapping_refused_count.fetch_add(1, std::memory_order_relaxed);

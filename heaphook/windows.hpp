@@ -3,7 +3,8 @@
 // Windows: the shared memory itself. Records its addresses, its mapped part, and the process that
 // may write it.
 //
-//      base                          used          frontier                                    base + length
+//      base                          used          frontier                                    base
+//      + length
 //       |  opened for the shared arena |  mapped     |  not mapped: nothing, or the caller's PROT_NONE  |
 //       |<------ MAP_SHARED, MADV_DONTFORK --------->|
 //
@@ -60,15 +61,19 @@ inline bool is_owner() {
 inline const Window* window_of(const void* address) {
   const std::uint32_t window_count = count.load(std::memory_order_acquire);
   for (std::uint32_t i = 0; i < window_count; ++i) {
-    if (reinterpret_cast<std::uintptr_t>(address) - table[i].base < table[i].length) return &table[i];
+    if (reinterpret_cast<std::uintptr_t>(address) - table[i].base < table[i].length)
+      return &table[i];
   }
   return nullptr;
 }
 
-inline std::uint32_t number_of(const Window& window) { return static_cast<std::uint32_t>(&window - table); }
+inline std::uint32_t number_of(const Window& window) {
+  return static_cast<std::uint32_t>(&window - table);
+}
 
 inline bool is_mapped(const Window& window, const void* address) {
-  return reinterpret_cast<std::uintptr_t>(address) - window.base < window.frontier.load(std::memory_order_acquire);
+  return reinterpret_cast<std::uintptr_t>(address) - window.base <
+         window.frontier.load(std::memory_order_acquire);
 }
 
 // Makes this process the owner. Returns false with errno if the kernel refuses.

@@ -60,7 +60,8 @@ class BoardSteps {
     raise(topic_.subscription_high(), index + 1);
     AGNOCAST_STEP(J3_word)
     topic_.subscription(index, offsetof(Entry, word))
-        .store(abi::pack_board_word(generation, abi::BoardState::active), std::memory_order_release);
+        .store(abi::pack_board_word(generation, abi::BoardState::active),
+               std::memory_order_release);
     AGNOCAST_STEP(J3_epoch) bump_epoch();
   }
 
@@ -88,7 +89,8 @@ class BoardSteps {
     raise(topic_.publisher_high(), index + 1);
     AGNOCAST_STEP(J3_word)
     topic_.publisher(index, offsetof(Entry, word))
-        .store(abi::pack_board_word(generation, abi::BoardState::active), std::memory_order_release);
+        .store(abi::pack_board_word(generation, abi::BoardState::active),
+               std::memory_order_release);
     AGNOCAST_STEP(J3_epoch) bump_epoch();
   }
 

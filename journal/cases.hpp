@@ -318,8 +318,8 @@ inline constexpr CaseRow<D, 3> rows[] = {
 }  // namespace end
 
 constexpr EndDecision decide_end(std::uint8_t whose, bool has_ended, bool has_unmapped) noexcept {
-  return case_of(end::rows,
-                 {whose, has_ended ? end::ended : end::lives, has_unmapped ? end::unmapped : end::maps})
+  return case_of(end::rows, {whose, has_ended ? end::ended : end::lives,
+                             has_unmapped ? end::unmapped : end::maps})
       .decision;
 }
 
@@ -365,11 +365,12 @@ struct BroughtFacts {
   bool free = false;
 };
 constexpr BroughtDecision decide_brought(const BroughtFacts& facts) noexcept {
-  return case_of(brought::rows, {facts.number, facts.same_base ? brought::same : brought::other,
-                                 facts.possible_window_set ? brought::possible : brought::impossible,
-                                 facts.room ? brought::room : brought::full,
-                                 facts.ours ? brought::ours : brought::foreign,
-                                 facts.free ? brought::free : brought::taken})
+  return case_of(brought::rows,
+                 {facts.number, facts.same_base ? brought::same : brought::other,
+                  facts.possible_window_set ? brought::possible : brought::impossible,
+                  facts.room ? brought::room : brought::full,
+                  facts.ours ? brought::ours : brought::foreign,
+                  facts.free ? brought::free : brought::taken})
       .decision;
 }
 

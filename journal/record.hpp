@@ -17,33 +17,38 @@
 namespace agnocast::journal {
 
 // X(name, number, names of the arguments in their order)
-#define AGNOCAST_RECORD_TABLE(X)                                                                  \
-  X(none, 0, "")                                                                                  \
-  X(register_client, 1, "client generation uid gid pid domain registered_count")                  \
-  X(add_publisher, 2, "topic index generation client qos extent slot_count creation")             \
-  X(add_subscription, 3, "topic index generation client qos extent quota executor creation quota_of_others")      \
-  X(announced, 4, "topic index to kind generation client to_generation")                          \
-  X(unlinked, 5, "topic index by kind generation client by_generation")                           \
-  X(leave_publisher, 6, "topic index final_head generation client cause intent_count")            \
-  X(leave_subscription, 7, "topic index state generation client")                                 \
-  X(free_publisher, 8, "topic index state generation client")                                     \
-  X(free_subscription, 9, "topic index generation client")                                        \
-  X(client_dead, 10, "client generation reason death_count")                                      \
-  X(client_end, 11, "client generation")                                                          \
-  X(open_window, 12, "client window base bytes generation first")                                 \
-  X(add_topic, 15, "topic generation domain layout_hash")                                         \
-  X(open_executor, 16, "client executor generation")                                              \
-  X(free_topic, 17, "topic generation")                                                           \
-  X(raise_slots, 18, "topic index slot_count generation client")                                  \
-  X(client_forgotten, 19, "client generation")                                                    \
-  X(readers, 22, "client set generation")                                                         \
-  X(topic_forgotten, 23, "topic client generation")                                               \
-  /* Change nothing but counters. */                                                              \
-  X(recovered, 20, "pid redone_lsn dead_count board_word_count restart_count dead_total") \
-  X(rejoined, 21, "client generation rejoined_count") \
-  /* `client`, `uid`, `pid`: the process of the endpoint at `index`. */                           \
-  X(reader_withdrawn, 24, "topic index generation client uid pid subscription reader_generation reader reader_uid reader_pid why withdrawn_count") \
-  X(reader_served_again, 25, "topic index generation client uid pid subscription reader_generation reader reader_uid reader_pid served_again_count") \
+#define AGNOCAST_RECORD_TABLE(X)                                                              \
+  X(none, 0, "")                                                                              \
+  X(register_client, 1, "client generation uid gid pid domain registered_count")              \
+  X(add_publisher, 2, "topic index generation client qos extent slot_count creation")         \
+  X(add_subscription, 3,                                                                      \
+    "topic index generation client qos extent quota executor creation quota_of_others")       \
+  X(announced, 4, "topic index to kind generation client to_generation")                      \
+  X(unlinked, 5, "topic index by kind generation client by_generation")                       \
+  X(leave_publisher, 6, "topic index final_head generation client cause intent_count")        \
+  X(leave_subscription, 7, "topic index state generation client")                             \
+  X(free_publisher, 8, "topic index state generation client")                                 \
+  X(free_subscription, 9, "topic index generation client")                                    \
+  X(client_dead, 10, "client generation reason death_count")                                  \
+  X(client_end, 11, "client generation")                                                      \
+  X(open_window, 12, "client window base bytes generation first")                             \
+  X(add_topic, 15, "topic generation domain layout_hash")                                     \
+  X(open_executor, 16, "client executor generation")                                          \
+  X(free_topic, 17, "topic generation")                                                       \
+  X(raise_slots, 18, "topic index slot_count generation client")                              \
+  X(client_forgotten, 19, "client generation")                                                \
+  X(readers, 22, "client set generation")                                                     \
+  X(topic_forgotten, 23, "topic client generation")                                           \
+  /* Change nothing but counters. */                                                          \
+  X(recovered, 20, "pid redone_lsn dead_count board_word_count restart_count dead_total")     \
+  X(rejoined, 21, "client generation rejoined_count")                                         \
+  /* `client`, `uid`, `pid`: the process of the endpoint at `index`. */                       \
+  X(reader_withdrawn, 24,                                                                     \
+    "topic index generation client uid pid subscription reader_generation reader reader_uid " \
+    "reader_pid why withdrawn_count")                                                         \
+  X(reader_served_again, 25,                                                                  \
+    "topic index generation client uid pid subscription reader_generation reader reader_uid " \
+    "reader_pid served_again_count")                                                          \
   X(reader_mute, 26, "topic index generation client uid pid executor mute_count")
 
 enum class RecordType : std::uint32_t {
@@ -90,9 +95,9 @@ enum class EndpointState : std::uint32_t {
 
 /// Why the session of a process has ended: `reason` of client_dead.
 enum class DeathReason : std::uint64_t {
-  died = 0,     // its pidfd is readable
-  unmapped = 1,   // alive, but without a trace of its region: exec, or a shut library
-  revoked = 2,  // alive, session ended from outside
+  died = 0,      // its pidfd is readable
+  unmapped = 1,  // alive, but without a trace of its region: exec, or a shut library
+  revoked = 2,   // alive, session ended from outside
 };
 
 /// Why a publisher has ended: `cause` of leave_publisher. The last four are decisions about the

@@ -110,10 +110,9 @@ Invariant verify_queue(const region::PublisherWords<M>& words, std::uint64_t fir
 
 /// Checks one link line of a subscription at rest against the queue it is linked to.
 template <class M>
-Invariant verify_link(const region::LinkWords<M>& link,
-                      const region::PublisherWords<M>& words, std::uint64_t generation,
-                      std::uint64_t first_sequence, std::uint64_t slot_count,
-                      Witness* witness = nullptr) noexcept {
+Invariant verify_link(const region::LinkWords<M>& link, const region::PublisherWords<M>& words,
+                      std::uint64_t generation, std::uint64_t first_sequence,
+                      std::uint64_t slot_count, Witness* witness = nullptr) noexcept {
   const auto broken = [&](Invariant which, std::uint64_t place, std::uint64_t word) {
     if (witness != nullptr) *witness = {place, word};
     return which;

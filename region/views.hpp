@@ -21,7 +21,9 @@ struct PublisherWords {
   std::uint64_t extent;
 
   decltype(auto) head() const noexcept { return at(offsetof(abi::PublisherEndpoint, head)); }
-  decltype(auto) persistent_id() const noexcept { return at(offsetof(abi::PublisherEndpoint, persistent_id)); }
+  decltype(auto) persistent_id() const noexcept {
+    return at(offsetof(abi::PublisherEndpoint, persistent_id));
+  }
   decltype(auto) inherited() const noexcept {
     return at(offsetof(abi::PublisherEndpoint, inherited));
   }

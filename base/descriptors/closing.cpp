@@ -95,7 +95,7 @@ EndingThread hand_over(std::span<UniqueFd> fds,
     // These are not the last references, so the closes only release the numbers.
     for (UniqueFd& fd : fds.first(handover.taken_count)) fd.reset();
     handover.stages.go_to(Stages::given);
-    thread.join();  // does not wait for the kernel's work at its end
+    thread.join();                   // does not wait for the kernel's work at its end
   } catch (const std::exception&) {  // no thread left, or no memory for one
     handover.thread.error = EAGAIN;
   }
@@ -190,9 +190,7 @@ void receive_here(ReceivedMemory& received, const PacketSocket& connection,
 
 bool EndingThread::is_forbidden() const noexcept { return error == EPERM || error == ENOSYS; }
 
-bool has_ended(pid_t thread) noexcept {
-  return ::syscall(SYS_tgkill, ::getpid(), thread, 0) != 0;
-}
+bool has_ended(pid_t thread) noexcept { return ::syscall(SYS_tgkill, ::getpid(), thread, 0) != 0; }
 
 EndingThread close_at_end_of_thread(std::span<UniqueFd> fds) noexcept { return hand_over(fds); }
 
@@ -211,7 +209,8 @@ void use_in_own_table(int fd, const std::function<void(int)>& work) noexcept {
     const SignalsBlocked blocked;
     std::thread([&] {
       const int process = leave_table();
-      const auto own = process < 0 ? -1 : static_cast<int>(::syscall(SYS_pidfd_getfd, process, fd, 0U));
+      const auto own =
+          process < 0 ? -1 : static_cast<int>(::syscall(SYS_pidfd_getfd, process, fd, 0U));
       if (own < 0) return;
       work(own);
       is_done = true;
@@ -280,8 +279,9 @@ bool throw_datagram_away(int socket) noexcept {
   try {
     const SignalsBlocked blocked;
     const auto emptied = std::make_shared<Emptied>();
-    std::thread([socket, place, emptied] { receive_one_and_end(socket, *place, *emptied); })
-        .detach();
+    std::thread([socket, place, emptied] {
+      receive_one_and_end(socket, *place, *emptied);
+    }).detach();
     emptied->stages.wait_for(Stages::taken);  // short: it makes two system calls
     if (!emptied->has_socket) return false;
     for (auto waited = step; !emptied->stages.has_come_to(Stages::done); waited += step) {

@@ -15,8 +15,8 @@
 // take long.
 #pragma once
 
-#include <base/sockets/packet_socket.hpp>
 #include <base/descriptors/unique_fd.hpp>
+#include <base/sockets/packet_socket.hpp>
 
 #include <sys/types.h>
 

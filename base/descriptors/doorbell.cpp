@@ -74,8 +74,7 @@ bool drain_carefully(int socket) noexcept {
 
 Doorbell::Rung Doorbell::ring() const noexcept {
   if (!datagram_) return Rung::gone;
-  if (has_lost_kept() &&
-      (!is_intact(datagram_.get()) || (eventfd_ && !is_intact(eventfd_.get()))))
+  if (has_lost_kept() && (!is_intact(datagram_.get()) || (eventfd_ && !is_intact(eventfd_.get()))))
     return Rung::gone;
   if (eventfd_) {
     const std::uint64_t one = 1;

@@ -53,7 +53,8 @@ std::optional<std::uint64_t> Pidfd::inode() const noexcept {
 }
 
 std::optional<std::uint64_t> Pidfd::user_namespace() const noexcept {
-  constexpr unsigned long get_user_namespace = _IO(0xFF, 9);  // PIDFD_GET_USER_NAMESPACE, Linux 6.11
+  constexpr unsigned long get_user_namespace =
+      _IO(0xFF, 9);  // PIDFD_GET_USER_NAMESPACE, Linux 6.11
   const UniqueFd its(::ioctl(fd_.get(), get_user_namespace, 0));
   struct stat file {};
   if (!its || ::fstat(its.get(), &file) != 0) return {};

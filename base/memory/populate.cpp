@@ -34,8 +34,8 @@ Result<void> populate_page_by_page(std::byte* at, std::uint64_t bytes) noexcept 
   static const auto page_bytes = static_cast<std::uint64_t>(::sysconf(_SC_PAGESIZE));
   std::uint32_t nobody_waits = 0;
   for (std::uint64_t offset = 0; offset < bytes; offset += page_bytes) {
-    if (::syscall(SYS_futex, &nobody_waits, FUTEX_WAKE_OP | FUTEX_PRIVATE_FLAG, 0, nullptr, at + offset,
-                  FUTEX_OP(FUTEX_OP_OR, 0, FUTEX_OP_CMP_EQ, 0)) < 0)
+    if (::syscall(SYS_futex, &nobody_waits, FUTEX_WAKE_OP | FUTEX_PRIVATE_FLAG, 0, nullptr,
+                  at + offset, FUTEX_OP(FUTEX_OP_OR, 0, FUTEX_OP_CMP_EQ, 0)) < 0)
       return fail(Errc::os_failure, what, errno);
   }
   return {};

@@ -6,8 +6,8 @@
 #pragma once
 
 #include <agnocast/abi/observe.hpp>
-#include <base/sockets/packet_socket.hpp>
 #include <base/descriptors/unique_fd.hpp>
+#include <base/sockets/packet_socket.hpp>
 
 #include <array>
 #include <cstddef>

@@ -41,8 +41,8 @@ std::string first_line_of(const char* path) {
 bool has_unmapped_users() {
   unsigned long inside = 1, outside = 1, count = 0;
   const std::string line = first_line_of("/proc/self/uid_map");
-  return std::sscanf(line.c_str(), "%lu %lu %lu", &inside, &outside, &count) != 3 ||
-         inside != 0 || outside != 0 || count != std::numeric_limits<std::uint32_t>::max();
+  return std::sscanf(line.c_str(), "%lu %lu %lu", &inside, &outside, &count) != 3 || inside != 0 ||
+         outside != 0 || count != std::numeric_limits<std::uint32_t>::max();
 }
 
 bool others_write(const struct stat& file) noexcept { return (file.st_mode & 0022) != 0; }
@@ -58,7 +58,8 @@ bool is_given_by_root(const ServerFacts& facts, const std::string& path) {
     return false;
   const std::size_t above = directory.rfind('/');
   const std::string parent = above == 0 ? "/" : directory.substr(0, above);
-  struct stat own {}, beside {};
+  struct stat own {
+  }, beside{};
   if (::lstat(directory.c_str(), &own) != 0 || ::lstat(parent.c_str(), &beside) != 0) return false;
   // In a user namespace the host's root has no number either; its mounter controls the
   // directories there.

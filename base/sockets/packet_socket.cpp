@@ -179,8 +179,7 @@ Result<Packet> PacketSocket::receive_all(std::span<std::byte> buffer,
   return receive_into(buffer, control, &more, Wait::no);
 }
 
-Result<Packet> PacketSocket::receive_into(std::span<std::byte> buffer,
-                                          std::span<std::byte> control,
+Result<Packet> PacketSocket::receive_into(std::span<std::byte> buffer, std::span<std::byte> control,
                                           std::vector<UniqueFd>* more, Wait wait) const {
   Packet packet;
   if (!may_use(fd_.get())) {

@@ -45,8 +45,7 @@ Result<UniqueFd> open_lock_file(const std::string& path) noexcept {
   if (!lock && errno == ELOOP) return fail(Errc::permission_denied, "it is a symbolic link", errno);
   if (!lock) return fail(Errc::os_failure, "opening a lock file", errno);
   struct stat file {};
-  if (::fstat(lock.get(), &file) != 0)
-    return fail(Errc::os_failure, "checking a lock file", errno);
+  if (::fstat(lock.get(), &file) != 0) return fail(Errc::os_failure, "checking a lock file", errno);
   if (!S_ISREG(file.st_mode) || (file.st_uid != ::geteuid() && !is_unknown_user(file.st_uid)))
     return fail(Errc::permission_denied, "it is not a file of this user", EPERM);
   return lock;

@@ -13,7 +13,8 @@ std::string socket_path() {
     return named;
   constexpr const char* system_socket = "/run/agnocast/agnocastd.sock";
   if (::access(system_socket, F_OK) == 0) return system_socket;
-  if (const char* runtime = ::secure_getenv("XDG_RUNTIME_DIR"); runtime != nullptr && *runtime == '/') {
+  if (const char* runtime = ::secure_getenv("XDG_RUNTIME_DIR");
+      runtime != nullptr && *runtime == '/') {
     return std::string(runtime) + "/agnocast/agnocastd.sock";
   }
   return system_socket;

@@ -2,9 +2,9 @@
 
 #include <base/text/log.hpp>
 
+#include <base/descriptors/unique_fd.hpp>
 #include <base/text/standard_error.hpp>
 #include <base/text/text.hpp>
-#include <base/descriptors/unique_fd.hpp>
 
 #include <sys/socket.h>
 #include <sys/stat.h>

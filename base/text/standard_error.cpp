@@ -1,7 +1,7 @@
 // SPDX-License-Identifier: Apache-2.0
 
-#include <base/text/standard_error.hpp>
 #include <base/descriptors/unique_fd.hpp>
+#include <base/text/standard_error.hpp>
 
 #include <fcntl.h>
 #include <poll.h>

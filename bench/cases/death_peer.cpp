@@ -179,8 +179,8 @@ class Peer {
       if (!publisher_->publish(std::move(message))) give_up("a message was not published");
       await(*victim);
       if (Sample::destroyed_ns != 0) give_up("a message was destroyed while it was held");
-      kill(*victim, at_publisher_, {ended, notified, free, bytes > small_bytes ? &meanwhile : nullptr},
-           &back);
+      kill(*victim, at_publisher_,
+           {ended, notified, free, bytes > small_bytes ? &meanwhile : nullptr}, &back);
     }
     for (const Series* series : {&ended, &notified, &back, &free, &meanwhile}) add(*series);
   }

@@ -3,8 +3,8 @@
 // One process has both ends: a publisher, and a subscription used only by take(); their depth is
 // ROS 2's usual 10. Calls are timed in batches (below the depth, so nothing is lost), because the
 // clock alone takes as long as one of them. Publishers run the reclamation scan in every eighth
-// publish only (docs/protocol.md, deferred scan): a batch has one, unless the control thread has just
-// run it. Medians of all batches, minus an empty batch, so rare events are excluded: growth of
+// publish only (docs/protocol.md, deferred scan): a batch has one, unless the control thread has
+// just run it. Medians of all batches, minus an empty batch, so rare events are excluded: growth of
 // the heap, another thread with the same mutex. The next borrow destroys messages that leave the
 // queue; the table includes it.
 

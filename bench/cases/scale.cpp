@@ -269,7 +269,8 @@ constexpr std::pair<const char*, const char*> made_of[] = {
     {"subscribers",
      "The publish call reads the sleep word of each process, and with small messages in one call "
      "of eight (the deferred scan)\n"
-     "  each subscription's link and hold bits: that is in the mean, hardly in the median. It rings "
+     "  each subscription's link and hold bits: that is in the mean, hardly in the median. It "
+     "rings "
      "two sleeping processes itself,\n"
      "  by a system call each, and leaves the others to the control thread, whose work is in the "
      "last wake. That adds the\n"
@@ -291,7 +292,8 @@ constexpr std::pair<const char*, const char*> made_of[] = {
     {"processes",
      "Neither the data path nor a join reads processes that share no topic. The daemon keeps a "
      "connection, a region, a\n"
-     "  heap window and two doorbells for each; each joined one is a process with a publisher and a "
+     "  heap window and two doorbells for each; each joined one is a process with a publisher and "
+     "a "
      "subscription on a topic\n"
      "  of its own, whose pages (above) are most of its memory."},
 };

@@ -112,8 +112,7 @@ std::size_t service_cdr_bytes(const CdrType& type, const void* message,
                                                const WindowSet* within = nullptr);
 [[nodiscard]] CdrResult<std::size_t> write_service_cdr(const CdrType& type,
                                                        const ServiceHeader& header,
-                                                       const void* message,
-                                                       std::span<std::byte> to,
+                                                       const void* message, std::span<std::byte> to,
                                                        const WindowSet* within = nullptr);
 
 /// Reads into `message`, a constructed message whose contents are replaced. Returns the number of

@@ -81,7 +81,8 @@ Object dds_writers_of(const BridgeStatus& status, std::uint64_t now_ns) {
                   {"node", dds_writer.plan.node},
                   {"publisher_generation", dds_writer.publisher},
                   {"guid", text_of(dds_writer.writer)},
-                  {"qos", qos_object(dds_writer.plan.offered, dds_writer.plan.depth, dds_writer.plan.keep_all)},
+                  {"qos", qos_object(dds_writer.plan.offered, dds_writer.plan.depth,
+                                     dds_writer.plan.keep_all)},
                   {"matched", dds_writer.matched},
                   {"incompatible", dds_writer.incompatible}};
     add(object, dds_writer.traffic, now_ns);
@@ -93,12 +94,12 @@ Object dds_writers_of(const BridgeStatus& status, std::uint64_t now_ns) {
 Object remote_publishers_of(const BridgeStatus& status, std::uint64_t now_ns) {
   Object list = Object::array();
   for (const BridgeStatus::RemotePublisherNow& remote_publisher : status.remote_publishers) {
-    Object object{
-        {"topic", remote_publisher.plan.key.topic},
-        {"type", remote_publisher.plan.key.type},
-        {"node", remote_publisher.node},
-        {"guid", text_of(remote_publisher.writer)},
-        {"qos", qos_object(remote_publisher.plan.qos_class, remote_publisher.plan.depth, remote_publisher.plan.keep_all)}};
+    Object object{{"topic", remote_publisher.plan.key.topic},
+                  {"type", remote_publisher.plan.key.type},
+                  {"node", remote_publisher.node},
+                  {"guid", text_of(remote_publisher.writer)},
+                  {"qos", qos_object(remote_publisher.plan.qos_class, remote_publisher.plan.depth,
+                                     remote_publisher.plan.keep_all)}};
     add(object, remote_publisher.traffic, now_ns);
     list.push_back(std::move(object));
   }
@@ -108,17 +109,17 @@ Object remote_publishers_of(const BridgeStatus& status, std::uint64_t now_ns) {
 Object dds_readers_of(const BridgeStatus& status) {
   Object list = Object::array();
   for (const BridgeStatus::DdsReaderNow& dds_reader : status.dds_readers) {
-    list.push_back(
-        {{"topic", dds_reader.key.key.topic},
-         {"type", dds_reader.key.key.type},
-         {"nodes", dds_reader.plan.nodes},
-         {"guid", text_of(dds_reader.reader)},
-         {"qos", qos_object(dds_reader.plan.requested, dds_reader.plan.depth, dds_reader.plan.keep_all)},
-         {"matched", dds_reader.matched},
-         {"incompatible", dds_reader.incompatible},
-         {"malformed", dds_reader.malformed},
-         {"without_remote_publisher", dds_reader.without_remote_publisher},
-         {"overflow", dds_reader.overflow}});
+    list.push_back({{"topic", dds_reader.key.key.topic},
+                    {"type", dds_reader.key.key.type},
+                    {"nodes", dds_reader.plan.nodes},
+                    {"guid", text_of(dds_reader.reader)},
+                    {"qos", qos_object(dds_reader.plan.requested, dds_reader.plan.depth,
+                                       dds_reader.plan.keep_all)},
+                    {"matched", dds_reader.matched},
+                    {"incompatible", dds_reader.incompatible},
+                    {"malformed", dds_reader.malformed},
+                    {"without_remote_publisher", dds_reader.without_remote_publisher},
+                    {"overflow", dds_reader.overflow}});
   }
   return list;
 }

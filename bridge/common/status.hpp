@@ -62,7 +62,7 @@ struct BridgeStatus {
     Guid reader;
     std::uint32_t matched = 0, incompatible = 0;  // writers
     std::uint64_t malformed = 0;                  // payloads that are not a message of the type
-    std::uint64_t without_remote_publisher = 0;             // messages of writers without a remote publisher
+    std::uint64_t without_remote_publisher = 0;   // messages of writers without a remote publisher
     std::uint64_t overflow = 0;                   // payloads dropped because of a limit
   };
   /// A local reader, for the DDS writers of one class and depth.

@@ -182,8 +182,7 @@ class DdsParticipantState {
     if (is_too_long(remote)) return beyond(Limit::text_bytes);
     if (remote.kind == Remote::Kind::participant)
       return participants < most_of(Limit::participants) || beyond(Limit::participants);
-    if (remotes.size() - participants >= most_of(Limit::endpoints))
-      return beyond(Limit::endpoints);
+    if (remotes.size() - participants >= most_of(Limit::endpoints)) return beyond(Limit::endpoints);
     const auto of_owner = endpoints.find(remote.participant);
     return of_owner == endpoints.end() ||
            of_owner->second < most_of(Limit::endpoints_of_participant) ||
@@ -413,11 +412,11 @@ DdsResult<std::unique_ptr<DdsWriter>> DdsParticipant::create_writer(const std::s
                                                                     const std::string& type,
                                                                     const DdsQos& qos) {
   std::unique_ptr<DdsWriter> writer(new DdsWriter);
-  const auto endpoint =
-      make_endpoint(*state_, topic, make_raw_type(type, nullptr, std::make_shared<RawCounts>(state_->shared)),
-                    "create a writer", [&](dds_entity_t of) {
-                      return dds_create_writer(state_->participant, of, qos_of(qos).get(), nullptr);
-                    });
+  const auto endpoint = make_endpoint(
+      *state_, topic, make_raw_type(type, nullptr, std::make_shared<RawCounts>(state_->shared)),
+      "create a writer", [&](dds_entity_t of) {
+        return dds_create_writer(state_->participant, of, qos_of(qos).get(), nullptr);
+      });
   if (!endpoint) return tl::unexpected(endpoint.error());
   writer->of_ = state_;
   writer->entity_ = endpoint->entity;

@@ -210,12 +210,9 @@ class DdsParticipant {
                                                                     const DdsQos& qos);
   /// Readers do not get samples of this participant's own writers. `decoder`: see RawDecoder.
   /// Payloads beyond `unread_bytes_max` in its cache, and one message, are dropped.
-  [[nodiscard]] DdsResult<std::unique_ptr<DdsReader>> create_reader(const std::string& topic,
-                                                                    const std::string& type,
-                                                                    const DdsQos& qos,
-                                                                    RawDecoder decoder,
-                                                                    std::size_t unread_bytes_max =
-                                                                        most_of(Limit::unread_bytes_of_reader));
+  [[nodiscard]] DdsResult<std::unique_ptr<DdsReader>> create_reader(
+      const std::string& topic, const std::string& type, const DdsQos& qos, RawDecoder decoder,
+      std::size_t unread_bytes_max = most_of(Limit::unread_bytes_of_reader));
 
   struct Ready {
     bool interrupted = false;

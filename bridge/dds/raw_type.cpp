@@ -74,8 +74,7 @@ bool take_room(RawSample& sample, const std::shared_ptr<RawCounts>& counts, std:
   sample.counts = counts;
   sample.unread_bytes = bytes;
   if (before == 0) return true;
-  if (before + bytes > counts->unread_bytes_max)
-    return beyond(Limit::unread_bytes_of_reader);
+  if (before + bytes > counts->unread_bytes_max) return beyond(Limit::unread_bytes_of_reader);
   if (all_before + bytes > most_of(Limit::unread_bytes)) return beyond(Limit::unread_bytes);
   return true;
 }

@@ -214,11 +214,13 @@ DdsResult<std::unique_ptr<RosGraph>> RosGraph::create(DdsParticipant& participan
   if (!writer) return tl::unexpected(writer.error());
   graph->writer_ = std::move(*writer);
   qos.keep_all = true;
-  auto reader =
-      participant.create_reader(topic, type, qos, [](RawPieces payload) -> std::shared_ptr<void> {
+  auto reader = participant.create_reader(
+      topic, type, qos,
+      [](RawPieces payload) -> std::shared_ptr<void> {
         auto entities = read_entities(payload);
         return entities ? std::make_shared<RosEntities>(std::move(*entities)) : nullptr;
-      }, unread_bytes_max);
+      },
+      unread_bytes_max);
   if (!reader) return tl::unexpected(reader.error());
   graph->reader_ = std::move(*reader);
   return graph;

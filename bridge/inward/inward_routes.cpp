@@ -33,11 +33,12 @@ void InwardRoutes::end_changed(const Plan& plan) {
   std::set<ReaderKey> ended;
   erase_dds_readers_if([&](const ReaderKey& key, const OpenDdsReader& dds_reader) {
     const auto wanted = plan.dds_readers.find(key.of);
-    return wanted != plan.dds_readers.end() && wanted->second.requested != dds_reader.plan.requested &&
-           ended.insert(key).second;
+    return wanted != plan.dds_readers.end() &&
+           wanted->second.requested != dds_reader.plan.requested && ended.insert(key).second;
   });
   const Time end = std::chrono::steady_clock::now() + linger;
-  for (auto& [writer, remote_publisher] : remote_publishers_.all()) remote_publisher.way.end_dds_readers(ended, end);
+  for (auto& [writer, remote_publisher] : remote_publishers_.all())
+    remote_publisher.way.end_dds_readers(ended, end);
 }
 
 void InwardRoutes::end_all() {
@@ -58,9 +59,9 @@ InwardRoutes::Applied InwardRoutes::apply(const Plan& plan) {
   open_dds_readers(plan);
   for (const Unbridged& each : plan.unbridged) {
     if (each.why == WhyNot::too_many)
-      refusals_.note(
-          "writers of " + each.topic,
-          "more than the " + std::to_string(remote_publishers_per_topic_max) + " that a topic may have");
+      refusals_.note("writers of " + each.topic,
+                     "more than the " + std::to_string(remote_publishers_per_topic_max) +
+                         " that a topic may have");
   }
   settle_at_ = std::chrono::steady_clock::now();
   return applied;
@@ -72,11 +73,14 @@ void InwardRoutes::open_remote_publishers(const Plan& plan, Applied& applied) {
   std::map<TopicKey, std::size_t> counts;
   for (auto& [writer, remote_publisher] : remote_publishers_.all()) {
     ++counts[remote_publisher.plan.key];
-    if (!remote_publisher.end && !plan.remote_publishers.contains(writer)) remote_publisher.end = end;
+    if (!remote_publisher.end && !plan.remote_publishers.contains(writer))
+      remote_publisher.end = end;
   }
   for (const auto& [writer, remote_publisher] : plan.remote_publishers) {
-    const ReaderKey dds_reader = reader_of(plan, {remote_publisher.key, remote_publisher.dds_reader});
-    if (const auto old = remote_publishers_.all().find(writer); old != remote_publishers_.all().end()) {
+    const ReaderKey dds_reader =
+        reader_of(plan, {remote_publisher.key, remote_publisher.dds_reader});
+    if (const auto old = remote_publishers_.all().find(writer);
+        old != remote_publishers_.all().end()) {
       old->second.end.reset();
       old->second.plan = remote_publisher;
       if (old->second.way.dds_reader() != dds_reader) old->second.way.go_over(dds_reader, end);
@@ -103,8 +107,8 @@ void InwardRoutes::open_remote_publishers(const Plan& plan, Applied& applied) {
     // The reader that waited for it may have messages that the new one misses; a history contains
     // all of them.
     const auto looks_out = dds_readers_.lower_bound({dds_reader.of, 0, false});
-    if (!remote_publisher.dds_reader.transient_local && !dds_readers_.contains(dds_reader) && looks_out != dds_readers_.end() &&
-        looks_out->first.of == dds_reader.of)
+    if (!remote_publisher.dds_reader.transient_local && !dds_readers_.contains(dds_reader) &&
+        looks_out != dds_readers_.end() && looks_out->first.of == dds_reader.of)
       way.begin_with(looks_out->first, end);
   }
 }
@@ -127,7 +131,8 @@ void InwardRoutes::open_dds_readers(const Plan& plan) {
       refusals_.note("reader of " + topic.topic, reader.error().text());
       continue;
     }
-    const auto made = dds_readers_.emplace(key, OpenDdsReader{std::move(*reader), dds_reader, false}).first;
+    const auto made =
+        dds_readers_.emplace(key, OpenDdsReader{std::move(*reader), dds_reader, false}).first;
     dds_reader_of_[made->second.reader.get()] = &made->first;
   }
   for (auto& [key, dds_reader] : dds_readers_) dds_reader.is_over = !planned.contains(key);
@@ -186,7 +191,8 @@ void InwardRoutes::publish_one(const ReaderKey& dds_reader, DdsSample sample) {
   const auto remote_publisher = remote_publishers_.all().find(sample.writer);
   if (remote_publisher != remote_publishers_.all().end()) {
     if (remote_publisher->second.way.takes(dds_reader, sample.source_time_ns))
-      remote_publishers_.publish(sample.writer, remote_publisher->second, *static_cast<Received*>(sample.object.get()));
+      remote_publishers_.publish(sample.writer, remote_publisher->second,
+                                 *static_cast<Received*>(sample.object.get()));
     return;
   }
   if (pace_.is_owed()) {
@@ -194,7 +200,8 @@ void InwardRoutes::publish_one(const ReaderKey& dds_reader, DdsSample sample) {
       return void(unplaced_.emplace_back(dds_reader, std::move(sample)));
     participant_.limits().refuse(Limit::unplaced_messages);
   }
-  if (const auto read = dds_readers_.find(dds_reader); read != dds_readers_.end()) ++read->second.without_remote_publisher;
+  if (const auto read = dds_readers_.find(dds_reader); read != dds_readers_.end())
+    ++read->second.without_remote_publisher;
 }
 
 std::optional<Time> InwardRoutes::tidy(Time now) {
@@ -276,13 +283,14 @@ void InwardRoutes::look(BridgeStatus& now, const RosGraph::Others& others) const
   for (const auto& [writer, remote_publisher] : remote_publishers_.all()) {
     const auto node = node_of.find(writer);
     now.remote_publishers.push_back({remote_publisher.plan, writer,
-                           node == node_of.end() ? std::string() : node->second,
-                           remote_publisher.traffic.numbers()});
+                                     node == node_of.end() ? std::string() : node->second,
+                                     remote_publisher.traffic.numbers()});
   }
   for (const auto& [key, dds_reader] : dds_readers_) {
-    now.dds_readers.push_back({key.of, dds_reader.plan, dds_reader.reader->guid(), dds_reader.reader->matched(),
-                          dds_reader.reader->incompatible(), dds_reader.reader->refused(),
-                          dds_reader.without_remote_publisher, dds_reader.reader->overflow()});
+    now.dds_readers.push_back({key.of, dds_reader.plan, dds_reader.reader->guid(),
+                               dds_reader.reader->matched(), dds_reader.reader->incompatible(),
+                               dds_reader.reader->refused(), dds_reader.without_remote_publisher,
+                               dds_reader.reader->overflow()});
   }
 }
 

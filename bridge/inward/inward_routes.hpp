@@ -61,7 +61,9 @@ class InwardRoutes {
   /// Ends everything at once.
   void end_all();
 
-  bool has_remote_publisher(const Guid& writer) const { return remote_publishers_.all().contains(writer); }
+  bool has_remote_publisher(const Guid& writer) const {
+    return remote_publishers_.all().contains(writer);
+  }
   /// Returns whether it is one of these DDS readers.
   bool has(const DdsReader* reader) const { return dds_reader_of_.contains(reader); }
   /// Takes what a DDS reader has received, bounded so that others get their turn.
@@ -84,7 +86,7 @@ class InwardRoutes {
   struct OpenDdsReader {
     std::unique_ptr<DdsReader> reader;
     DdsReaderPlan plan;
-    bool is_over = false;              // no longer planned; ends with its last remote publisher
+    bool is_over = false;  // no longer planned; ends with its last remote publisher
     std::uint64_t without_remote_publisher = 0;  // messages
   };
 

@@ -17,7 +17,8 @@ constexpr std::size_t held_up_max = 1'000;
 
 }  // namespace
 
-Result<OpenRemotePublisher*> RemotePublishers::open(const Guid& writer, const RemotePublisherPlan& plan) {
+Result<OpenRemotePublisher*> RemotePublishers::open(const Guid& writer,
+                                                    const RemotePublisherPlan& plan) {
   auto made = make_publisher(plan, plan.depth);
   if (!made) return tl::unexpected(made.error());
   OpenRemotePublisher& open = open_[writer];
@@ -27,13 +28,14 @@ Result<OpenRemotePublisher*> RemotePublishers::open(const Guid& writer, const Re
   return &open;
 }
 
-Result<GenericPublisher::SharedPtr> RemotePublishers::make_publisher(const RemotePublisherPlan& plan,
-                                                            std::size_t depth) const {
+Result<GenericPublisher::SharedPtr> RemotePublishers::make_publisher(
+    const RemotePublisherPlan& plan, std::size_t depth) const {
   return try_create_generic_publisher(node_, plan.key.topic, types_.at(plan.key.type)->introspected,
                                       qos_of(plan.qos_class, depth, plan.keep_all));
 }
 
-void RemotePublishers::publish(const Guid& writer, OpenRemotePublisher& remote_publisher, Received& received) {
+void RemotePublishers::publish(const Guid& writer, OpenRemotePublisher& remote_publisher,
+                               Received& received) {
   if (remote_publisher.waiting.empty() && publish_now(remote_publisher, received)) return;
   const std::size_t bytes = held_bytes_of(received.bytes);
   if (remote_publisher.waiting.size() >= held_up_max || held_bytes_ + bytes > held_bytes_max)
@@ -81,11 +83,13 @@ bool RemotePublishers::fit_history(OpenRemotePublisher& remote_publisher, std::s
     remote_publisher.history.pop_front();
   };
   while (remote_publisher.history.size() >= remote_publisher.depth) pop();
-  const bool is_own = remote_publisher.history_bytes + bytes > most_of(Limit::history_bytes_of_remote_publisher);
+  const bool is_own =
+      remote_publisher.history_bytes + bytes > most_of(Limit::history_bytes_of_remote_publisher);
   const bool is_all = history_bytes_ + bytes > most_of(Limit::history_bytes);
   if (!remote_publisher.history.empty() && (is_own || is_all)) {
     limits_.refuse(is_own ? Limit::history_bytes_of_remote_publisher : Limit::history_bytes);
-    const std::size_t depth = is_all ? 1 : std::max<std::size_t>(remote_publisher.history.size() / 2, 1);
+    const std::size_t depth =
+        is_all ? 1 : std::max<std::size_t>(remote_publisher.history.size() / 2, 1);
     auto made = make_publisher(remote_publisher.plan, depth);
     if (!made) return false;
     reaper_.end(std::exchange(remote_publisher.publisher, std::move(*made)));
@@ -99,12 +103,14 @@ bool RemotePublishers::fit_history(OpenRemotePublisher& remote_publisher, std::s
   return true;
 }
 
-void RemotePublishers::drop(OpenRemotePublisher& remote_publisher, const char* why, std::size_t messages) const {
+void RemotePublishers::drop(OpenRemotePublisher& remote_publisher, const char* why,
+                            std::size_t messages) const {
   const std::uint64_t dropped = remote_publisher.traffic.refused += messages;
   if (!remote_publisher.traffic.tells.now()) return;
-  log_.write(
-      LogLevel::warning, "message not published",
-      {{"topic", remote_publisher.plan.key.topic}, {"dropped", std::to_string(dropped)}, {"why", why}});
+  log_.write(LogLevel::warning, "message not published",
+             {{"topic", remote_publisher.plan.key.topic},
+              {"dropped", std::to_string(dropped)},
+              {"why", why}});
 }
 
 std::optional<Time> RemotePublishers::publish_waiting(Time now) {
@@ -133,7 +139,8 @@ bool RemotePublishers::publish_held() {
 
 void RemotePublishers::drop_waiting(const Guid& writer, OpenRemotePublisher& remote_publisher) {
   drop(remote_publisher, sentence_of(Errc::would_block), remote_publisher.waiting.size());
-  for (const Received& received : remote_publisher.waiting) held_bytes_ -= held_bytes_of(received.bytes);
+  for (const Received& received : remote_publisher.waiting)
+    held_bytes_ -= held_bytes_of(received.bytes);
   remote_publisher.waiting.clear();
   held_.erase(writer);
 }

@@ -1,9 +1,10 @@
 // SPDX-License-Identifier: Apache-2.0
 //
-// Remote publishers: the remote publishers, each a publisher on this host in place of a remote writer, and
-// their costs. A message that keep-all blocks (a subscription of this host has not read enough)
-// waits here, within bounds; nothing signals room, so it is tried again at intervals (room.hpp).
-// The histories of transient-local publishers are bounded, for each and for all of them.
+// Remote publishers: the remote publishers, each a publisher on this host in place of a remote
+// writer, and their costs. A message that keep-all blocks (a subscription of this host has not read
+// enough) waits here, within bounds; nothing signals room, so it is tried again at intervals
+// (room.hpp). The histories of transient-local publishers are bounded, for each and for all of
+// them.
 //
 // One thread, run()'s.
 #pragma once
@@ -52,7 +53,8 @@ struct OpenRemotePublisher {
 class RemotePublishers {
  public:
   /// All must outlive it. `types` knows every planned type; `reaper` ends publishers.
-  RemotePublishers(Node& node, const MessageTypes& types, Limits& limits, Reaper& reaper, const Log& log)
+  RemotePublishers(Node& node, const MessageTypes& types, Limits& limits, Reaper& reaper,
+                   const Log& log)
       : node_(node), types_(types), limits_(limits), reaper_(reaper), log_(log) {}
 
   /// Creates the publisher for a writer that has none.
@@ -71,7 +73,8 @@ class RemotePublishers {
   const std::map<Guid, OpenRemotePublisher>& all() const noexcept { return open_; }
 
  private:
-  Result<GenericPublisher::SharedPtr> make_publisher(const RemotePublisherPlan& plan, std::size_t depth) const;
+  Result<GenericPublisher::SharedPtr> make_publisher(const RemotePublisherPlan& plan,
+                                                     std::size_t depth) const;
   /// Makes room in the histories for a message of this publisher. Returns false if there is none.
   bool fit_history(OpenRemotePublisher& remote_publisher, std::size_t bytes);
   void forget_history(OpenRemotePublisher& remote_publisher);

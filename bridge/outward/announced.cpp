@@ -19,9 +19,9 @@ bool is_same(const DdsWriterPlan& a, const DdsWriterPlan& b) noexcept {
 DdsResult<std::unique_ptr<DdsWriter>> create_writer_of(DdsParticipant& participant,
                                                        const DdsWriterPlan& dds_writer) {
   const TopicKey& topic = dds_writer.local_reader.of.key;
-  return participant.create_writer(*dds_topic_of({DdsTopicKind::topic, topic.topic}),
-                                   *dds_type_of(topic.type),
-                                   dds_qos_of(dds_writer.offered, dds_writer.depth, dds_writer.keep_all));
+  return participant.create_writer(
+      *dds_topic_of({DdsTopicKind::topic, topic.topic}), *dds_type_of(topic.type),
+      dds_qos_of(dds_writer.offered, dds_writer.depth, dds_writer.keep_all));
 }
 
 void Announced::end_others(const Plan& plan) {

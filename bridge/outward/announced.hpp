@@ -23,8 +23,8 @@
 namespace agnocast::bridge {
 
 /// Creates the DDS writer of a publisher.
-[[nodiscard]] DdsResult<std::unique_ptr<DdsWriter>> create_writer_of(DdsParticipant& participant,
-                                                                     const DdsWriterPlan& dds_writer);
+[[nodiscard]] DdsResult<std::unique_ptr<DdsWriter>> create_writer_of(
+    DdsParticipant& participant, const DdsWriterPlan& dds_writer);
 
 class Announced {
  public:

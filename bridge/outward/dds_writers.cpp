@@ -17,7 +17,8 @@ constexpr std::size_t behind_gap_max = 32;
 
 }  // namespace
 
-void DdsWriters::pass(GenericMessage message, const ReaderKey& local_reader, const CdrType& type) noexcept try {
+void DdsWriters::pass(GenericMessage message, const ReaderKey& local_reader,
+                      const CdrType& type) noexcept try {
   const std::uint64_t publisher = message.info().publisher;
   std::unique_lock lock(mutex_);
   if (const auto found = open_.find(publisher); found != open_.end()) {
@@ -124,7 +125,8 @@ void DdsWriters::catch_up(OpenDdsWriter& dds_writer, std::uint64_t publisher, bo
   };
   std::map<std::uint64_t, Due> due;  // by sequence number; each local reader may have it
   for (auto& [key, queue] : waiting_) {
-    if (key.first != publisher || key.second.of.key != dds_writer.plan.local_reader.of.key) continue;
+    if (key.first != publisher || key.second.of.key != dds_writer.plan.local_reader.of.key)
+      continue;
     const bool is_own = key.second == dds_writer.plan.local_reader;
     if (const std::size_t dropped = std::exchange(queue.dropped, 0); is_own && dropped != 0)
       lose(dropped, "more than the depth of their publisher, before its writer had begun");
@@ -138,7 +140,8 @@ void DdsWriters::catch_up(OpenDdsWriter& dds_writer, std::uint64_t publisher, bo
     if (!dds_writer.has_begun && !is_late && sequence > dds_writer.newest + 1) return;
     if (dds_writer.has_begun && !one.is_own) continue;
     dds_writer.has_begun |= one.is_own;
-    if (dds_writer.is_newer(one.message.info())) dds_writer.waited.push_back(std::move(one.message));
+    if (dds_writer.is_newer(one.message.info()))
+      dds_writer.waited.push_back(std::move(one.message));
   }
   end_waiting_if([&](const Waiting& key, const Queue&) { return key.first == publisher; });
 }

@@ -14,7 +14,8 @@ void OutwardRoutes::end_changed(const Plan& plan) {
   dds_writers_.for_each([&](std::uint64_t publisher, const OpenDdsWriter& dds_writer) {
     const auto wanted = plan.dds_writers.find(publisher);
     if (wanted != plan.dds_writers.end() &&
-        (wanted->second.offered != dds_writer.plan.offered || wanted->second.local_reader != dds_writer.plan.local_reader))
+        (wanted->second.offered != dds_writer.plan.offered ||
+         wanted->second.local_reader != dds_writer.plan.local_reader))
       changed.push_back(publisher);
   });
   for (const std::uint64_t publisher : changed) {
@@ -32,13 +33,16 @@ void OutwardRoutes::end_all() {
 // A local reader that survives agnocastd gets no history twice: the new DDS writers need a new
 // reader.
 void OutwardRoutes::begin_anew() {
-  std::erase_if(local_readers_, [](const auto& local_reader) { return local_reader.first.of.qos_class.transient_local; });
+  std::erase_if(local_readers_, [](const auto& local_reader) {
+    return local_reader.first.of.qos_class.transient_local;
+  });
   end_all();
   planned_for_.clear();
 }
 
 std::optional<Time> OutwardRoutes::tidy(Time now) {
-  const std::optional<Time> next = dds_writers_.tidy(now) ? std::optional(now + linger) : std::nullopt;
+  const std::optional<Time> next =
+      dds_writers_.tidy(now) ? std::optional(now + linger) : std::nullopt;
   if (settle_at_ && *settle_at_ <= now) {
     end_local_readers();
     settle_at_ = next;
@@ -48,8 +52,9 @@ std::optional<Time> OutwardRoutes::tidy(Time now) {
 
 void OutwardRoutes::end_local_readers() {
   const std::set<ReaderKey> lingering = dds_writers_.lingering();
-  std::erase_if(
-      local_readers_, [&](const auto& local_reader) { return local_reader.second.is_over && !lingering.contains(local_reader.first); });
+  std::erase_if(local_readers_, [&](const auto& local_reader) {
+    return local_reader.second.is_over && !lingering.contains(local_reader.first);
+  });
 }
 
 // Local readers before DDS writers: messages in between wait.
@@ -83,7 +88,8 @@ void OutwardRoutes::close_others(const Plan& plan, const std::set<std::uint64_t>
     return true;
   });
   announced_.end_others(plan);
-  for (auto& [key, local_reader] : local_readers_) local_reader.is_over = !plan.local_readers.contains(key);
+  for (auto& [key, local_reader] : local_readers_)
+    local_reader.is_over = !plan.local_readers.contains(key);
   end_local_readers();
   // A local reader brings a history once. A publisher known before, without a DDS writer or with
   // another, needs it again.
@@ -126,7 +132,7 @@ Errc OutwardRoutes::open_local_readers(const Plan& plan) {
 }
 
 void OutwardRoutes::open_dds_writers(const Plan& plan, LocalReadersOfTopic former,
-                                 std::set<std::uint64_t>& without) {
+                                     std::set<std::uint64_t>& without) {
   for (const auto& [publisher, dds_writer] : plan.dds_writers) {
     if (dds_writer_keys_.contains(publisher)) continue;
     const TopicKey& topic = dds_writer.local_reader.of.key;
@@ -143,7 +149,8 @@ void OutwardRoutes::open_dds_writers(const Plan& plan, LocalReadersOfTopic forme
     open->writer = std::move(*writer);
     // A new publisher, whose first messages another local reader may have.
     const std::set<ReaderKey>& local_readers = former[topic];
-    open->has_begun = dds_writer.local_reader.of.qos_class.transient_local || planned_for_.contains(publisher) ||
+    open->has_begun = dds_writer.local_reader.of.qos_class.transient_local ||
+                      planned_for_.contains(publisher) ||
                       local_readers.size() == local_readers.count(dds_writer.local_reader);
     dds_writers_.open(publisher, std::move(open));
     dds_writer_keys_.insert(publisher);
@@ -170,8 +177,9 @@ void OutwardRoutes::look(BridgeStatus& now) const {
       dds_writer.matched = dds_writer.writer->matched();
       dds_writer.incompatible = dds_writer.writer->incompatible();
     }
-    now.dds_writers.push_back({dds_writer.plan, publisher, dds_writer.writer->guid(), dds_writer.matched,
-                           dds_writer.incompatible, dds_writer.traffic.numbers()});
+    now.dds_writers.push_back({dds_writer.plan, publisher, dds_writer.writer->guid(),
+                               dds_writer.matched, dds_writer.incompatible,
+                               dds_writer.traffic.numbers()});
   });
   for (const auto& [key, local_reader] : local_readers_)
     now.local_readers.push_back({key, local_reader.subscription->get_lost_count()});

@@ -80,7 +80,8 @@ class OutwardRoutes {
   [[nodiscard]] Errc open_local_readers(const Plan& plan);
   /// `former` are the local readers before the plan. Adds publishers whose writer could not be
   /// made to `without`.
-  void open_dds_writers(const Plan& plan, LocalReadersOfTopic former, std::set<std::uint64_t>& without);
+  void open_dds_writers(const Plan& plan, LocalReadersOfTopic former,
+                        std::set<std::uint64_t>& without);
 
   DdsParticipant& participant_;
   const Lanes& lanes_;
@@ -91,8 +92,9 @@ class OutwardRoutes {
   Announced announced_;
   // Generations of the endpoints of this host in the newest plan.
   std::set<std::uint64_t> planned_for_;
-  std::optional<Time> settle_at_;      // when local readers may have to end
-  std::map<ReaderKey, OpenLocalReader> local_readers_;  // end before the DDS writers that they write to
+  std::optional<Time> settle_at_;  // when local readers may have to end
+  std::map<ReaderKey, OpenLocalReader>
+      local_readers_;  // end before the DDS writers that they write to
 };
 
 }  // namespace agnocast::bridge

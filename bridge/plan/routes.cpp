@@ -144,7 +144,7 @@ class Planner {
   }
 
   static DdsWriterPlan dds_writer_of(const TopicKey& key, const EndpointInfo& publisher,
-                          const QosOverride& said) {
+                                     const QosOverride& said) {
     const QosClass own = class_of(publisher.qos);
     const std::size_t depth = publisher.qos.depth();
     const bool keep_all = publisher.qos.is_keep_all();
@@ -174,7 +174,8 @@ class Planner {
     const auto dds_reader_of = [&](const QosClass& qos_class, std::size_t depth) -> DdsReaderPlan& {
       DdsReaderPlan& dds_reader = dds_readers[qos_class];
       dds_reader.requested = overridden(qos_class, said);
-      dds_reader.depth = said.depth.value_or(std::max(dds_reader.depth, dds_reader_depth_of(depth)));
+      dds_reader.depth =
+          said.depth.value_or(std::max(dds_reader.depth, dds_reader_depth_of(depth)));
       return dds_reader;
     };
     bool any = false;
@@ -204,8 +205,8 @@ class Planner {
       choose(key, places);
       for (const auto& [writer, wanted] : places) {
         const std::size_t depth = depth_of(writer->qos);
-        plan_.remote_publishers[writer->guid] = {key, class_of(writer->qos), depth, writer->qos.keep_all,
-                                       wanted};
+        plan_.remote_publishers[writer->guid] = {key, class_of(writer->qos), depth,
+                                                 writer->qos.keep_all, wanted};
         dds_reader_of(wanted, depth).keep_all |= writer->qos.keep_all && !said.depth;
       }
       for (const auto& [qos_class, served] : served_by) {
@@ -229,9 +230,11 @@ class Planner {
     if (goes(verdict.direction, Direction::inward) && has_ros_name(key) && !problem_of(key.type)) {
       for (const auto& [wanted, wanting] : subscriptions) {
         const QosClass own = wanted;
-        const bool is_read = std::any_of(dds_readers.begin(), dds_readers.end(), [&](const auto& dds_reader) {
-          return dds_reader.first != own && dds_reader.second.requested == overridden(own, said);
-        });
+        const bool is_read =
+            std::any_of(dds_readers.begin(), dds_readers.end(), [&](const auto& dds_reader) {
+              return dds_reader.first != own &&
+                     dds_reader.second.requested == overridden(own, said);
+            });
         if (is_read) continue;
         DdsReaderPlan& dds_reader = dds_reader_of(own, wanting.depth);
         dds_reader.keep_all |= wanting.keep_all && !said.depth;
@@ -239,7 +242,8 @@ class Planner {
       }
     }
     for (auto& [qos_class, dds_reader] : dds_readers) {
-      if (dds_reader.keep_all) dds_reader.depth = dds_reader_depth_min;  // depth has no meaning for keep-all
+      if (dds_reader.keep_all)
+        dds_reader.depth = dds_reader_depth_min;  // depth has no meaning for keep-all
       plan_.dds_readers[{key, qos_class}] = std::move(dds_reader);
     }
   }
@@ -253,7 +257,8 @@ class Planner {
       return situation_.has_remote_publisher && situation_.has_remote_publisher(writer.first->guid);
     };
     std::sort(writers.begin(), writers.end(), [&](const Writer& a, const Writer& b) {
-      return std::pair(!has_remote_publisher(a), a.first->guid) < std::pair(!has_remote_publisher(b), b.first->guid);
+      return std::pair(!has_remote_publisher(a), a.first->guid) <
+             std::pair(!has_remote_publisher(b), b.first->guid);
     });
     std::map<Guid, std::size_t> of_participant;
     std::stable_partition(writers.begin(), writers.end(), [&](const Writer& writer) {

@@ -15,12 +15,12 @@
 //                    ├─ DDS reader with ─┤
 //   remote writer D ─┘  one request      └─▶ remote publisher D
 //
-// A class is reliability and durability. A local reader (`local_reader`) requests what its publishers offer
-// and keeps as much: a deeper one would make other publishers retain more. A DDS reader (`dds_reader`)
-// requests the union of the requests of the subscriptions that its writers serve. Both get
-// messages of others too, and pass on only those of their own publishers or writers. So every
-// message goes one way once, history goes where it is offered and requested, and best effort stays
-// best effort. Each publisher keeps its identity.
+// A class is reliability and durability. A local reader (`local_reader`) requests what its
+// publishers offer and keeps as much: a deeper one would make other publishers retain more. A DDS
+// reader (`dds_reader`) requests the union of the requests of the subscriptions that its writers
+// serve. Both get messages of others too, and pass on only those of their own publishers or
+// writers. So every message goes one way once, history goes where it is offered and requested, and
+// best effort stays best effort. Each publisher keeps its identity.
 //
 // No loops: DDS gives a participant none of its own samples, a local reader passes on only
 // publishers with a DDS writer, and a bridge's own endpoints (is_bridge) are on neither list.
@@ -28,8 +28,8 @@
 // Nothing is made for a topic that one side lacks, with two exceptions: DDS readers for the
 // requests of subscriptions (otherwise two bridges would wait for each other's endpoints for
 // ever), and announced writers, by which readers in DDS find the topics of this host. With the
-// rule `always`, a publisher of this host has its DDS writer (`dds_writer`) without a reader in DDS,
-// and a remote writer its remote publisher (`remote_publisher`) without a subscription here.
+// rule `always`, a publisher of this host has its DDS writer (`dds_writer`) without a reader in
+// DDS, and a remote writer its remote publisher (`remote_publisher`) without a subscription here.
 #pragma once
 
 #include <agnocast/abi/limits.hpp>
@@ -138,8 +138,8 @@ QoS qos_of(const QosClass& qos_class, std::size_t depth, bool keep_all);
 
 struct Plan {
   std::map<std::uint64_t, DdsWriterPlan> dds_writers;  ///< by generation of the publisher
-  /// With the same key: publishers without a reader in DDS whose writers are announced; `local_reader` is not
-  /// made.
+  /// With the same key: publishers without a reader in DDS whose writers are announced;
+  /// `local_reader` is not made.
   std::map<std::uint64_t, DdsWriterPlan> announced;
   std::set<ReaderKey> local_readers;
   std::map<ClassKey, DdsReaderPlan> dds_readers;
@@ -166,7 +166,8 @@ struct Situation {
 inline constexpr std::size_t remote_publishers_per_topic_max = abi::publisher_count_max / 2;
 
 /// If a topic has too many writers, one participant's writers beyond this give way to others'.
-inline constexpr std::size_t remote_publishers_of_participant_share = remote_publishers_per_topic_max / 2;
+inline constexpr std::size_t remote_publishers_of_participant_share =
+    remote_publishers_per_topic_max / 2;
 
 /// Reads all endpoints, in n log n.
 Plan plan_of(const Situation& situation);

@@ -50,8 +50,8 @@ void Planner::note(const std::vector<RemoteChange>& changes) {
   if (!changes.empty()) pace_.changed();
   for (const RemoteChange& change : changes) {
     const Remote& remote = change.remote;
-    if (!change.is_there && remote.kind == Remote::Kind::writer && !has_remote_publisher_(remote.guid) &&
-        gone_writers_.size() < gone_writers_max)
+    if (!change.is_there && remote.kind == Remote::Kind::writer &&
+        !has_remote_publisher_(remote.guid) && gone_writers_.size() < gone_writers_max)
       gone_writers_.push_back(remote);
   }
 }

@@ -54,7 +54,8 @@ class Planner {
   using CarryOut = std::function<CarriedOut(const Plans&)>;
   using HasRemotePublisher = std::function<bool(const Guid& writer)>;
 
-  /// All references must outlive it. `has_remote_publisher` tells if a remote writer has a publisher here.
+  /// All references must outlive it. `has_remote_publisher` tells if a remote writer has a
+  /// publisher here.
   Planner(std::uint32_t domain, Rules rules, Marker& marker, MessageTypes& types, PlanPace& pace,
           Refusals& refusals, HasRemotePublisher has_remote_publisher);
 

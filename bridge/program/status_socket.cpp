@@ -64,8 +64,8 @@ struct ReaderOf {
 };
 
 // Before Linux 6.16 a reader may send descriptors; they are closed with its connection, which
-// takes as long as their owner likes (base/descriptors/closing.hpp). Separate threads wait for that; new
-// readers are served until there are too many such threads.
+// takes as long as their owner likes (base/descriptors/closing.hpp). Separate threads wait for
+// that; new readers are served until there are too many such threads.
 class Closings {
  public:
   bool is_full() const { return count_->load(std::memory_order_relaxed) >= reader_count_max; }
@@ -85,8 +85,7 @@ class Closings {
   }
 
  private:
-  std::shared_ptr<std::atomic<std::size_t>> count_ =
-      std::make_shared<std::atomic<std::size_t>>(0);
+  std::shared_ptr<std::atomic<std::size_t>> count_ = std::make_shared<std::atomic<std::size_t>>(0);
 };
 
 StatusSocket::Failure failure(const std::string& what) {

@@ -243,8 +243,7 @@ bool ServiceRoutes::keep(Served& served, std::shared_ptr<Raw> request, const Gui
     participant_.limits().refuse(Limit::request_bytes_of_service);
     return false;
   }
-  served.kept.push_back(
-      {std::move(request), writer, std::chrono::steady_clock::now() + patience});
+  served.kept.push_back({std::move(request), writer, std::chrono::steady_clock::now() + patience});
   ++served.kept_of[participant_of(writer)];
   served.kept_bytes += bytes;
   kept_bytes_ += bytes;
@@ -252,14 +251,15 @@ bool ServiceRoutes::keep(Served& served, std::shared_ptr<Raw> request, const Gui
 }
 
 bool ServiceRoutes::make_place(Served& served, const Guid& client) {
-  const auto most = std::max_element(served.kept_of.begin(), served.kept_of.end(),
-                                     [](const auto& a, const auto& b) { return a.second < b.second; });
+  const auto most =
+      std::max_element(served.kept_of.begin(), served.kept_of.end(),
+                       [](const auto& a, const auto& b) { return a.second < b.second; });
   const auto own = served.kept_of.find(client);
   const std::size_t own_count = own == served.kept_of.end() ? 0 : own->second;
   if (most == served.kept_of.end() || most->second <= own_count + 1) return false;
-  const auto newest = std::find_if(
-      served.kept.rbegin(), served.kept.rend(),
-      [&](const Kept& kept) { return participant_of(kept.writer) == most->first; });
+  const auto newest = std::find_if(served.kept.rbegin(), served.kept.rend(), [&](const Kept& kept) {
+    return participant_of(kept.writer) == most->first;
+  });
   ServiceTraffic& traffic = served.answering->traffic;
   dropped(log_, traffic, traffic.refused, served.answering->service, "too many requests at once");
   if (served.next && served.next->request == newest->request) served.next.reset();
@@ -461,8 +461,7 @@ void ServiceRoutes::answer(Asked& asked, const Raw& raw) {
   {
     // Another server was faster, or the request never existed.
     const std::lock_guard lock(asking.mutex);
-    if (!asking.pending.contains(told->sequence_number))
-      return void(++asking.traffic.unasked);
+    if (!asking.pending.contains(told->sequence_number)) return void(++asking.traffic.unasked);
   }
   ServiceHeader header;
   auto response = asked.service->borrow_loaned_response();

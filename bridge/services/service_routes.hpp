@@ -66,8 +66,8 @@ struct ServiceTraffic {
   void count_request(std::size_t size) noexcept { count(requests, request_bytes, size); }
   void count_response(std::size_t size) noexcept { count(responses, response_bytes, size); }
   ServiceNumbers numbers() const noexcept {
-    return {requests, request_bytes, responses, response_bytes, malformed,
-            refused,  timed_out,     forgotten, unasked,        since_ns, last_ns};
+    return {requests,  request_bytes, responses, response_bytes, malformed, refused,
+            timed_out, forgotten,     unasked,   since_ns,       last_ns};
   }
 
  private:

@@ -9,10 +9,10 @@
 
 #include <agnocast/abi/fingerprint.hpp>
 #include <agnocast/abi/words.hpp>
+#include <base/descriptors/unique_fd.hpp>
 #include <base/sockets/answer_packet.hpp>
 #include <base/sockets/daemon_socket.hpp>
 #include <base/sockets/socket_path.hpp>
-#include <base/descriptors/unique_fd.hpp>
 #include <client/session/connection.hpp>
 
 #include <poll.h>

@@ -48,7 +48,7 @@ struct BorrowScope::Home {
   static constexpr std::uint64_t thread_lives = std::uint64_t{1} << 63;
 
   std::atomic<std::uint64_t> owed{0};  // leaves that other threads could not do for it
-  std::uint64_t open = 0;  // loans that the thread has not closed; only for the thread
+  std::uint64_t open = 0;              // loans that the thread has not closed; only for the thread
   // Reference count: other threads subtract the loans that they close, and the thread subtracts
   // the rest of thread_lives when it ends. So the thread's own loans, nearly all, need no locked
   // instruction.

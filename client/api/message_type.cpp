@@ -134,8 +134,8 @@ class Builder {
         : reader_(reader),
           table_(table),
           message_bytes_(message_bytes),
-        // VectorWords are read even where a smaller object is at the very end; zeroes there
-        // are not vectors.
+          // VectorWords are read even where a smaller object is at the very end; zeroes there
+          // are not vectors.
           memory_(message_bytes_ + sizeof(VectorWords)) {
       reader_.construct(table_, memory());
     }

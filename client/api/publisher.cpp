@@ -45,8 +45,7 @@ std::uint64_t leave_of_former(void* session) noexcept {
   const SharedHeap heap = Context::instance().shared_heap();
   const std::uint64_t strays = heap.leave(heap.context);
   // An unseen part may be in a further window.
-  const bool has_further =
-      windows_of_former(session).count() != heap.windows(heap.context).count();
+  const bool has_further = windows_of_former(session).count() != heap.windows(heap.context).count();
   return strays + (has_further ? 1 : 0);
 }
 

@@ -84,8 +84,8 @@ IncompatibleTypeInfo EndpointEvents::types_since(Counts& notified) const noexcep
 HeapCollisionInfo EndpointEvents::collisions_since(Counts& notified) const noexcept {
   HeapCollisionInfo info = last_collision_;
   info.total_count = static_cast<std::int32_t>(now_.collisions);
-  info.total_count_change =
-      static_cast<std::int32_t>(now_.collisions - std::exchange(notified.collisions, now_.collisions));
+  info.total_count_change = static_cast<std::int32_t>(
+      now_.collisions - std::exchange(notified.collisions, now_.collisions));
   return info;
 }
 

@@ -35,7 +35,8 @@ class EndpointEvents {
   void incompatible_type() noexcept;
   void connection(const ConnectionInfo& info) noexcept;
   void heap_collision(const char* text) noexcept;
-  /// What was unread of a publisher that is gone is lost: a take has found nothing to deliver. Any thread.
+  /// What was unread of a publisher that is gone is lost: a take has found nothing to deliver. Any
+  /// thread.
   void drained() noexcept;
   /// What it has matched in a newer session counts from now on; that was told before.
   void moved() noexcept;
@@ -47,7 +48,8 @@ class EndpointEvents {
   IncompatibleTypeInfo incompatible_type_status() noexcept;
   HeapCollisionInfo heap_collision_status() noexcept;
   /// From now on a change for which there is a callback ends the sleep of whoever runs them.
-  void wake_for(const detail::EventCallbacks& callbacks, std::shared_ptr<WaitSet> wait_set) noexcept;
+  void wake_for(const detail::EventCallbacks& callbacks,
+                std::shared_ptr<WaitSet> wait_set) noexcept;
   /// From now on it is told when what is matched has changed.
   void tell(std::shared_ptr<Watch> watch) noexcept;
 
@@ -73,7 +75,8 @@ class EndpointEvents {
   HeapCollisionInfo collisions_since(Counts& notified) const noexcept;
   void changed() noexcept;
   bool matched_changed() const noexcept {
-    return now_.matched != notified_by_callback_.matched || now_.ceased != notified_by_callback_.ceased;
+    return now_.matched != notified_by_callback_.matched ||
+           now_.ceased != notified_by_callback_.ceased;
   }
   bool look_for_pending() const noexcept;
 

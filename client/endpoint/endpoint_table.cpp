@@ -139,7 +139,8 @@ void EndpointTable::collect_subscriptions(const Unlinked& unlinked, const Draine
     const Key key = it->first;
     const std::shared_ptr<SubscriptionEndpoint>& subscription = it->second;
     for (const auto& link : subscription->collect_unlinked()) {
-      // What is said speaks for the whole process: not while another subscription of ours is linked to the same publisher.
+      // What is said speaks for the whole process: not while another subscription of ours is linked
+      // to the same publisher.
       const bool still =
           std::any_of(subscriptions_.begin(), subscriptions_.end(), [&](const auto& other) {
             return other.first.first == key.first &&

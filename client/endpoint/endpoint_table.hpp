@@ -2,12 +2,12 @@
 //
 // EndpointTable: the endpoints that this process has in one session, by their places on the board.
 //
-// An endpoint is added in the control thread, by the answer to its creation, before the daemon can say anything of it,
-// and is taken out only there. So a reference that the control thread has found stays good until it takes the endpoint
-// out itself. Any thread may look.
+// An endpoint is added in the control thread, by the answer to its creation, before the daemon can
+// say anything of it, and is taken out only there. So a reference that the control thread has found
+// stays good until it takes the endpoint out itself. Any thread may look.
 //
-// The mutex is not held while a publisher scans: scans destroy messages, and destructors are user code. Subscriptions
-// run no user code, so the control thread may go over them under it.
+// The mutex is not held while a publisher scans: scans destroy messages, and destructors are user
+// code. Subscriptions run no user code, so the control thread may go over them under it.
 #pragma once
 
 #include <agnocast/abi/wire.hpp>
@@ -76,9 +76,9 @@ class EndpointTable {
 
   using Unlinked = std::function<void(std::uint32_t topic, const Link&)>;
   using Drained = std::function<void(const Key&, std::uint64_t generation)>;
-  /// Unlinks what subscriptions are done with, and takes out those that have left and have no link any more. `unlinked`
-  /// is told of publishers to which no subscription of this process is linked any more, `drained` of whom was taken out.
-  /// Both under the mutex.
+  /// Unlinks what subscriptions are done with, and takes out those that have left and have no link
+  /// any more. `unlinked` is told of publishers to which no subscription of this process is linked
+  /// any more, `drained` of whom was taken out. Both under the mutex.
   void collect_subscriptions(const Unlinked& unlinked, const Drained& drained);
 
  private:

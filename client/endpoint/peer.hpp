@@ -35,9 +35,9 @@ class Peer {
   std::uint64_t generation() const noexcept { return generation_; }
   std::byte* region() const noexcept { return base_; }
   DescriptorShare::Owner owner() const noexcept { return owner_; }
-  /// Makes an endpoint of it accessible. Not of this very process. `announced`: the region's file, as it came with
-  /// the endpoint; it is kept if none is and the peer's user has a share left. May be empty if one is kept.
-  /// Errors: limit_reached, as of SparseRegion::open. Allocates.
+  /// Makes an endpoint of it accessible. Not of this very process. `announced`: the region's file,
+  /// as it came with the endpoint; it is kept if none is and the peer's user has a share left. May
+  /// be empty if one is kept. Errors: limit_reached, as of SparseRegion::open. Allocates.
   [[nodiscard]] Result<void> open(std::uint64_t extent, std::uint64_t bytes, UniqueFd announced) {
     if (!region_.has_file() && announced) {
       counted_ = DescriptorShare::instance().take(owner_, 1);
@@ -48,8 +48,9 @@ class Peer {
     return region_.open(extent, bytes, announced.get());
   }
   bool has_file() const noexcept { return region_.has_file(); }
-  /// Counts the mappings of one part of it: of its region, by the offset, or of a window. Once, as what is mapped stays.
-  /// False: its user has no share left, so the part must not be mapped. Allocates.
+  /// Counts the mappings of one part of it: of its region, by the offset, or of a window. Once, as
+  /// what is mapped stays. False: its user has no share left, so the part must not be mapped.
+  /// Allocates.
   [[nodiscard]] bool count_mappings(std::uint64_t part) {
     if (mapped_.count(part) != 0) return true;
     auto counted = MappingShare::instance().take(owner_, MappingShare::of_one_part);
@@ -57,7 +58,8 @@ class Peer {
   }
   static constexpr std::uint64_t part_of_window(std::uint64_t number) noexcept { return ~number; }
   PeerHeap& heap() noexcept { return heap_; }
-  /// Without a daemon to say so. One system call. True if its file was not kept: nobody would tell when it ends.
+  /// Without a daemon to say so. One system call. True if its file was not kept: nobody would tell
+  /// when it ends.
   bool is_alive() const noexcept { return region_.base() == nullptr || region_.is_claimed(); }
 
  private:

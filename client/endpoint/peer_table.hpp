@@ -1,13 +1,14 @@
 // SPDX-License-Identifier: Apache-2.0
 //
-// PeerTable: the processes that this one has mapped in one session, itself included, each as long as anybody here uses
-// it: links, attachments, held messages. Control thread only; only uses end anywhere.
+// PeerTable: the processes that this one has mapped in one session, itself included, each as long
+// as anybody here uses it: links, attachments, held messages. Control thread only; only uses end
+// anywhere.
 //
 //   announced ──▶ region mapped, windows known ──▶ in use ──last use ends──▶ unmapped by collect(), and then said to the
 //   daemon (rule RU), which reuses nothing that somebody still maps
 //
-// What comes with an announcement was written by the daemon; what lies in the regions by other processes. Neither is
-// used beyond what the arena and the user's shares allow (client/shares/).
+// What comes with an announcement was written by the daemon; what lies in the regions by other
+// processes. Neither is used beyond what the arena and the user's shares allow (client/shares/).
 #pragma once
 
 #include <agnocast/abi/wire.hpp>
@@ -52,8 +53,9 @@ class PeerTable {
   bool has(const Key& process) const noexcept { return peers_.count(process) != 0; }
   bool is_empty() const noexcept { return peers_.empty(); }
 
-  /// The process of an announced endpoint, mapped as far as the endpoint needs it, in use until the last copy goes. The
-  /// first `used` descriptors are its own, whatever comes of it. Null: it cannot be mapped. Allocates.
+  /// The process of an announced endpoint, mapped as far as the endpoint needs it, in use until the
+  /// last copy goes. The first `used` descriptors are its own, whatever comes of it. Null: it
+  /// cannot be mapped. Allocates.
   std::shared_ptr<Peer> use(const abi::wire::Announcement& announcement, std::span<UniqueFd> fds,
                             std::size_t& used);
   /// A window of a process that is known. Nothing happens if it is not.

@@ -34,7 +34,8 @@ PublisherEndpoint::PublisherEndpoint(const Identity& identity)
 
 void PublisherEndpoint::announce_persistent_id() noexcept {
   const std::lock_guard lock(mutex_);
-  if (!moved_) identity_.core.words.persistent_id().store(identity_.persistent_id, std::memory_order_relaxed);
+  if (!moved_)
+    identity_.core.words.persistent_id().store(identity_.persistent_id, std::memory_order_relaxed);
 }
 
 dataplane::PublishOutcome PublisherEndpoint::publish(void* message, std::uint64_t object_bytes,
@@ -46,9 +47,9 @@ dataplane::PublishOutcome PublisherEndpoint::publish(void* message, std::uint64_
       successor = successor_;
       return;
     }
-    // What no borrow has destroyed since. Many at once, when a reader that lagged has caught up: the rest
-    // waits for the next borrows and publishes, or for the control thread's timer. Waking it would be a
-    // system call.
+    // What no borrow has destroyed since. Many at once, when a reader that lagged has caught up:
+    // the rest waits for the next borrows and publishes, or for the control thread's timer. Waking
+    // it would be a system call.
     work.destroy_doomed();
     work.destroys_later = message_bytes <= Core::kept_back_max;
     // The stamp is taken under the mutex, so that it grows with the sequence.
@@ -112,7 +113,8 @@ void PublisherEndpoint::count_heap_exhausted() noexcept {
   count(offsetof(abi::PublisherEndpoint, refused_heap_exhausted), 1);
 }
 
-std::size_t PublisherEndpoint::executor_of(const Peer& peer, std::uint64_t executor, PeerDoorbell doorbell) {
+std::size_t PublisherEndpoint::executor_of(const Peer& peer, std::uint64_t executor,
+                                           PeerDoorbell doorbell) {
   std::size_t free_place = executors_.size();
   for (std::size_t i = 0; i < executors_.size(); ++i) {
     Executor& known = executors_[i];
@@ -157,7 +159,8 @@ bool PublisherEndpoint::attach(const Subscription& subscription, std::shared_ptr
 }
 
 // The one that was here may be mute, or lead to a receiver that is no more.
-void PublisherEndpoint::replace_doorbell(const Subscription& subscription, PeerDoorbell doorbell) noexcept {
+void PublisherEndpoint::replace_doorbell(const Subscription& subscription,
+                                         PeerDoorbell doorbell) noexcept {
   if (!doorbell.sender) return;
   const std::lock_guard lock(mutex_);
   for (const Attached& attached : attached_) {
@@ -180,12 +183,13 @@ bool PublisherEndpoint::is_attached(std::uint64_t index, std::uint64_t generatio
 bool PublisherEndpoint::is_linked(const Attached& attached) const noexcept {
   // [sync:link] acquire; pairs with the seq_cst store at J6.
   return region::LinkWords<SharedMemory>{attached.peer->region(), attached.extent,
-                                            identity_.core.index}
+                                         identity_.core.index}
              .publisher_generation()
              .load(std::memory_order_acquire) == identity_.core.generation;
 }
 
-// A match is reported when the subscription has linked: before, it may still miss what is published.
+// A match is reported when the subscription has linked: before, it may still miss what is
+// published.
 void PublisherEndpoint::note_links() noexcept {
   if (!is_served()) return;
   std::size_t linked = 0;
@@ -324,8 +328,8 @@ bool PublisherEndpoint::move_to(const std::shared_ptr<PublisherEndpoint>& succes
     if (moved_) return;
     moves = true;
     const auto& words = identity_.core.words;
-    // Behind the last commit, ahead of the first one of the successor: who sees it sees the whole queue, and
-    // who sees anything of the successor sees it.
+    // Behind the last commit, ahead of the first one of the successor: who sees it sees the whole
+    // queue, and who sees anything of the successor sees it.
     words.intent_op().store(abi::intent_moved, std::memory_order_release);
     AGNOCAST_CRASH_POINT(C_move);
     const std::uint64_t head = core_->head_sequence();
@@ -340,8 +344,8 @@ bool PublisherEndpoint::move_to(const std::shared_ptr<PublisherEndpoint>& succes
         continue;
       AGNOCAST_CRASH_POINT(C_inherit);
       successor->inherit({words.slot_address(slot).load(std::memory_order_relaxed),
-                     words.slot_size(slot).load(std::memory_order_relaxed),
-                     words.slot_stamp(slot).load(std::memory_order_relaxed)});
+                          words.slot_size(slot).load(std::memory_order_relaxed),
+                          words.slot_stamp(slot).load(std::memory_order_relaxed)});
     }
     AGNOCAST_CRASH_POINT(C_move);
     moved_ = true;
@@ -409,15 +413,14 @@ std::vector<std::uint64_t> PublisherEndpoint::linked_persistent_ids(bool living)
     if (!is_linked(attached)) continue;
     if (living) {
       const region::LinkWords<SharedMemory> link{attached.peer->region(), attached.extent,
-                                                    identity_.core.index};
+                                                 identity_.core.index};
       if (link.cursor().load(std::memory_order_relaxed) == abi::cursor_aside ||
           !attached.peer->is_alive())
         continue;
     }
-    all.push_back(
-        region::SubscriptionWords<SharedMemory>{attached.peer->region(), attached.extent}
-            .persistent_id()
-            .load(std::memory_order_relaxed));
+    all.push_back(region::SubscriptionWords<SharedMemory>{attached.peer->region(), attached.extent}
+                      .persistent_id()
+                      .load(std::memory_order_relaxed));
   }
   std::sort(all.begin(), all.end());
   return all;

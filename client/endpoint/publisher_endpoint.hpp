@@ -5,9 +5,9 @@
 //
 // publish() runs in user threads, scan() also in the control thread, under one private mutex. Two
 // things happen outside it: messages that may go are destroyed there (their destructors are user
-// code; after small publishes not before the next borrow or publish), and wait sets beyond the first two
-// are rung by the control thread, so that a wide topic does not cost its publisher one system call per
-// wait set.
+// code; after small publishes not before the next borrow or publish), and wait sets beyond the
+// first two are rung by the control thread, so that a wide topic does not cost its publisher one
+// system call per wait set.
 #pragma once
 
 #include <agnocast/message_type.hpp>
@@ -50,10 +50,12 @@ class PublisherEndpoint {
     Context* context = nullptr;                   // its session
     std::uint64_t persistent_id = 0;
     bool announces_persistent_id_later = false;
-    bool (*make_room_everywhere)() noexcept = nullptr;  // destroys what nobody needs, of every publisher of this process
+    bool (*make_room_everywhere)() noexcept =
+        nullptr;              // destroys what nobody needs, of every publisher of this process
     SignalMask signals = {};  // of who has made it: for destructors of messages in threads of ours
   };
-  /// Of small messages: most publishes look at no link, and so take no line from a reader on another core.
+  /// Of small messages: most publishes look at no link, and so take no line from a reader on
+  /// another core.
   static constexpr std::uint64_t deferred_limit = 7;
   static_assert(deferred_limit <= abi::deferred_scan_count_max);
 
@@ -94,32 +96,34 @@ class PublisherEndpoint {
   // --- user threads
   // --------------------------------------------------------------------------------------------------------------
 
-  /// Commits `message`, an object of `object_bytes` in this process's shared heap; with what belongs
-  /// to it `message_bytes`, which is only counted. After `published` it
-  /// belongs to the queue; otherwise it stays the caller's. System calls: none while nobody sleeps,
-  /// one per wait set for the first two, one more for all others.
+  /// Commits `message`, an object of `object_bytes` in this process's shared heap; with what
+  /// belongs to it `message_bytes`, which is only counted. After `published` it belongs to the
+  /// queue; otherwise it stays the caller's. System calls: none while nobody sleeps, one per wait
+  /// set for the first two, one more for all others.
   dataplane::PublishOutcome publish(void* message, std::uint64_t object_bytes,
                                     std::uint64_t message_bytes) noexcept;
-  /// Destroys what publishes of small messages have freed: they leave it, so that a publish returns sooner
-  /// to who borrows for each; the next publish does where nobody borrows.
+  /// Destroys what publishes of small messages have freed: they leave it, so that a publish returns
+  /// sooner to who borrows for each; the next publish does where nobody borrows.
   void make_room() noexcept;
-  /// Two whole scans, the second of which frees what the first has retired, and every message that they
-  /// have found is destroyed here. False: there was none.
+  /// Two whole scans, the second of which frees what the first has retired, and every message that
+  /// they have found is destroyed here. False: there was none.
   bool has_more_room() noexcept;
   /// A publish found the heap full: the next make_room() does this for all publishers.
   void lacked_room() noexcept;
-  /// Before the first message, if the identity says that it is to be said later. Successors say it by
-  /// themselves.
+  /// Before the first message, if the identity says that it is to be said later. Successors say it
+  /// by themselves.
   void announce_persistent_id() noexcept;
-  /// For agnocast-ctl: a message was adopted, or the shared heap had no room to adopt it. Any thread.
+  /// For agnocast-ctl: a message was adopted, or the shared heap had no room to adopt it. Any
+  /// thread.
   void count_adopted(std::uint64_t bytes) noexcept;
   void count_heap_exhausted() noexcept;
 
   // --- control thread
   // ------------------------------------------------------------------------------------------------------------
 
-  /// An announced subscription. `doorbell` may be mute (empty): the subscription is looked at like any other and
-  /// rung by nobody. A doorbell of one that is attached already replaces the one it has, and false is returned. Allocates.
+  /// An announced subscription. `doorbell` may be mute (empty): the subscription is looked at like
+  /// any other and rung by nobody. A doorbell of one that is attached already replaces the one it
+  /// has, and false is returned. Allocates.
   bool attach(const Subscription& subscription, std::shared_ptr<Peer> peer, PeerDoorbell doorbell);
   bool is_attached(std::uint64_t index, std::uint64_t generation) const noexcept;
   /// It is over: looks at it no more and unmaps its region.
@@ -143,13 +147,14 @@ class PublisherEndpoint {
   std::uint64_t kept_bytes(std::span<const Core::EndpointId> readers) const noexcept;
   /// Its user has more than its share.
   void withdraw(const Core::EndpointId& reader) noexcept;
-  /// A subscription that was announced and cannot be mapped. Its user has some seconds, or, if it `is_out`, none:
-  /// its former ones could not be mapped either. Allocates.
+  /// A subscription that was announced and cannot be mapped. Its user has some seconds, or, if it
+  /// `is_out`, none: its former ones could not be mapped either. Allocates.
   void note_unmapped(const EndpointId& endpoint, PeerOwner owner, bool is_out,
                      ReaderShares::Clock::time_point now);
-  /// Who could not be mapped for long is not served, and its user is banned in `unmapped`, where the users of all others
-  /// that are not mapped are noted; whoever was is served again; who was told long ago that it is not served is
-  /// disregarded. What there is to tell the daemon is added. Allocates.
+  /// Who could not be mapped for long is not served, and its user is banned in `unmapped`, where
+  /// the users of all others that are not mapped are noted; whoever was is served again; who was
+  /// told long ago that it is not served is disregarded. What there is to tell the daemon is added.
+  /// Allocates.
   void look_at_readers(ReaderShares::Clock::time_point now, const ReaderShares& shares,
                        UnmappedUsers& unmapped, std::vector<Withdrawn>& news);
   /// One scan, and everything that publishes have left to do.
@@ -170,11 +175,11 @@ class PublisherEndpoint {
   EndpointEvents& events() noexcept { return *events_; }
   Departure& departure() noexcept { return departure_; }
 
-  // --- after the daemon's store was lost: docs/decisions/0006. The endpoint that the user has stays,
-  // and hands what it is given to the one that the new daemon knows.
+  // --- after the daemon's store was lost: docs/decisions/0006. The endpoint that the user has
+  // stays, and hands what it is given to the one that the new daemon knows.
 
-  /// From now on what is published goes to `successor`, with the history for late joiners ahead of it; here
-  /// nothing is added any more, and readers can see that. False when it has moved already.
+  /// From now on what is published goes to `successor`, with the history for late joiners ahead of
+  /// it; here nothing is added any more, and readers can see that. False when it has moved already.
   bool move_to(const std::shared_ptr<PublisherEndpoint>& successor) noexcept;
   /// A later successor of an endpoint that has moved.
   void redirect_to(const std::shared_ptr<PublisherEndpoint>& successor) noexcept;
@@ -185,8 +190,8 @@ class PublisherEndpoint {
   bool has_ended() const noexcept { return has_ended_.load(std::memory_order_acquire); }
   /// Its session will not be used after all: nothing was published.
   void abandon() noexcept;
-  /// Every linked subscription of this one that is not closed, and whose process lives, is linked to
-  /// `successor` as well.
+  /// Every linked subscription of this one that is not closed, and whose process lives, is linked
+  /// to `successor` as well.
   bool is_succeeded_by(const PublisherEndpoint& successor) const;
   /// What a daemon would have said: endpoints whose processes are gone count no more.
   void bury_dead();
@@ -196,8 +201,8 @@ class PublisherEndpoint {
   void finish() noexcept;
 
  private:
-  // Destroyed by one borrow or publish at most; what is more waits for the next ones, or for the timer of
-  // the control thread. A publish frees as many as it adds on average.
+  // Destroyed by one borrow or publish at most; what is more waits for the next ones, or for the
+  // timer of the control thread. A publish frees as many as it adds on average.
   static constexpr std::size_t destroy_at_once_max = 16;
   // protocol §4.2: sending to the first one or two wait sets at once costs 1–6 µs each, handing over
   // the rest 2–3 µs for all.
@@ -212,8 +217,9 @@ class PublisherEndpoint {
     std::uint64_t owed = 0;  // sleep generation that the control thread shall ring; 0 = none
     std::byte* region = nullptr;
   };
-  /// Whether a subscription was counted as matched, which it is once: when it is seen linked, at the latest when it
-  /// is detached. Not any more when the session is revoked, or the subscription is the successor's.
+  /// Whether a subscription was counted as matched, which it is once: when it is seen linked, at
+  /// the latest when it is detached. Not any more when the session is revoked, or the subscription
+  /// is the successor's.
   enum class Match : std::uint8_t { awaited, counted, ended };
   struct Attached {
     std::uint64_t index;
@@ -259,14 +265,15 @@ class PublisherEndpoint {
   std::vector<Attached> attached_;
   std::map<std::uint64_t, Watched> watched_;  // by index; control thread only
   std::vector<void*> doomed_;  // to be destroyed later; capacity for every slot from the start
-  // For a look without the mutex; whoever misses one comes again. `has_doomed_` where any of both is so.
+  // For a look without the mutex; whoever misses one comes again. `has_doomed_` where any of both
+  // is so.
   std::atomic<bool> has_doomed_{false}, lacked_room_{false};
   void destroy(void* message) noexcept;
   void inherit(const dataplane::Entry& entry) noexcept;
 
   const std::shared_ptr<EndpointEvents> events_;
   Departure departure_;
-  bool moved_ = false;                       // under the mutex, as the next
+  bool moved_ = false;                            // under the mutex, as the next
   std::shared_ptr<PublisherEndpoint> successor_;  // null with `moved_`: it was abandoned
   std::atomic<bool> has_ended_{false};
 };

@@ -1,8 +1,8 @@
 // SPDX-License-Identifier: Apache-2.0
 //
-// A publisher's readers as the control thread looks at them: what those of other users keep of its messages, and which of
-// them it serves no more, or again. Who decides that, and how long a reader has: client/shares/reader_shares.hpp and
-// client/shares/unmapped_users.hpp.
+// A publisher's readers as the control thread looks at them: what those of other users keep of its
+// messages, and which of them it serves no more, or again. Who decides that, and how long a reader
+// has: client/shares/reader_shares.hpp and client/shares/unmapped_users.hpp.
 
 #include <client/endpoint/publisher_work.hpp>
 
@@ -70,8 +70,8 @@ struct PublisherEndpoint::Look {
   }
 };
 
-/// First those that take part and are not mapped, then those that are and are withdrawn, but not for good. Returns false
-/// where nothing is published any more.
+/// First those that take part and are not mapped, then those that are and are withdrawn, but not
+/// for good. Returns false where nothing is published any more.
 bool PublisherEndpoint::see_readers(std::vector<Seen>& seen) const {
   seen.reserve(2 * SharedMemory::subscription_capacity);  // not below the mutex
   const std::lock_guard lock(mutex_);

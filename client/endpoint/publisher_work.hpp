@@ -1,7 +1,8 @@
 // SPDX-License-Identifier: Apache-2.0
 //
-// Turns with the queue of a PublisherEndpoint, for the files that implement it: what is done under its mutex, and what a
-// turn leaves to do outside it: doorbells beyond the first two, and messages, whose destructors are user code.
+// Turns with the queue of a PublisherEndpoint, for the files that implement it: what is done under
+// its mutex, and what a turn leaves to do outside it: doorbells beyond the first two, and messages,
+// whose destructors are user code.
 #pragma once
 
 #include <client/endpoint/publisher_endpoint.hpp>
@@ -27,9 +28,9 @@ struct PublisherEndpoint::Work {
   bool wake_control = false;
   bool destroys_later = false;
 
-  /// Into the line that the commit goes into next: stored behind that, it would take the line a second
-  /// time from those who look at it. Only written under the mutex. A death between the two leaves it one
-  /// message ahead, which is nothing to those it is for: people.
+  /// Into the line that the commit goes into next: stored behind that, it would take the line a
+  /// second time from those who look at it. Only written under the mutex. A death between the two
+  /// leaves it one message ahead, which is nothing to those it is for: people.
   void commits(const dataplane::Entry& entry) noexcept {
     auto& total =
         endpoint.identity_.core.words.counter(offsetof(abi::PublisherEndpoint, published_bytes));
@@ -45,7 +46,8 @@ struct PublisherEndpoint::Work {
       wake_control = true;
     }
   }
-  /// The control thread does, as it is woken anyway; but it destroys nothing any more once exit has begun.
+  /// The control thread does, as it is woken anyway; but it destroys nothing any more once exit has
+  /// begun.
   bool scans_soon() const noexcept { return wake_control && !exit_has_begun(); }
   void freed(std::uint64_t, std::uint64_t address) noexcept {
     if (!may_destroy) return;

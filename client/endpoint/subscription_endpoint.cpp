@@ -12,7 +12,8 @@ namespace agnocast {
 
 namespace {
 
-// Of publishers that are gone, beyond the depth, where that counts for each of them: the last words of as many as end together.
+// Of publishers that are gone, beyond the depth, where that counts for each of them: the last words
+// of as many as end together.
 constexpr std::uint64_t gone_unread_max = 64;
 
 }  // namespace
@@ -56,9 +57,8 @@ bool SubscriptionEndpoint::add_publisher(const Publisher& publisher, std::shared
                                       self_.message_bytes,
                                       self_.message_alignment,
                                       self_.index};
-  auto link =
-      std::make_shared<Link>(identity, std::move(peer), wait_set_,
-                             std::min(self_.quota, publisher.quota), self_.wake_control);
+  auto link = std::make_shared<Link>(identity, std::move(peer), wait_set_,
+                                     std::min(self_.quota, publisher.quota), self_.wake_control);
   links_.reserve(links_.size() + 1);
   AGNOCAST_CRASH_POINT(C_link);
   if (!link->core_.link(publisher.from_start)) return false;
@@ -153,8 +153,8 @@ const std::shared_ptr<Link>* SubscriptionEndpoint::oldest() const noexcept {
   return best;
 }
 
-// keep-last counts over all publishers, as the history of a DDS reader does. If it counts for each of them by itself, its own queue is
-// the bound, and together are those that are gone.
+// keep-last counts over all publishers, as the history of a DDS reader does. If it counts for each
+// of them by itself, its own queue is the bound, and together are those that are gone.
 void SubscriptionEndpoint::drop_beyond_depth() noexcept {
   if (links_.size() < 2 || self_.qos.keep_all) return;
   const bool of_gone = self_.depth_per_publisher;
@@ -214,7 +214,8 @@ inline bool SubscriptionEndpoint::may_take() const noexcept {
   return !closed_ && !has_finished_ && takes_part();
 }
 
-/// False at the quota, and until a missing window is there: asking again would only turn in circles.
+/// False at the quota, and until a missing window is there: asking again would only turn in
+/// circles.
 bool SubscriptionEndpoint::can_take(const Link& link) const noexcept {
   return link.held_count() < link.quota() &&
          (!link.core_.is_awaiting_window() || link.is_orphaned_ || is_alone_ ||
@@ -246,17 +247,18 @@ void SubscriptionEndpoint::look_at_empty() const noexcept {
   }
 }
 
-// One look at link after link may see what a thread has published last and not what it published before
-// that elsewhere. So a message is only taken when every link without one was looked at after that message
-// had been seen: what was published before it had been committed by then, and is seen. What such a look
-// finds itself may be older than all that was seen, and is taken: then whatever its publisher's thread
-// published before is older than that as well, and was committed before the look began.
+// One look at link after link may see what a thread has published last and not what it published
+// before that elsewhere. So a message is only taken when every link without one was looked at after
+// that message had been seen: what was published before it had been committed by then, and is seen.
+// What such a look finds itself may be older than all that was seen, and is taken: then whatever
+// its publisher's thread published before is older than that as well, and was committed before the
+// look began.
 bool SubscriptionEndpoint::take_oldest(Receiver& receiver) noexcept {
   drop_beyond_depth();
   for (const auto& link : links_) look_at(*link);
   bool has_taken = false;
-  // A link whose candidate was gone when looked at closely is asked again. Were its publisher faster than
-  // that, the next call goes on.
+  // A link whose candidate was gone when looked at closely is asked again. Were its publisher
+  // faster than that, the next call goes on.
   for (std::uint64_t lost = 0; lost < 2 * abi::ring_count;) {
     if (oldest() == nullptr) break;
     look_at_empty();
@@ -295,7 +297,8 @@ SubscriptionEndpoint::Attempt SubscriptionEndpoint::take_from(const std::shared_
       return attempt;
     }
     link->held_.fetch_add(1, std::memory_order_relaxed);
-    // The last message of a publisher that is gone: its release is what the control thread waits for.
+    // The last message of a publisher that is gone: its release is what the control thread waits
+    // for.
     if (link->core_.drained()) link->closing_.store(true, std::memory_order_release);
     place->taken = *taken;
     place->link = link;
@@ -415,9 +418,9 @@ bool SubscriptionEndpoint::has_former(const Link& link, std::size_t age) const n
   return false;
 }
 
-// A publisher commits to its former queue, marks it, and then commits to the next one. So whoever sees
-// something in the next one, and looks at the former afterwards, sees the mark and all that is there.
-// Other publishers' queues hold nothing back.
+// A publisher commits to its former queue, marks it, and then commits to the next one. So whoever
+// sees something in the next one, and looks at the former afterwards, sees the mark and all that is
+// there. Other publishers' queues hold nothing back.
 bool SubscriptionEndpoint::is_held_back(const Link& link, std::size_t age) const noexcept {
   for (std::size_t i = 0; i < age; ++i) {
     const SubscriptionEndpoint& former = in_age(i);
@@ -455,8 +458,8 @@ SubscriptionEndpoint::Candidate SubscriptionEndpoint::oldest_in_order() noexcept
 bool SubscriptionEndpoint::take_in_order(Receiver& receiver) noexcept {
   return with_successors_locked([&] {
     bool has_taken = false;
-    // Each round takes, loses or passes over something. Were a publisher faster than that, or is more
-    // wanted, the next call goes on.
+    // Each round takes, loses or passes over something. Were a publisher faster than that, or is
+    // more wanted, the next call goes on.
     for (std::uint64_t round = 0; round < 2 * abi::ring_count; ++round) {
       if (oldest_in_order().link == nullptr) break;
       Candidate next = oldest_in_order();  // a second look: see take_oldest

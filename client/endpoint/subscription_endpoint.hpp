@@ -21,8 +21,8 @@
 #include <client/endpoint/endpoint_events.hpp>
 #include <client/endpoint/peer.hpp>
 #include <client/process/forked_child.hpp>
-#include <client/process/wait_set.hpp>
 #include <client/process/steps.hpp>
+#include <client/process/wait_set.hpp>
 #include <dataplane/subscription_core.hpp>
 #include <journal/announce_set.hpp>
 
@@ -43,8 +43,8 @@ namespace agnocast {
 class Link {
  public:
   using Core = dataplane::LinkCore<SharedMemory>;
-  Link(const Core::Identity& identity, std::shared_ptr<Peer> peer, std::shared_ptr<WaitSet> wait_set,
-       std::uint64_t quota, std::function<void()> wake_control)
+  Link(const Core::Identity& identity, std::shared_ptr<Peer> peer,
+       std::shared_ptr<WaitSet> wait_set, std::uint64_t quota, std::function<void()> wake_control)
       : core_(identity),
         identity_(identity),
         peer_(std::move(peer)),
@@ -84,7 +84,8 @@ class Link {
   void wake_control() const noexcept {
     if (wake_control_) wake_control_();
   }
-  /// A ReceivedBlock that was kept, or null. Under the subscription's mutex: nobody else takes any out.
+  /// A ReceivedBlock that was kept, or null. Under the subscription's mutex: nobody else takes any
+  /// out.
   detail::Block* spare() noexcept {
     if (spares_ == nullptr) {
       // The newest stays. Behind it nobody writes but who takes out, which so needs no locked
@@ -95,8 +96,8 @@ class Link {
     if (spares_ == nullptr) return nullptr;
     return std::exchange(spares_, std::exchange(spares_->next, nullptr));
   }
-  /// Of a message that was released, for the next one. As many are kept as were held at once, and one:
-  /// whoever holds no more than before allocates none. Any thread.
+  /// Of a message that was released, for the next one. As many are kept as were held at once, and
+  /// one: whoever holds no more than before allocates none. Any thread.
   void keep(detail::Block* block) noexcept {
     block->next = kept_.load(std::memory_order_relaxed);
     while (!kept_.compare_exchange_weak(block->next, block, std::memory_order_release,
@@ -108,8 +109,8 @@ class Link {
 
  private:
   friend class SubscriptionEndpoint;
-  /// The queues by which one publisher is in several sessions have one persistent endpoint id, and one heap, which
-  /// it brings along and nobody else has.
+  /// The queues by which one publisher is in several sessions have one persistent endpoint id, and
+  /// one heap, which it brings along and nobody else has.
   struct Origin {
     std::uint64_t persistent_id;
     std::uint64_t heap;  // address
@@ -140,12 +141,14 @@ class Link {
   detail::Block* spares_ = nullptr;
   bool ceased_ = false;     // the publisher adds nothing any more
   bool continues_ = false;  // it had a queue of the same publisher before
-  // The daemon has said so, and before that it announced each window that the publisher had by then.
+  // The daemon has said so, and before that it announced each window that the publisher had by
+  // then.
   bool is_orphaned_ = false;
 };
 
-/// A message in the hands of this process. Whoever drops it calls release() exactly once. All that this needs it
-/// has: the link keeps what the message lies in, and wakes the control thread of its own session.
+/// A message in the hands of this process. Whoever drops it calls release() exactly once. All that
+/// this needs it has: the link keeps what the message lies in, and wakes the control thread of its
+/// own session.
 struct Received {
   dataplane::Taken taken;
   std::shared_ptr<Link> link;
@@ -229,8 +232,8 @@ class SubscriptionEndpoint {
   /// An announced publisher; announced again, it only may have new windows. False when it is not
   /// linked: it was before, this subscription is closed, or it is not on the board.
   [[nodiscard]] bool add_publisher(const Publisher& publisher, std::shared_ptr<Peer> peer);
-  /// The daemon says that this publisher is gone: what it committed is still delivered, unless it is
-  /// to be given up. Then what is unread is lost.
+  /// The daemon says that this publisher is gone: what it committed is still delivered, unless it
+  /// is to be given up. Then what is unread is lost.
   void orphan(std::uint64_t publisher, std::uint64_t generation, bool give_up) noexcept;
   /// The session of the process was revoked: nobody is matched any more.
   void revoke() noexcept;
@@ -244,9 +247,10 @@ class SubscriptionEndpoint {
   // --------------------------------------------------------------------------------------------------------------
 
   /// The oldest unread messages over all publishers (per publisher in order; between publishers by
-  /// stamp), as many as `receiver` wants. By one look at the publishers, as a rule: what comes meanwhile may
-  /// be left to the next call. Counts what falls out of the subscription's depth as lost. No system call except
-  /// after a publisher's heap has grown. True: `receiver` has at least one.
+  /// stamp), as many as `receiver` wants. By one look at the publishers, as a rule: what comes
+  /// meanwhile may be left to the next call. Counts what falls out of the subscription's depth as
+  /// lost. No system call except after a publisher's heap has grown. True: `receiver` has at least
+  /// one.
   bool take(Receiver& receiver) noexcept;
   /// The subscription takes no more.
   void close() noexcept;
@@ -259,14 +263,15 @@ class SubscriptionEndpoint {
   std::size_t publisher_count() const noexcept;
   /// Those that are gone and still have something here count as well.
   std::size_t link_count() const noexcept;
-  /// `see(persistent_id, is_gone)` for those that are not gone, and those that are and have something unread.
+  /// `see(persistent_id, is_gone)` for those that are not gone, and those that are and have
+  /// something unread.
   void for_each_writer(const std::function<void(std::uint64_t, bool)>& see) const;
   const std::shared_ptr<EndpointEvents>& shared_events() const noexcept { return events_; }
   EndpointEvents& events() noexcept { return *events_; }
   Departure& departure() noexcept { return departure_; }
 
-  // --- after the daemon's store was lost: docs/decisions/0006. The endpoint that the user has stays,
-  // and takes from its successors in newer sessions what it does not find here any more.
+  // --- after the daemon's store was lost: docs/decisions/0006. The endpoint that the user has
+  // stays, and takes from its successors in newer sessions what it does not find here any more.
 
   /// There is no daemon that could say more of this session.
   void be_alone() noexcept;
@@ -281,8 +286,8 @@ class SubscriptionEndpoint {
   std::size_t successor_count() const noexcept;
   /// The one of the given number, oldest first; null: there are not so many.
   std::shared_ptr<SubscriptionEndpoint> successor(std::size_t number) const noexcept;
-  /// In place of collect_unlinked(), when alone: forgets links whose publishers add nothing any more,
-  /// and that are read and released.
+  /// In place of collect_unlinked(), when alone: forgets links whose publishers add nothing any
+  /// more, and that are read and released.
   void collect_alone();
   /// It is closed or succeeded, and has no link any more.
   bool is_finished() const noexcept;

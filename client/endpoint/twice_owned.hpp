@@ -1,8 +1,8 @@
 // SPDX-License-Identifier: Apache-2.0
 //
-// TwiceOwned: messages that lie in two queues of this process. When a publisher moves to a new daemon,
-// the history that it keeps for late joiners goes along, while readers may still hold it by the former
-// queue. Whichever releases it last destroys the message.
+// TwiceOwned: messages that lie in two queues of this process. When a publisher moves to a new
+// daemon, the history that it keeps for late joiners goes along, while readers may still hold it by
+// the former queue. Whichever releases it last destroys the message.
 #pragma once
 
 #include <base/immortal.hpp>

@@ -92,7 +92,8 @@ void ExecutorCore::begin_cycle() {
 }
 
 bool ExecutorCore::is_cycle_current() const noexcept {
-  return cycle_is_listed_ && std::all_of(assigned_.begin(), assigned_.end(), [](const Assigned& assigned) {
+  return cycle_is_listed_ &&
+         std::all_of(assigned_.begin(), assigned_.end(), [](const Assigned& assigned) {
            return assigned.node->list_changes() == assigned.listed;
          });
 }
@@ -141,9 +142,9 @@ bool ExecutorCore::has_work() const noexcept {
 bool ExecutorCore::prepare() noexcept {
   const std::lock_guard lock(mutex_);
   drain_rung();
-  const bool work = std::any_of(assigned_.begin(), assigned_.end(), [this](const Assigned& assigned) {
-    return assigned.node->arm_or_find_work(this);
-  });
+  const bool work = std::any_of(
+      assigned_.begin(), assigned_.end(),
+      [this](const Assigned& assigned) { return assigned.node->arm_or_find_work(this); });
   if (!work) return false;
   for (const Assigned& assigned : assigned_) assigned.node->disarm(this);
   return true;

@@ -47,8 +47,8 @@ bool NodeCallbacks::wait_for_end(const CallbackSource& source,
   ++waiters_;
   bool has_ended = false;
   do {
-    has_ended = callback_ended_.wait_for(lock, ExitPatience::look,
-                                         [&] { return running_ != &source; });
+    has_ended =
+        callback_ended_.wait_for(lock, ExitPatience::look, [&] { return running_ != &source; });
   } while (!has_ended && !ExitPatience::is_over());
   --waiters_;
   waits.end();
@@ -109,7 +109,7 @@ struct NodeCallbacks::Ending {
   NodeCallbacks& node;
   ExecutorId executor;
   ~Ending() {
-    if (is_forked_child()) return;       // the lock may belong to the parent
+    if (is_forked_child()) return;           // the lock may belong to the parent
     std::shared_ptr<const void> to_release;  // after unlocking: its destructor takes locks
     const std::lock_guard lock(node.mutex_);
     to_release.swap(node.until_end_);
@@ -117,7 +117,8 @@ struct NodeCallbacks::Ending {
     node.running_thread_ = {};
     if (node.waiters_ != 0) CallbackWaits::instance().end_of(&node);
     node.callback_ended_.notify_all();
-    if (node.executor_ != executor) node.wait_set_->wake();  // the new executor has seen nothing meanwhile
+    if (node.executor_ != executor)
+      node.wait_set_->wake();  // the new executor has seen nothing meanwhile
   }
 };
 

@@ -81,7 +81,8 @@ class NodeCallbacks {
 
   /// Appends the sources, in the order in which they were added. Returns the list_changes() of
   /// that list.
-  std::uint64_t list(ExecutorId executor, std::vector<std::weak_ptr<CallbackSource>>& sources) const;
+  std::uint64_t list(ExecutorId executor,
+                     std::vector<std::weak_ptr<CallbackSource>>& sources) const;
   /// Returns another number whenever list() would append something else. Never 0.
   std::uint64_t list_changes() const noexcept { return changes_.load(std::memory_order_acquire); }
   /// Returns whether there is work; false while a previous executor is still inside a callback.
@@ -100,7 +101,7 @@ class NodeCallbacks {
   struct Ending;
   bool wait_for_end(const CallbackSource& source, std::unique_lock<std::mutex>& lock) noexcept;
   bool has_work_here(ExecutorId executor) const noexcept;  // under the mutex
-  void count_change() noexcept {                 // under the mutex
+  void count_change() noexcept {                           // under the mutex
     changes_.store(changes_.load(std::memory_order_relaxed) + 1, std::memory_order_release);
   }
 
@@ -116,7 +117,7 @@ class NodeCallbacks {
   ExecutorId executor_ = nullptr;
   const CallbackSource* running_ = nullptr;
   std::thread::id running_thread_;
-  std::size_t waiters_ = 0;  // for the end of the running callback
+  std::size_t waiters_ = 0;                // for the end of the running callback
   std::shared_ptr<const void> until_end_;  // of the running callback
   bool armed_ = false;
   bool stopped_ = false;

@@ -7,11 +7,11 @@
 // one, which begins when the first has ended, and the message counts as delivered.
 #pragma once
 
+#include <sys/epoll.h>
 #include <agnocast/result.hpp>
 #include <base/descriptors/unique_fd.hpp>
 #include <client/executors/node_callbacks.hpp>
 #include <client/executors/sleep_tick.hpp>
-#include <sys/epoll.h>
 
 #include <memory>
 #include <mutex>

@@ -63,7 +63,7 @@ Result<std::shared_ptr<Runner>> Runner::of_node(const std::string& node) {
   made.reset(new Runner(std::make_shared<NodeCallbacks>(node, std::move(*wait_set))));
   runner = std::move(made);
   if (Result<void> assigned = place.executor != nullptr ? place.executor->adopt(runner->callbacks_)
-                                                      : runner->run_by_thread();
+                                                        : runner->run_by_thread();
       !assigned)
     return tl::unexpected<Failure>(assigned.error());
   place.runner = runner;

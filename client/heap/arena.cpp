@@ -81,10 +81,9 @@ Result<Arena> Arena::reserve(std::uint64_t base, std::uint64_t bytes) {
     if (!arena.reserved_.empty()) return arena;
     break;
   }
-  return fail_with(
-      Errc::arena_occupied,
-      hexadecimal(base, base + bytes) + " has " +
-          (arena.blocked_.empty() ? "another mapping" : arena.blocked_.front().what));
+  return fail_with(Errc::arena_occupied,
+                   hexadecimal(base, base + bytes) + " has " +
+                       (arena.blocked_.empty() ? "another mapping" : arena.blocked_.front().what));
 }
 
 bool Arena::contains(std::uint64_t base, std::uint64_t bytes) const noexcept {

@@ -115,8 +115,9 @@ tl::unexpected<Failure> ineffective(const char* name, const char* symbol,
   const std::string owner = file_of(::dlsym(RTLD_DEFAULT, symbol));
   const std::string ours = file_of(hook);
   return fail_with(Errc::hook_ineffective,
-                   owner == ours ? std::string(name) + " does not reach " + ours
-                                 : std::string(name) + " comes from " + owner + ", not from " + ours);
+                   owner == ours
+                       ? std::string(name) + " does not reach " + ours
+                       : std::string(name) + " comes from " + owner + ", not from " + ours);
 }
 
 tl::unexpected<Failure> no_hook() {
@@ -142,9 +143,8 @@ void remember(std::uint64_t window, std::uint64_t base, std::uint64_t length, st
   attached.length[window] = length;
   attached.first[window] = first;
   // Stays for the life of the process: other windows at these addresses are not mapped here.
-  [[maybe_unused]] const bool entered =
-      AddressUsers::instance().enter(base, length, AddressUsers::file_of(write_fd.get()),
-                                     AddressUsers::own);
+  [[maybe_unused]] const bool entered = AddressUsers::instance().enter(
+      base, length, AddressUsers::file_of(write_fd.get()), AddressUsers::own);
   attached.write_fd[window] = write_fd.release();
 }
 

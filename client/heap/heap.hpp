@@ -58,8 +58,8 @@ class Heap {
   bool wants_window() const noexcept;
   std::uint64_t used_bytes() const noexcept;
   struct Room {
-    std::uint64_t bytes;    // maximum in use so far: of a heap that refuses, its whole capacity
-    std::uint64_t refused;  // allocations without room so far: see the hook's refused_count
+    std::uint64_t bytes;      // maximum in use so far: of a heap that refuses, its whole capacity
+    std::uint64_t refused;    // allocations without room so far: see the hook's refused_count
     std::uint64_t bytes_max;  // in all windows it may have, if each is as long as the present ones
   };
   Room room() const noexcept;

@@ -8,10 +8,11 @@
 //    └─────────────not_asked───────────────────┤
 //                                              └──(nothing more)──▶ asking for ever: the daemon has no more to give
 //
-// A window is wanted ahead of need, because malloc never waits for the daemon, or because the daemon asks the heap to
-// go on elsewhere. What was refused (quota, arena, memory) may come back, so it is asked for again, ever more rarely: a
-// full heap would ask at every turn of the control thread. The heap of a session that begins beside another one does not
-// grow before all publishers have moved: their readers have the windows that were brought along and no more.
+// A window is wanted ahead of need, because malloc never waits for the daemon, or because the
+// daemon asks the heap to go on elsewhere. What was refused (quota, arena, memory) may come back,
+// so it is asked for again, ever more rarely: a full heap would ask at every turn of the control
+// thread. The heap of a session that begins beside another one does not grow before all publishers
+// have moved: their readers have the windows that were brought along and no more.
 #pragma once
 
 #include <agnocast/abi/limits.hpp>

@@ -74,14 +74,13 @@ void HeapReturn::look() noexcept {
     watches_.notify_one();
     return;
   }
-  has_thread_ =
-      LibraryThread::start(
-          "agnocast-purge",
-          [](void* self) -> void* {
-            static_cast<HeapReturn*>(self)->serve();
-            return nullptr;
-          },
-          this) == 0;
+  has_thread_ = LibraryThread::start(
+                    "agnocast-purge",
+                    [](void* self) -> void* {
+                      static_cast<HeapReturn*>(self)->serve();
+                      return nullptr;
+                    },
+                    this) == 0;
   if (!has_thread_) watches_.store(false, std::memory_order_release);  // retry at a later look
 }
 
@@ -92,8 +91,8 @@ void HeapReturn::end() noexcept {
 }
 
 void HeapReturn::serve() noexcept {
-  const LibraryThread registered(
-      [](void* self) noexcept { static_cast<HeapReturn*>(self)->end(); }, this);
+  const LibraryThread registered([](void* self) noexcept { static_cast<HeapReturn*>(self)->end(); },
+                                 this);
   // The first publisher may have been made by a real-time thread, whose priority was inherited.
   const sched_param ordinary{};
   ::pthread_setschedparam(::pthread_self(), SCHED_OTHER, &ordinary);

@@ -107,9 +107,8 @@ std::uint64_t PeerHeap::open() noexcept {
     if (frontier <= opened) continue;
     void* const at = at_address(window.base + opened);
     AGNOCAST_CRASH_POINT(C_peer_open);
-    const bool refused =
-        !is_intact(window.fd.get()) ||
-        ::mmap(at, frontier - opened, PROT_READ, MAP_SHARED | MAP_FIXED,
+    const bool refused = !is_intact(window.fd.get()) ||
+                         ::mmap(at, frontier - opened, PROT_READ, MAP_SHARED | MAP_FIXED,
                                 window.fd.get(), static_cast<off_t>(opened)) == MAP_FAILED;
     // After a refusal any message of the window set may point beyond the open part.
     window.is_closed.store(refused, std::memory_order_release);
@@ -143,12 +142,13 @@ bool PeerHeap::shows(std::uint64_t window) const noexcept {
 }
 
 region::Place PeerHeap::place_of(std::uint64_t address, std::uint64_t size, std::uint64_t count,
-                                    Unannounced others, Range* open) const noexcept {
+                                 Unannounced others, Range* open) const noexcept {
   using region::Place;
   std::uint64_t found = 0;
   while (found < count && address - windows_[found].base >= windows_[found].length) ++found;
   // The message, or memory that it points to, may be in the next window.
-  const bool window_set_may_grow = found == count || windows_[found].first == windows_[count - 1].first;
+  const bool window_set_may_grow =
+      found == count || windows_[found].first == windows_[count - 1].first;
   if (window_set_may_grow && others != Unannounced::ignored && shows(count))
     return others == Unannounced::awaited ? Place::awaited : Place::unreachable;
   if (found == count) return Place::outside;

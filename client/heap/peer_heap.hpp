@@ -60,8 +60,7 @@ class PeerHeap {
   [[nodiscard]] Result<void> add_without_file(const Announced& window) noexcept;
   /// Returns whether the window is here, with its file if it needs one.
   bool has(std::uint64_t number) const noexcept {
-    return number < window_count() &&
-           !windows_[number].lacks_file.load(std::memory_order_acquire);
+    return number < window_count() && !windows_[number].lacks_file.load(std::memory_order_acquire);
   }
   /// The same where another mapping of this process is.
   [[nodiscard]] Result<void> add_blocked(const Announced& window) noexcept;
@@ -82,7 +81,7 @@ class PeerHeap {
   /// points to, after `count` windows were opened. Any values. `open`: receives the open part of
   /// its window, if readable.
   region::Place place_of(std::uint64_t address, std::uint64_t size, std::uint64_t count,
-                            Unannounced others, Range* open = nullptr) const noexcept;
+                         Unannounced others, Range* open = nullptr) const noexcept;
   /// Returns the memory that may contain the message at `address` with everything it owns: the
   /// open parts of its window set. Empty if the address is in no window.
   WindowSet window_set_of(std::uint64_t address) const noexcept;

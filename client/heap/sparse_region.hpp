@@ -8,8 +8,8 @@
 
 #include <agnocast/abi/limits.hpp>
 #include <agnocast/result.hpp>
-#include <base/memory/mapping.hpp>
 #include <base/descriptors/unique_fd.hpp>
+#include <base/memory/mapping.hpp>
 
 #include <cstddef>
 #include <cstdint>

@@ -2,7 +2,8 @@
 //
 // ROS arguments of a command line, and how their remap rules change names.
 //
-//   prog own args --ros-args -r from:=to -r node:from:=to -r __node:=name -r __ns:=/space -- own args
+//   prog own args --ros-args -r from:=to -r node:from:=to -r __node:=name -r __ns:=/space -- own
+//   args
 //
 // Order of rules: first the node's name, then its namespace (each by the first rule that
 // applies), then topics and services: the first rule whose left side, expanded like any topic of

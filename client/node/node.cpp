@@ -24,7 +24,8 @@ Arguments parse_or_throw(const std::vector<std::string>& arguments) {
 // error would keep launch files from starting the program, and silence would hide the fact.
 void warn_of(const Arguments& arguments) {
   static std::mutex mutex;
-  static std::set<std::string>* const said = new std::set<std::string>;  // init() may be called at exit
+  static std::set<std::string>* const said =
+      new std::set<std::string>;  // init() may be called at exit
   std::string program = arguments.others.empty() ? std::string() : arguments.others.front();
   program.erase(0, program.rfind('/') + 1);
   const std::lock_guard lock(mutex);
@@ -99,9 +100,7 @@ Node::~Node() = default;
 const char* Node::get_name() const noexcept { return names_->name.c_str(); }
 const char* Node::get_namespace() const noexcept { return names_->node_namespace.c_str(); }
 const char* Node::get_fully_qualified_name() const noexcept { return names_->full.c_str(); }
-const std::vector<std::string>& Node::ignored_arguments() const noexcept {
-  return names_->ignored;
-}
+const std::vector<std::string>& Node::ignored_arguments() const noexcept { return names_->ignored; }
 
 Result<std::string> Node::try_resolve_topic_name(const std::string& topic) const {
   Result<std::string> expanded = detail::expand_topic(topic, names_->name, names_->node_namespace);

@@ -5,9 +5,9 @@
 #pragma once
 
 #include <agnocast/result.hpp>
-#include <base/immortal.hpp>
 #include <base/descriptors/kept_fd.hpp>
 #include <base/descriptors/unique_fd.hpp>
+#include <base/immortal.hpp>
 #include <client/process/forked_child.hpp>
 
 #include <sys/eventfd.h>
@@ -41,8 +41,8 @@ class ControlWake {
     return std::make_shared<const ControlWake>(std::move(eventfd));
   }
 
-  /// Its thread has ended. Whoever may still use it wakes the thread that has it next, for nothing; so
-  /// its number is never somebody else's.
+  /// Its thread has ended. Whoever may still use it wakes the thread that has it next, for nothing;
+  /// so its number is never somebody else's.
   static void give_back(std::shared_ptr<const ControlWake> wake) {
     Unused& unused = immortal<Unused>();
     const std::lock_guard lock(unused.mutex);

@@ -2,9 +2,9 @@
 
 #include <client/process/library_thread.hpp>
 
+#include <base/descriptors/unique_fd.hpp>
 #include <base/immortal.hpp>
 #include <base/memory/mapping.hpp>
-#include <base/descriptors/unique_fd.hpp>
 #include <client/process/forked_child.hpp>
 #include <client/process/user_code.hpp>
 

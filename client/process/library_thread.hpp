@@ -56,8 +56,7 @@ class LibraryThread {
   /// `end(of)` wakes this thread when is_over(). It is called from any thread; it must not wait,
   /// nor take a lock under which a LibraryThread is made.
   enum class Sleep : std::uint8_t { as_it_is, can_be_cancelled };
-  LibraryThread(void (*end)(void* of) noexcept, void* of,
-                Sleep sleep = Sleep::as_it_is) noexcept;
+  LibraryThread(void (*end)(void* of) noexcept, void* of, Sleep sleep = Sleep::as_it_is) noexcept;
   ~LibraryThread();
   LibraryThread(const LibraryThread&) = delete;
   LibraryThread& operator=(const LibraryThread&) = delete;

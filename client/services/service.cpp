@@ -159,8 +159,8 @@ class ServiceCore {
   bool meet(std::uint64_t client, const UntypedSubscription& requests) {
     const ActingFor creator(signals_);
     const auto made = UntypedPublisher::create(
-        {reply_topic(service_.topic, client), service_.node, requests.persistent_id(), true}, response_,
-        qos_, {}, code_);
+        {reply_topic(service_.topic, client), service_.node, requests.persistent_id(), true},
+        response_, qos_, {}, code_);
     {
       const std::lock_guard lock(mutex_);
       if (requests_ == nullptr) {  // the service has ended meanwhile

@@ -40,10 +40,10 @@ bool Announcements::handle(Connection& connection, Incoming& packet) {
 
 namespace {
 
-/// Mute if there is none: nobody has its receiver any more, the daemon or this process had no descriptor for it, or the
-/// owner has no share left.
-PublisherEndpoint::PeerDoorbell doorbell_among(std::span<UniqueFd> fds, std::size_t before, std::uint32_t count,
-                                   DescriptorShare::Owner owner) {
+/// Mute if there is none: nobody has its receiver any more, the daemon or this process had no
+/// descriptor for it, or the owner has no share left.
+PublisherEndpoint::PeerDoorbell doorbell_among(std::span<UniqueFd> fds, std::size_t before,
+                                               std::uint32_t count, DescriptorShare::Owner owner) {
   if (count == 0 || count > 2 || fds.size() < before + count) return {};
   auto counted = DescriptorShare::instance().take(owner, count);
   if (!counted) return {};

@@ -1,11 +1,13 @@
 // SPDX-License-Identifier: Apache-2.0
 //
-// Announcements: what the daemon says unasked of endpoints, of other processes, and of this process's heap: one handler
-// for each kind of packet. Control thread only, in the order in which the daemon says it.
+// Announcements: what the daemon says unasked of endpoints, of other processes, and of this
+// process's heap: one handler for each kind of packet. Control thread only, in the order in which
+// the daemon says it.
 //
-// Whoever is announced and is not linked here, by no endpoint of this process, is said to be unlinked; and whose region
-// was never mapped is said to be unmapped, because nobody else will. An announcement whose descriptors were lost is said
-// again after a new connection, so nothing is said of it.
+// Whoever is announced and is not linked here, by no endpoint of this process, is said to be
+// unlinked; and whose region was never mapped is said to be unmapped, because nobody else will. An
+// announcement whose descriptors were lost is said again after a new connection, so nothing is said
+// of it.
 #pragma once
 
 #include <agnocast/abi/wire.hpp>

@@ -61,7 +61,8 @@ struct Incoming {
     return true;
   }
   /// The body of an answer that is meant to be `opcode` and to bring so many descriptors. Errors:
-  /// protocol_violation; of an answer whose descriptors did not arrive see failure_of_descriptors().
+  /// protocol_violation; of an answer whose descriptors did not arrive see
+  /// failure_of_descriptors().
   template <class T>
   [[nodiscard]] Result<void> read_as(abi::wire::Opcode opcode, T& body,
                                      std::size_t descriptor_count,
@@ -96,9 +97,10 @@ class Connection {
   /// Sends `body` (a struct of abi/wire.hpp; its header is filled in here) and waits for the
   /// answer, across connections. `on_answer` runs in the control thread and may fail the request.
   /// `on_late` instead of it, when the answer comes after this function has given up, and after it,
-  /// when it has failed; not for refusals. `again`: the daemon may have done it for an earlier request.
-  /// `fd`: goes with it; stays the caller's, and open until this returns; -1: none. Errors: what the
-  /// daemon refused, daemon_not_running (gone, or no answer in time), what refuse() said.
+  /// when it has failed; not for refusals. `again`: the daemon may have done it for an earlier
+  /// request. `fd`: goes with it; stays the caller's, and open until this returns; -1: none.
+  /// Errors: what the daemon refused, daemon_not_running (gone, or no answer in time), what
+  /// refuse() said.
   template <class T>
   [[nodiscard]] Result<void> request(abi::wire::Opcode opcode, T body, OnAnswer on_answer,
                                      OnAnswer on_late = nullptr, bool again = false, int fd = -1) {
@@ -176,7 +178,8 @@ class Connection {
  private:
   static constexpr std::uint64_t introduction_id = 1;
 
-  /// Of a failure, for another thread. No allocation: a failure is told also when there is no memory.
+  /// Of a failure, for another thread. No allocation: a failure is told also when there is no
+  /// memory.
   struct Detail {
     char text[detail_bytes_max] = "";
     void keep(const Failure& failure) noexcept {
@@ -235,7 +238,8 @@ inline abi::wire::Reference reference(abi::wire::Kind kind, std::uint32_t topic,
   body.generation = generation;
   return body;
 }
-/// What was announced is used here no more, or never was; with how much of the connection this process has read.
+/// What was announced is used here no more, or never was; with how much of the connection this
+/// process has read.
 inline void say_unlinked(Connection& connection, abi::wire::Kind kind, std::uint32_t topic,
                          std::uint64_t index, std::uint64_t generation) {
   abi::wire::Unlinked body{};

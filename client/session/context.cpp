@@ -1,7 +1,8 @@
 // SPDX-License-Identifier: Apache-2.0
 //
-// Context: what a process asks for once it has a session: its heap, wait sets and endpoints, and their end.
-// How it gets a session: joining.cpp; coming back: rejoining.cpp; what it is told: control_thread.cpp.
+// Context: what a process asks for once it has a session: its heap, wait sets and endpoints, and
+// their end. How it gets a session: joining.cpp; coming back: rejoining.cpp; what it is told:
+// control_thread.cpp.
 
 #include <client/session/context.hpp>
 

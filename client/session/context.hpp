@@ -1,11 +1,12 @@
 // SPDX-License-Identifier: Apache-2.0
 //
-// Context: a session of this process, for those who create and destroy endpoints: what they see of its parts. Made by
-// the first endpoint, never destroyed (messages in statics stay valid), dead in a forked child.
+// Context: a session of this process, for those who create and destroy endpoints: what they see of
+// its parts. Made by the first endpoint, never destroyed (messages in statics stay valid), dead in
+// a forked child.
 //
 // Usually there is one. When the daemon's store was lost, another one begins beside it, and becomes
-// the present one (reregistration.hpp); the former lives on by itself until nothing of it is used, and
-// then unmaps all it has mapped. How far one has come: SessionState.
+// the present one (reregistration.hpp); the former lives on by itself until nothing of it is used,
+// and then unmaps all it has mapped. How far one has come: SessionState.
 //
 //   part             what it has                                          who uses it
 //   Registration     the connection, the arena, board and own region      all threads
@@ -17,8 +18,8 @@
 //   PeerTable        the processes that are mapped                        control thread
 //   ControlThread    what the daemon says, and what comes back            control thread
 //
-// User threads reach shared memory directly and the daemon only to create and destroy endpoints. The mutexes belong to
-// the parts; Context has one, so that one thread joins.
+// User threads reach shared memory directly and the daemon only to create and destroy endpoints.
+// The mutexes belong to the parts; Context has one, so that one thread joins.
 #pragma once
 
 #include <agnocast/connection_state.hpp>
@@ -49,8 +50,8 @@
 
 namespace agnocast {
 
-/// Whether AGNOCAST=off is in the environment: then endpoints are made that do nothing, without daemon
-/// and hook. Errors: invalid_argument: it is neither on nor off.
+/// Whether AGNOCAST=off is in the environment: then endpoints are made that do nothing, without
+/// daemon and hook. Errors: invalid_argument: it is neither on nor off.
 [[nodiscard]] Result<bool> is_switched_off() noexcept;
 
 class Context {
@@ -67,9 +68,9 @@ class Context {
   /// Any of the following connects first if need be. Errors of all: daemon_not_running,
   /// layout_mismatch, store_damaged, arena_occupied, lock_limit, address_limit, permission_denied,
   /// access_denied, descriptors_withheld, quota_exceeded,
-  /// limit_reached, shut_down (forked child, exit handlers), invalid_argument (ROS_DOMAIN_ID), os_failure,
-  /// started_anew and revoked (an orphaned session), and what is named. While a new session begins they wait
-  /// for it, as for a daemon that is away.
+  /// limit_reached, shut_down (forked child, exit handlers), invalid_argument (ROS_DOMAIN_ID),
+  /// os_failure, started_anew and revoked (an orphaned session), and what is named. While a new
+  /// session begins they wait for it, as for a daemon that is away.
 
   /// Errors also: hook_missing, hook_ineffective, type_mismatch, invalid_name, depth_refused.
   [[nodiscard]] Result<std::shared_ptr<PublisherEndpoint>> create_publisher(
@@ -100,11 +101,11 @@ class Context {
   const Heap* heap() const noexcept { return heap_.get(); }
   /// How publish adopts foreign memory. Only after a publisher was created.
   SharedHeap shared_heap() const noexcept { return heap_.opened().shared_heap(); }
-  /// The heap is full: every message that nobody needs any more is destroyed, of every publisher. False:
-  /// there was none. User threads, without locks of theirs that a destructor wants.
+  /// The heap is full: every message that nobody needs any more is destroyed, of every publisher.
+  /// False: there was none. User threads, without locks of theirs that a destructor wants.
   bool has_more_room() noexcept;
-  /// Of a previous session: how many of the heap's windows its daemon has told others of. Readers in
-  /// it have these and no more.
+  /// Of a previous session: how many of the heap's windows its daemon has told others of. Readers
+  /// in it have these and no more.
   std::uint64_t announced_windows() const noexcept { return heap_.growth().window_count(); }
   /// False in a forked child, and before the first endpoint.
   bool is_connected() const noexcept;

@@ -70,7 +70,8 @@ void ControlThread::serve() noexcept {
   }
 }
 
-// The process is about to end. What its exit handlers still want of the daemon they do not wait for.
+// The process is about to end. What its exit handlers still want of the daemon they do not wait
+// for.
 void ControlThread::serve_nobody() noexcept {
   registration_.connection().refuse(
       {Errc::shut_down, 0, "the last thread of this process has ended"});
@@ -125,7 +126,8 @@ void ControlThread::serve_once(int timeout_ms) {
   is_output_blocked_ = registration_.connection().flush();
 }
 
-/// At each tick, or `now`. Somebody may have closed descriptors of ours; their numbers may be others' by now.
+/// At each tick, or `now`. Somebody may have closed descriptors of ours; their numbers may be
+/// others' by now.
 void ControlThread::look_for_descriptors(bool now) noexcept {
   const auto time = std::chrono::steady_clock::now();
   if (!now && time - descriptors_looked_ < std::chrono::milliseconds{ScanTimer::last_ms}) return;
@@ -154,7 +156,8 @@ void ControlThread::read_connection() {
   }
 }
 
-/// Endpoints that are mute, or not mapped, because there were too many get doorbells and are mapped when others have left.
+/// Endpoints that are mute, or not mapped, because there were too many get doorbells and are mapped
+/// when others have left.
 void ControlThread::look_for_doorbells() noexcept {
   const auto now = Reannouncement::Clock::now();
   if (reconnection_.state() != Reconnection::State::connected || !reannouncement_.may_look(now))
@@ -220,7 +223,7 @@ void ControlThread::run_errands() {
   readers_.look(endpoints_, heap_, registration_.connection());
   collector_.collect(registration_.connection());
   departures_.end_unclaimed(registration_.connection(), registration_.wake(),
-                                registration_.board());
+                            registration_.board());
   heap_.ask_for_window(registration_.connection(), registration_.region_base());
 }
 

@@ -1,13 +1,15 @@
 // SPDX-License-Identifier: Apache-2.0
 //
-// ControlThread: what the one library thread of a session does, one turn after the other: it reads what the daemon says,
-// in order, and then runs the errands that come back: what is over, whom to tell, and everything that user threads leave
-// to it. When the connection was lost it comes back to the daemon (rejoining.cpp).
+// ControlThread: what the one library thread of a session does, one turn after the other: it reads
+// what the daemon says, in order, and then runs the errands that come back: what is over, whom to
+// tell, and everything that user threads leave to it. When the connection was lost it comes back to
+// the daemon (rejoining.cpp).
 //
 //   serve ──▶ serve_once ──▶ read_connection ──▶ handle: Announcements, or a handler of the session
 //                       └──▶ run_errands: Departures, ReaderLook, Collector, OwnHeap
 //
-// It ends with the process, with a session that was dropped, and with a former one that nobody uses any more.
+// It ends with the process, with a session that was dropped, and with a former one that nobody uses
+// any more.
 #pragma once
 
 #include <agnocast/connection_state.hpp>
@@ -20,11 +22,11 @@
 #include <client/session/departures.hpp>
 #include <client/session/executor_places.hpp>
 #include <client/session/own_heap.hpp>
-#include <client/session/scan_timer.hpp>
 #include <client/session/reader_look.hpp>
 #include <client/session/reannouncement.hpp>
 #include <client/session/reconnection.hpp>
 #include <client/session/registration.hpp>
+#include <client/session/scan_timer.hpp>
 #include <client/session/session_state.hpp>
 
 #include <chrono>

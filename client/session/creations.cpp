@@ -32,8 +32,9 @@ Result<wire::CreateEndpoint> describe(const EndpointRequest& request,
 }  // namespace
 
 /// Of one that continues none: nobody else has the same, in whatever session.
-std::uint64_t Creations::persistent_id_of(const Continued& continued, const wire::EndpointCreated& made,
-                                    Kind kind) const noexcept {
+std::uint64_t Creations::persistent_id_of(const Continued& continued,
+                                          const wire::EndpointCreated& made,
+                                          Kind kind) const noexcept {
   std::uint64_t sum = continued.persistent_id;
   if (sum == 0) {
     for (const std::uint64_t part :
@@ -75,7 +76,8 @@ Result<std::shared_ptr<PublisherEndpoint>> Creations::make_publisher(
         publisher = std::make_shared<PublisherEndpoint>(PublisherEndpoint::Identity{
             core, made.topic, end_message, registration_.waker(), continued.events, session_,
             persistent_id_of(continued, made, Kind::publisher),
-            request.announces_persistent_id_later && continued.events == nullptr, make_room, request.signals});
+            request.announces_persistent_id_later && continued.events == nullptr, make_room,
+            request.signals});
         endpoints_.add(publisher);
         return {};
       },

@@ -71,9 +71,10 @@ void Departures::say(Connection& connection, const std::shared_ptr<const Control
 }
 
 void Departures::adopt_unclaimed(Kind kind, const Key& key, std::uint64_t generation,
-                                bool has_left) {
+                                 bool has_left) {
   const auto found = unclaimed_.find({kind, key});
-  std::shared_ptr<UnclaimedEndpoint> unclaimed = found != unclaimed_.end() ? found->second : nullptr;
+  std::shared_ptr<UnclaimedEndpoint> unclaimed =
+      found != unclaimed_.end() ? found->second : nullptr;
   if (unclaimed == nullptr || unclaimed->generation != generation) {
     unclaimed = std::make_shared<UnclaimedEndpoint>(generation);
     unclaimed_.insert_or_assign({kind, key}, unclaimed);
@@ -83,8 +84,8 @@ void Departures::adopt_unclaimed(Kind kind, const Key& key, std::uint64_t genera
 }
 
 void Departures::end_unclaimed(Connection& connection,
-                                   const std::shared_ptr<const ControlWake>& wake,
-                                   SparseRegion& board) {
+                               const std::shared_ptr<const ControlWake>& wake,
+                               SparseRegion& board) {
   if (!connection.is_open()) return;
   for (auto at = unclaimed_.begin(); at != unclaimed_.end();) {
     const auto& [kind, key] = at->first;

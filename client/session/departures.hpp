@@ -1,12 +1,14 @@
 // SPDX-License-Identifier: Apache-2.0
 //
-// Departures: endpoints of one session that leave: what the daemon is told of them, and who waits until it knows.
+// Departures: endpoints of one session that leave: what the daemon is told of them, and who waits
+// until it knows.
 //
 //   wanted (any thread) ──say(), in the control thread──▶ said ──answer──▶ known ──▶ whoever waits goes on
 //
-// Unclaimed are endpoints of this process that only the daemon knows about: nobody waits for their creation any more, or
-// they were over here while the daemon was away. Nobody else was ever given such an endpoint, so nothing of it is held or
-// published: it is drained as soon as the daemon has let it leave.
+// Unclaimed are endpoints of this process that only the daemon knows about: nobody waits for their
+// creation any more, or they were over here while the daemon was away. Nobody else was ever given
+// such an endpoint, so nothing of it is held or published: it is drained as soon as the daemon has
+// let it leave.
 #pragma once
 
 #include <agnocast/abi/wire.hpp>
@@ -36,8 +38,8 @@ class Departures {
 
   // --- any thread
 
-  /// Until the daemon knows of it; while it is away not at all, `answer_timeout` of the connection at most, and not
-  /// beyond `end`. The control thread was woken.
+  /// Until the daemon knows of it; while it is away not at all, `answer_timeout` of the connection
+  /// at most, and not beyond `end`. The control thread was woken.
   void wait_for(const Departure& departure, const Connection& connection,
                 Clock::time_point end) noexcept;
   /// Who waits looks again: something is known, or the daemon is away.
@@ -51,12 +53,13 @@ class Departures {
   void adopt_unclaimed(Kind kind, const Key& key, std::uint64_t generation, bool has_left);
   /// While the connection is open. `board`: says whom everybody else has let go of.
   void end_unclaimed(Connection& connection, const std::shared_ptr<const ControlWake>& wake,
-                         SparseRegion& board);
+                     SparseRegion& board);
   void forget_unclaimed() noexcept { unclaimed_.clear(); }
 
  private:
   struct UnclaimedEndpoint {
-    explicit UnclaimedEndpoint(std::uint64_t known_generation) noexcept : generation(known_generation) {}
+    explicit UnclaimedEndpoint(std::uint64_t known_generation) noexcept
+        : generation(known_generation) {}
     std::uint64_t generation;
     Departure departure;
   };

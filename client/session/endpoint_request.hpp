@@ -1,6 +1,7 @@
 // SPDX-License-Identifier: Apache-2.0
 //
-// What an endpoint is asked for with, by whoever makes one: names, quality of service, and what belongs to its type.
+// What an endpoint is asked for with, by whoever makes one: names, quality of service, and what
+// belongs to its type.
 #pragma once
 
 #include <agnocast/abi/words.hpp>
@@ -20,16 +21,16 @@ struct EndpointRequest {
   std::string_view node;
   std::uint64_t layout_hash = 0;
   abi::Qos qos;
-  std::uint64_t quota = 0;  // subscriptions: messages held at once, per publisher
-  bool quota_or_less = false;  // of publishers of other users fewer will do
+  std::uint64_t quota = 0;           // subscriptions: messages held at once, per publisher
+  bool quota_or_less = false;        // of publishers of other users fewer will do
   bool depth_per_publisher = false;  // subscriptions
   // Publishers: messages allocate from the shared heap by themselves, whoever answers malloc.
   bool uses_shared_allocator = false;
   std::uint64_t message_bytes = 0;  // sizeof the message object; 0 = any
   std::uint64_t message_alignment = 1;
-  std::uint64_t persistent_id = 0;        // 0: one of its own
+  std::uint64_t persistent_id = 0;             // 0: one of its own
   bool announces_persistent_id_later = false;  // publishers: see EndpointName
-  SignalMask signals;               // for destructors of messages
+  SignalMask signals;                          // for destructors of messages
 };
 
 /// What an endpoint of a new session has from the one that it continues.

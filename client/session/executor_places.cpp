@@ -42,8 +42,8 @@ Result<ExecutorPlaces::Next> ExecutorPlaces::next() {
   return next;
 }
 
-Result<void> ExecutorPlaces::give(WaitSet& wait_set, WaitSet::Session session,
-                                  const Permit& permit, const Open& open) {
+Result<void> ExecutorPlaces::give(WaitSet& wait_set, WaitSet::Session session, const Permit& permit,
+                                  const Open& open) {
   const std::lock_guard giving(giving_);
   if (wait_set.index_in(session)) return {};
   if (Result<void> permitted = permit(); !permitted) return permitted;
@@ -56,7 +56,8 @@ Result<void> ExecutorPlaces::give(WaitSet& wait_set, WaitSet::Session session,
     if (opened) {
       ++lent_;
     } else {
-      // Should the doorbells come late, nobody wants them; who gets the number next asks for new ones.
+      // Should the doorbells come late, nobody wants them; who gets the number next asks for new
+      // ones.
       failed_.push_back(found->executor);  // within its capacity
     }
   }

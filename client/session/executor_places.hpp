@@ -1,13 +1,14 @@
 // SPDX-License-Identifier: Apache-2.0
 //
-// ExecutorPlaces: the places of executors that this process has in one session: a sleep word in its client region and
-// the doorbells that ring for it, by number.
+// ExecutorPlaces: the places of executors that this process has in one session: a sleep word in its
+// client region and the doorbells that ring for it, by number.
 //
 //   never asked for ──▶ lent to a wait set ◀──▶ unused, with its doorbells
 //          └── refused, or no answer in time ──▶ failed: asked for once more before a new number is
 //
-// A place goes back here, not away: it stays the process's, with its doorbells, and its sleep word goes on counting. It
-// comes back wherever its last user is destroyed, so the mutex of the places is innermost. Must outlive every place.
+// A place goes back here, not away: it stays the process's, with its doorbells, and its sleep word
+// goes on counting. It comes back wherever its last user is destroyed, so the mutex of the places
+// is innermost. Must outlive every place.
 #pragma once
 
 #include <agnocast/result.hpp>
@@ -24,7 +25,8 @@ namespace agnocast {
 
 class ExecutorPlaces {
  public:
-  /// Asks the daemon for the doorbells of an executor. `again`: for an earlier request the daemon may have opened it.
+  /// Asks the daemon for the doorbells of an executor. `again`: for an earlier request the daemon
+  /// may have opened it.
   using Open =
       std::function<Result<std::unique_ptr<WaitSet::Place>>(std::uint64_t executor, bool again)>;
   /// Whether the session has a daemon that could open one.
@@ -32,10 +34,11 @@ class ExecutorPlaces {
 
   // --- any thread
 
-  /// The wait set has a place here afterwards, known to it by this session. Nothing happens if it has. `permit` is asked
-  /// ahead of everything, while nobody else gets a place. Errors: limit_reached, those of `permit` and `open`, os_failure.
-  [[nodiscard]] Result<void> give(WaitSet& wait_set, WaitSet::Session session,
-                                  const Permit& permit, const Open& open);
+  /// The wait set has a place here afterwards, known to it by this session. Nothing happens if it
+  /// has. `permit` is asked ahead of everything, while nobody else gets a place. Errors:
+  /// limit_reached, those of `permit` and `open`, os_failure.
+  [[nodiscard]] Result<void> give(WaitSet& wait_set, WaitSet::Session session, const Permit& permit,
+                                  const Open& open);
 
   // --- control thread
 

@@ -30,8 +30,8 @@ namespace agnocast {
 
 namespace {
 
-/// A daemon is there in a moment, presumably: it has died, or begins. Between two daemons nobody listens at
-/// the socket, or it is not there while the lock that is beside it stays.
+/// A daemon is there in a moment, presumably: it has died, or begins. Between two daemons nobody
+/// listens at the socket, or it is not there while the lock that is beside it stays.
 bool may_begin(const std::string& path, const Failure& why) noexcept {
   if (why.code != Errc::daemon_not_running) return false;
   if (why.os_errno == ECONNREFUSED) return true;
@@ -55,8 +55,8 @@ Result<void> Context::connect() {
   return {};
 }
 
-// A daemon that was there and has died meanwhile comes back: hello has the time of every request. One that
-// may have died just before is waited for less.
+// A daemon that was there and has died meanwhile comes back: hello has the time of every request.
+// One that may have died just before is waited for less.
 Result<void> Context::become_known() {
   const auto deadline = Reconnection::Clock::now() + Connection::answer_timeout;
   std::optional<Reconnection::Clock::time_point> refused;  // first

@@ -1,12 +1,14 @@
 // SPDX-License-Identifier: Apache-2.0
 //
-// OwnHeap: this process's shared heap as one session has it: its scope, the hook that it was found by, and its windows,
-// which the daemon of the session gives or is told of.
+// OwnHeap: this process's shared heap as one session has it: its scope, the hook that it was found
+// by, and its windows, which the daemon of the session gives or is told of.
 //
 //   closed ──open(): the first window──▶ open ──ask_for_window()──▶ one window more … (HeapGrowth says when)
-//   a session that begins beside another one continues its heap and brings the windows along: continue_from(), bring()
+//   a session that begins beside another one continues its heap and brings the windows along:
+//   continue_from(), bring()
 //
-// There is one heap in the process, whatever the number of sessions: what lies in it stays where it is.
+// There is one heap in the process, whatever the number of sessions: what lies in it stays where it
+// is.
 #pragma once
 
 #include <agnocast/heap.hpp>
@@ -32,9 +34,9 @@ class OwnHeap {
 
   /// Before the heap is open. Errors: invalid_argument.
   [[nodiscard]] Result<void> set_scope(HeapScope scope) noexcept;
-  /// With its first window; nothing happens if it is open. `client_region`: where the frontier is stored. `grown`: called
-  /// after it was, without locks of ours; must not allocate. Errors: hook_missing, invalid_argument, what the daemon
-  /// refuses, those of Heap::attach.
+  /// With its first window; nothing happens if it is open. `client_region`: where the frontier is
+  /// stored. `grown`: called after it was, without locks of ours; must not allocate. Errors:
+  /// hook_missing, invalid_argument, what the daemon refuses, those of Heap::attach.
   [[nodiscard]] Result<void> open(Connection& connection, std::byte* client_region,
                                   void (*grown)() noexcept);
   bool is_open() const noexcept { return is_open_.load(std::memory_order_acquire); }
@@ -49,12 +51,14 @@ class OwnHeap {
 
   /// The heap of the former session, which does not grow here before it is permitted to.
   void continue_from(OwnHeap& former);
-  /// Tells the daemon of all windows. Errors: limit_reached (too many sessions), what the daemon refuses.
+  /// Tells the daemon of all windows. Errors: limit_reached (too many sessions), what the daemon
+  /// refuses.
   [[nodiscard]] Result<void> bring(Connection& connection, std::byte* client_region);
 
   // --- control thread
 
-  /// Asks for the next window if the heap wants one. `connection` and `client_region` must outlive the answer.
+  /// Asks for the next window if the heap wants one. `connection` and `client_region` must outlive
+  /// the answer.
   void ask_for_window(Connection& connection, std::byte* client_region);
 
  private:

@@ -1,7 +1,8 @@
 // SPDX-License-Identifier: Apache-2.0
 //
-// ReaderLook: the control thread's look at the readers of this process's publishers, once a second: which of them keep
-// too much of its heap (client/shares/reader_shares.hpp), and which cannot be mapped (client/shares/unmapped_users.hpp).
+// ReaderLook: the control thread's look at the readers of this process's publishers, once a second:
+// which of them keep too much of its heap (client/shares/reader_shares.hpp), and which cannot be
+// mapped (client/shares/unmapped_users.hpp).
 #pragma once
 
 #include <client/endpoint/endpoint_table.hpp>

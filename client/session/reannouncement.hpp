@@ -1,10 +1,13 @@
 // SPDX-License-Identifier: Apache-2.0
 //
-// Reannouncement: when to begin a new connection so that the daemon announces everything once more. Pure; time is told.
+// Reannouncement: when to begin a new connection so that the daemon announces everything once more.
+// Pure; time is told.
 //
-//   descriptors that came on the connection were lost, as this process had none free: after a pause, twice as long the
+//   descriptors that came on the connection were lost, as this process had none free: after a
+//   pause, twice as long the
 //     next time, and only when it has some
-//   users have a larger share again, so that endpoints that are mute, or not mapped, get doorbells and are mapped: at once,
+//   users have a larger share again, so that endpoints that are mute, or not mapped, get doorbells
+//   and are mapped: at once,
 //     but not soon after the last time
 //
 //            lost(), ask()                 is_due()

@@ -6,9 +6,10 @@
 //                         ▲───────end──────┘├──refused──▶ orphaned (for good)
 //                         └──────later──────┘
 //
-// Some refusals are mended by an administrator: it is asked again, seldom, and `is_refused` meanwhile.
-// The pause doubles from try to try. A connection that has lasted is what makes it short again: a
-// daemon that dies of what we say does so at once, and is not asked a thousand times a second.
+// Some refusals are mended by an administrator: it is asked again, seldom, and `is_refused`
+// meanwhile. The pause doubles from try to try. A connection that has lasted is what makes it short
+// again: a daemon that dies of what we say does so at once, and is not asked a thousand times a
+// second.
 #pragma once
 
 #include <agnocast/error.hpp>
@@ -19,8 +20,8 @@
 
 namespace agnocast {
 
-/// It is answered otherwise only when somebody has put another daemon, another profile or whole memory
-/// there: nobody waits for it.
+/// It is answered otherwise only when somebody has put another daemon, another profile or whole
+/// memory there: nobody waits for it.
 constexpr bool is_mended_by_people(Errc code) noexcept {
   return code == Errc::layout_mismatch || code == Errc::store_damaged ||
          code == Errc::permission_denied || code == Errc::descriptors_withheld ||

@@ -3,11 +3,11 @@
 #include <client/session/registration.hpp>
 
 #include <agnocast/abi/fingerprint.hpp>
-#include <base/sockets/daemon_socket.hpp>
 #include <base/memory/mapping.hpp>
+#include <base/sockets/daemon_socket.hpp>
 #include <base/sockets/socket_path.hpp>
-#include <base/text/text.hpp>
 #include <base/sockets/unix_address.hpp>
+#include <base/text/text.hpp>
 #include <client/process/steps.hpp>
 
 #include <pthread.h>
@@ -43,8 +43,8 @@ Result<std::uint64_t> domain_id() {
                    "ROS_DOMAIN_ID is " + in_quotes(text) + ", which is not a number");
 }
 
-/// A program that changes its directory comes back to the same daemon. A path that would be too long for
-/// an address stays as it is.
+/// A program that changes its directory comes back to the same daemon. A path that would be too
+/// long for an address stays as it is.
 std::string from_here(std::string path) {
   if (path.empty() || path.front() == '/') return path;
   char directory[socket_path_bytes_max + 1];

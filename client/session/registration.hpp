@@ -1,7 +1,7 @@
 // SPDX-License-Identifier: Apache-2.0
 //
-// Registration: what one session has from its daemon: who this process is to it, the arena, board and client region, and
-// the connection. docs/control-plane.md, "Connection and identity".
+// Registration: what one session has from its daemon: who this process is to it, the arena, board
+// and client region, and the connection. docs/control-plane.md, "Connection and identity".
 //
 //   find_daemon() ──▶ say_hello(): connected, welcomed; arena reserved, board and region mapped ──▶ registered
 //                        ▲   └──anything fails──▶ undo()
@@ -10,8 +10,8 @@
 //   registered ──the connection ends──▶ say_rejoin() ──the daemon knows it──▶ registered, over another connection
 //              └──the daemon's store is lost, nobody uses it──▶ unmap_all()
 //
-// Made by the thread that connects; from then on the control thread's, but for the connection and for what is mapped,
-// which stays where it is until unmap_all().
+// Made by the thread that connects; from then on the control thread's, but for the connection and
+// for what is mapped, which stays where it is until unmap_all().
 #pragma once
 
 #include <agnocast/abi/wire.hpp>
@@ -42,8 +42,8 @@ class Registration {
   [[nodiscard]] Result<void> find_daemon();
   /// The daemon at the same place, beside a registration that must outlive say_hello().
   void continue_from(const Registration& former);
-  /// Until `deadline`. `heap_is_open`: what lies in the former one's arena has to stay there. Errors: those of
-  /// Context::connect. Leaves what it has done for undo().
+  /// Until `deadline`. `heap_is_open`: what lies in the former one's arena has to stay there.
+  /// Errors: those of Context::connect. Leaves what it has done for undo().
   [[nodiscard]] Result<void> say_hello(Clock::time_point deadline, bool heap_is_open);
   /// There was a daemon, whatever it said: since undo().
   bool has_connected() const noexcept { return connection_ != nullptr; }

@@ -1,6 +1,7 @@
 // SPDX-License-Identifier: Apache-2.0
 //
-// Coming back: what the control thread does about a connection that has ended. docs/control-plane.md.
+// Coming back: what the control thread does about a connection that has ended.
+// docs/control-plane.md.
 //
 // Nothing in shared memory depends on the connection, so messages flow on and scans are made as
 // always. The control thread tries to connect, ever more rarely, and says who it was (rejoin). If
@@ -39,7 +40,8 @@ void ControlThread::lose_connection() noexcept {
     ::epoll_ctl(epoll_.get(), EPOLL_CTL_DEL, registration_.connection().fd(), nullptr);
   registration_.connection().end();
   reconnection_.ended(Reconnection::Clock::now());
-  tell_state(reconnection_.is_refused() ? ConnectionState::orphaned : ConnectionState::reconnecting);
+  tell_state(reconnection_.is_refused() ? ConnectionState::orphaned
+                                        : ConnectionState::reconnecting);
 }
 
 void ControlThread::become_orphaned(const Failure& why) noexcept {
@@ -134,7 +136,8 @@ void ControlThread::on_own(Incoming& packet) {
   } else if (own.active == 0 && departure->is_wanted()) {
     departure->known();
   } else if (own.active != 0 && departure->is_known()) {
-    departure->forgotten();  // as an orphaned session this process took every refusal for an answer to it
+    departure->forgotten();  // as an orphaned session this process took every refusal for an answer
+                             // to it
   }
 }
 

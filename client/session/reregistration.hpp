@@ -8,8 +8,8 @@
 //     → each publisher moves when its subscriptions are there, or after a while
 //   meanwhile the previous session goes on among those who are in it, and ends by itself
 //
-// A thread of its own does it, because it waits for answers; it ends when everything has moved. User
-// threads never wait for it, but for creations, which wait as for a daemon that is away.
+// A thread of its own does it, because it waits for answers; it ends when everything has moved.
+// User threads never wait for it, but for creations, which wait as for a daemon that is away.
 #pragma once
 
 #include <agnocast/result.hpp>

@@ -1,10 +1,12 @@
 // SPDX-License-Identifier: Apache-2.0
 //
-// ScanTimer: how long the control thread may sleep before somebody must look at the publishers again. Pure.
+// ScanTimer: how long the control thread may sleep before somebody must look at the publishers
+// again. Pure.
 //
-// Scans of an idle publisher come soon after the last publish, then ever more rarely (docs/protocol.md, who runs a
-// scan). A subscription that has not linked yet is looked for sooner: usually it links within a millisecond, and nobody
-// rings when it has. A session without a daemon is looked at at one pace: nobody says who is gone.
+// Scans of an idle publisher come soon after the last publish, then ever more rarely
+// (docs/protocol.md, who runs a scan). A subscription that has not linked yet is looked for sooner:
+// usually it links within a millisecond, and nobody rings when it has. A session without a daemon
+// is looked at at one pace: nobody says who is gone.
 #pragma once
 
 #include <algorithm>

@@ -15,12 +15,13 @@
 //   whatever is present    unconnected, moving, arrived, serving ──lose──▶ alone
 //
 //   step         caller                               meaning
-//   connected    Context::connect                     it has said hello, and its control thread runs
-//   be_present   Reregistration::begin_next           new endpoints are made in it from now on
-//   drop         Context::Drop                        it could not begin; its control thread ends it
-//   arrived      Reregistration::move_everything      whatever moves from the former session was asked for once
-//   speak        the control thread, while connected  it tells its users of its connection from now on
-//   lose         the control thread                   its daemon's store is lost, and nobody will know this session again
+//   connected    Context::connect                     it has said hello, and its control thread
+//   runs be_present   Reregistration::begin_next           new endpoints are made in it from now on
+//   drop         Context::Drop                        it could not begin; its control thread ends
+//   it arrived      Reregistration::move_everything      whatever moves from the former session was
+//   asked for once speak        the control thread, while connected  it tells its users of its
+//   connection from now on lose         the control thread                   its daemon's store is
+//   lost, and nobody will know this session again
 //
 // A step that a phase does not know changes nothing. `alone` and `dropped` are left by none.
 //
@@ -30,9 +31,10 @@
 //   is_alone            ·           ·        x      ·        ·       ·        ·       x
 //   speaks              x           ·        ·      ·        ·       ·        x       x
 //
-// Of a session that is beginning its starter decides how it ends, also when it is lost meanwhile. Its users still know
-// it as an orphaned session, as the former session told them, so it does not speak before its endpoints are there. One that is
-// alone was an orphaned session before, whether it spoke or not, so there is nothing more to say of its connection.
+// Of a session that is beginning its starter decides how it ends, also when it is lost meanwhile.
+// Its users still know it as an orphaned session, as the former session told them, so it does not
+// speak before its endpoints are there. One that is alone was an orphaned session before, whether
+// it spoke or not, so there is nothing more to say of its connection.
 #pragma once
 
 #include <agnocast/connection_state.hpp>
@@ -78,7 +80,8 @@ class SessionState {
     return phase;
   }
 
-  /// Of a further session, before anybody else knows it: it is an orphaned session for the reason that the former one has.
+  /// Of a further session, before anybody else knows it: it is an orphaned session for the reason
+  /// that the former one has.
   void begin_beside(const SessionState& former) noexcept {
     phase_.store(Phase::beginning, std::memory_order_relaxed);
     connection_.store(ConnectionState::orphaned, std::memory_order_relaxed);
@@ -112,7 +115,8 @@ class SessionState {
     const Phase now = phase();
     return now == Phase::alone || now == Phase::lost;
   }
-  /// It was present, and is alone: it ends by itself as soon as another session is present and nobody uses it.
+  /// It was present, and is alone: it ends by itself as soon as another session is present and
+  /// nobody uses it.
   bool may_end_by_itself() const noexcept { return phase() == Phase::alone; }
   /// What becomes of its connection is told to its users.
   bool speaks() const noexcept {

@@ -2,8 +2,8 @@
 
 #include <client/shares/descriptor_share.hpp>
 
-#include <base/memory/map_count.hpp>
 #include <base/descriptors/unique_fd.hpp>
+#include <base/memory/map_count.hpp>
 
 #include <fcntl.h>
 #include <sys/eventfd.h>

@@ -325,8 +325,7 @@ void print(const Report& report, Console& console) {
   rules.add({"connect", connect.words(), connect.why});
   rules.add({"publish", report.publish.words(), report.publish.why});
   rules.add({"subscribe", report.subscribe.words(), report.subscribe.why});
-  for (const Beside& one : report.beside)
-    rules.add({"memory", one.subscribe.words(), one.why()});
+  for (const Beside& one : report.beside) rules.add({"memory", one.subscribe.words(), one.why()});
   rules.print(console);
   console.line("");
   console.line(console.strong(report.user.who.words()));
@@ -361,9 +360,8 @@ std::uint64_t endpoints_of_user(const Look& look, const std::vector<Endpoint>& e
 Outcome<std::vector<Beside>> topics_beside(Look& look, const Report& report) {
   std::vector<Beside> all;
   const auto publishes = [](const Topic& topic, std::uint64_t client) {
-    return std::any_of(
-        topic.publishers.begin(), topic.publishers.end(),
-        [&](const Endpoint& publisher) { return publisher.facts.client == client; });
+    return std::any_of(topic.publishers.begin(), topic.publishers.end(),
+                       [&](const Endpoint& publisher) { return publisher.facts.client == client; });
   };
   for (const auto& [index, own] : look.system.topics) {
     if (own.name != report.topic || own.facts.domain != report.domain) continue;

@@ -94,7 +94,8 @@ std::vector<Route> routes_of(const BridgeState& bridge, const Rates& rates) {
     route.without_remote_publisher += dds_reader.without_remote_publisher;
     route.overflow += dds_reader.overflow;
   }
-  for (const BridgeLocalReader& local_reader : bridge.local_readers) route_of(local_reader.topic, local_reader.type, true).lost += local_reader.lost;
+  for (const BridgeLocalReader& local_reader : bridge.local_readers)
+    route_of(local_reader.topic, local_reader.type, true).lost += local_reader.lost;
   std::vector<Route> list;
   for (auto& [key, route] : routes) list.push_back(std::move(route));
   return list;
@@ -375,7 +376,8 @@ void print_about(const About& about, Console& console) {
     console.line("  Age: " + duration_for_people(endpoint->age_ns));
   }
   for (const BridgeDdsReader* const dds_reader : about.dds_readers) {
-    console.line("\nReader in DDS: " + escaped(dds_reader->guid) + ", for " + list_of(dds_reader->nodes));
+    console.line("\nReader in DDS: " + escaped(dds_reader->guid) + ", for " +
+                 list_of(dds_reader->nodes));
     console.line("  Type: " + escaped(dds_reader->type));
     console.line("  QoS: " + qos_words(dds_reader->qos));
     console.line("  Matched: " + counted(dds_reader->matched, "writer") + ", " +
@@ -399,8 +401,8 @@ void print_about(const About& about, Console& console) {
 }
 
 Object about_object(const About& about) {
-  Object endpoints = Object::array(), dds_readers = Object::array(), local_readers = Object::array(),
-         services = Object::array(), unbridged = Object::array();
+  Object endpoints = Object::array(), dds_readers = Object::array(),
+         local_readers = Object::array(), services = Object::array(), unbridged = Object::array();
   for (const BridgeEndpoint* const endpoint : about.endpoints) {
     endpoints.push_back({{"direction", way_word(endpoint->is_out)},
                          {"type", endpoint->type},
@@ -418,16 +420,18 @@ Object about_object(const About& about) {
   }
   for (const BridgeDdsReader* const dds_reader : about.dds_readers)
     dds_readers.push_back({{"type", dds_reader->type},
-                      {"nodes", dds_reader->nodes},
-                      {"guid", dds_reader->guid},
-                      {"qos", qos_object(dds_reader->qos)},
-                      {"matched", dds_reader->matched},
-                      {"incompatible", dds_reader->incompatible},
-                      {"malformed", dds_reader->malformed},
-                      {"without_remote_publisher", dds_reader->without_remote_publisher},
-                      {"overflow", dds_reader->overflow}});
+                           {"nodes", dds_reader->nodes},
+                           {"guid", dds_reader->guid},
+                           {"qos", qos_object(dds_reader->qos)},
+                           {"matched", dds_reader->matched},
+                           {"incompatible", dds_reader->incompatible},
+                           {"malformed", dds_reader->malformed},
+                           {"without_remote_publisher", dds_reader->without_remote_publisher},
+                           {"overflow", dds_reader->overflow}});
   for (const BridgeLocalReader* const local_reader : about.local_readers)
-    local_readers.push_back({{"type", local_reader->type}, {"qos", qos_object(local_reader->qos)}, {"lost", local_reader->lost}});
+    local_readers.push_back({{"type", local_reader->type},
+                             {"qos", qos_object(local_reader->qos)},
+                             {"lost", local_reader->lost}});
   for (const BridgeService* const service : about.services)
     services.push_back(service_object(*service));
   for (const BridgeLack* const lack : about.unbridged) unbridged.push_back(lack_object(*lack));

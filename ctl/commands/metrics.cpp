@@ -8,8 +8,8 @@
 // endpoint ends, and Prometheus would take that for a reset of the counter.
 
 #include <base/clock.hpp>
-#include <base/text/text.hpp>
 #include <base/descriptors/unique_fd.hpp>
+#include <base/text/text.hpp>
 #include <ctl/cli/commands.hpp>
 #include <ctl/cli/waiting.hpp>
 #include <ctl/snapshot/numbers.hpp>

@@ -182,8 +182,7 @@ Ailments daemon_silent(const Facts& facts) {
       door.listener_stopped || is_code(facts, Errc::layout_mismatch) ||
       is_code(facts, Errc::store_damaged) || is_code(facts, Errc::quota_exceeded) ||
       is_code(facts, Errc::protocol_violation) || is_code(facts, Errc::descriptors_withheld) ||
-      is_code(facts, Errc::daemon_untrusted) ||
-      is_short_of_descriptors(facts);
+      is_code(facts, Errc::daemon_untrusted) || is_short_of_descriptors(facts);
   return when(facts.away && door.kind == Kind::socket && door.closed.empty() && !is_named,
               {"the program that listens at " + at_door(facts) +
                " does not serve requests: " + (facts.away ? facts.away->why : "")});

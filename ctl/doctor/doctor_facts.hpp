@@ -99,7 +99,7 @@ struct Facts {
   std::vector<BridgeState> bridges;
   std::vector<std::pair<std::string, std::uint64_t>> dead_bridges;  // sockets, with domains
   std::vector<std::string> idle_bridge_units;                       // enabled, without an answer
-  std::uint64_t unit_domain = 0;  // of agnocast-bridge.service
+  std::uint64_t unit_domain = 0;                                    // of agnocast-bridge.service
   std::string rival_bridge_unit;  // an enabled instance of the same domain
   /// For each bridge, by its pid: its unit, or its command line if it has none.
   std::map<std::uint64_t, std::string> bridge_units, bridge_commands;
@@ -109,8 +109,8 @@ struct Facts {
   std::string prefix_path, units_prefix_path;  // AMENT_PREFIX_PATH of this shell and of the units
   std::uint64_t receive_buffer_max = 0;
 
-  std::map<pid_t, Running> processes;  // by pid, as far as /proc shows them
-  std::vector<Running> outsiders;    // processes of this daemon without a session
+  std::map<pid_t, Running> processes;      // by pid, as far as /proc shows them
+  std::vector<Running> outsiders;          // processes of this daemon without a session
   std::vector<std::optional<Rule>> rules;  // one for each of system().refusals
 
   const System& system() const { return look->system; }

@@ -107,16 +107,16 @@ Ailments quota(const Facts& facts) {
     const struct {
       const char* key;
       std::uint64_t used, limit;
-    } shares[] = {{"clients", use.clients, quota.clients},
-                  {"topics", use.topics, quota.topics},
-                  {"publishers", use.publishers, quota.publishers},
-                  {"subscriptions", use.subscriptions, quota.subscriptions},
-                  {"publishers_per_topic", use.publishers_per_topic, quota.publishers_per_topic},
-                  {"subscriptions_per_topic", use.subscriptions_per_topic,
-                   quota.subscriptions_per_topic},
-                  {"executors", use.executors, quota.executors},
-                  {"heap_bytes", use.heap_bytes, quota.heap_bytes},
-                  {"held_messages", use.held_messages, quota.held_messages}};
+    } shares[] = {
+        {"clients", use.clients, quota.clients},
+        {"topics", use.topics, quota.topics},
+        {"publishers", use.publishers, quota.publishers},
+        {"subscriptions", use.subscriptions, quota.subscriptions},
+        {"publishers_per_topic", use.publishers_per_topic, quota.publishers_per_topic},
+        {"subscriptions_per_topic", use.subscriptions_per_topic, quota.subscriptions_per_topic},
+        {"executors", use.executors, quota.executors},
+        {"heap_bytes", use.heap_bytes, quota.heap_bytes},
+        {"held_messages", use.held_messages, quota.held_messages}};
     for (const auto& share : shares) {
       if (!is_near(share.used, share.limit)) continue;
       keys.insert(share.key + std::to_string(user.uid));
@@ -165,13 +165,15 @@ Ailments depth(const Facts& facts) {
 bool has_several_users(const Facts& facts) {
   std::set<std::uint64_t> uids;
   if (facts.look) {
-    for (const auto& [index, process] : facts.look->system.processes) uids.insert(process.facts.uid);
+    for (const auto& [index, process] : facts.look->system.processes)
+      uids.insert(process.facts.uid);
   }
   return uids.size() > 1;
 }
 
 Ailments page_collapse(const Facts& facts) {
-  if (facts.huge_pages.empty() || facts.huge_pages == "deny" || !has_several_users(facts)) return {};
+  if (facts.huge_pages.empty() || facts.huge_pages == "deny" || !has_several_users(facts))
+    return {};
   return {
       {"shmem_enabled is " + facts.huge_pages + ", and processes of several users are connected"}};
 }

@@ -133,7 +133,8 @@ Ailments lock_limit(const Facts& facts) {
 Ailments address_limit(const Facts& facts) {
   Ailments found;
   for (const auto& [pid, process] : facts.processes) {
-    if (!process.address_limit || process.address_bytes + peer_address_bytes <= *process.address_limit)
+    if (!process.address_limit ||
+        process.address_bytes + peer_address_bytes <= *process.address_limit)
       continue;
     found.push_back({"process " + std::to_string(pid) + " has " +
                          bytes_for_people(process.address_bytes) + " of addresses of at most " +

@@ -3,9 +3,9 @@
 #include <ctl/snapshot/bridges.hpp>
 
 #include <base/clock.hpp>
-#include <base/text/text.hpp>
 #include <base/descriptors/unique_fd.hpp>
 #include <base/sockets/unix_address.hpp>
+#include <base/text/text.hpp>
 
 #include <poll.h>
 #include <sys/socket.h>
@@ -228,7 +228,8 @@ Outcome<BridgeState> parse_bridge(std::string_view text, const std::string& path
     of("matched", dds_reader.matched);
     of("incompatible", dds_reader.incompatible);
     of("malformed", dds_reader.malformed);
-    if (of.has("without_remote_publisher")) of("without_remote_publisher", dds_reader.without_remote_publisher);
+    if (of.has("without_remote_publisher"))
+      of("without_remote_publisher", dds_reader.without_remote_publisher);
     if (of.has("overflow")) of("overflow", dds_reader.overflow);
   });
   fields.each("local_readers", [&](Fields& of) {

@@ -21,7 +21,7 @@ bool is_linked(const System& system, const Endpoint& publisher, const Endpoint& 
   std::byte* const region = system.region_of(subscription);
   if (region == nullptr) return false;
   const region::LinkWords<SharedMemory> line{region, subscription.facts.extent,
-                                                publisher.facts.index};
+                                             publisher.facts.index};
   return line.publisher_generation().load(std::memory_order_acquire) == publisher.facts.generation;
 }
 

@@ -153,7 +153,8 @@ Outcome<Observer> Observer::connect(const std::string& path) {
     std::string why = sentence_of(failure.code);
     if (failure.code == Errc::invalid_argument || failure.code == Errc::os_failure)
       why = failure.what;
-    if (failure.code == Errc::daemon_untrusted) why += std::string(": ") + escaped(detail_of(failure));
+    if (failure.code == Errc::daemon_untrusted)
+      why += std::string(": ") + escaped(detail_of(failure));
     if (failure.os_errno != 0) why += ": " + std::generic_category().message(failure.os_errno);
     return tl::unexpected(Problem{status_of(failure.code), escaped(path), why,
                                   remedy_of(failure.code), failure.code});

@@ -9,9 +9,9 @@
 
 #include <agnocast/abi/board.hpp>
 #include <agnocast/abi/observe.hpp>
-#include <base/sockets/answer_packet.hpp>
 #include <base/memory/mapping.hpp>
 #include <base/memory/memory_policy.hpp>
+#include <base/sockets/answer_packet.hpp>
 #include <base/sockets/packet_socket.hpp>
 #include <ctl/cli/problem.hpp>
 #include <ctl/snapshot/journal.hpp>

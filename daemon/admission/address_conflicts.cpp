@@ -71,7 +71,8 @@ Result<void> AddressConflicts::add_obstacle(const PeerIdentity& identity, Client
   const std::size_t before = obstacles_.of(client).size();
   if (auto added = obstacles_.add(client, identity.uid, range.base, range.bytes, what); !added)
     return added;
-  // Said again, which has told its publishers nothing new: every notice here is one to somebody else.
+  // Said again, which has told its publishers nothing new: every notice here is one to somebody
+  // else.
   if (obstacles_.of(client).size() == before) return {};
   log_for_user(log_, LogLevel::info, identity.uid, "addresses blocked",
                {{"pid", identity.pid},
@@ -83,8 +84,8 @@ Result<void> AddressConflicts::add_obstacle(const PeerIdentity& identity, Client
   return {};
 }
 
-/// The next window of a process: where it can have it itself, and as few others as possible cannot map
-/// it.
+/// The next window of a process: where it can have it itself, and as few others as possible cannot
+/// map it.
 Result<WindowRecord> AddressConflicts::choose_window(ClientIndex client) {
   const ClientRecord& record = registry_.client(client);
   const std::uint64_t bytes = arena_.window_bytes;
@@ -131,7 +132,8 @@ bool AddressConflicts::should_move(ClientIndex owner) const {
   return should;
 }
 
-/// Looked for once in a request: it walks all matches of the owner, and there may be as many to tell of.
+/// Looked for once in a request: it walks all matches of the owner, and there may be as many to
+/// tell of.
 const std::string& AddressConflicts::why_not_moved(ClientIndex owner, ClientIndex reader) {
   const auto [known, is_new] =
       why_not_moved_.try_emplace({number(owner), number(reader)}, std::string());

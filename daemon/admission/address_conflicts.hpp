@@ -1,21 +1,23 @@
 // SPDX-License-Identifier: Apache-2.0
 //
-// AddressConflicts: a heap lies where a process that reads from it has something else (obstacles.hpp).
+// AddressConflicts: a heap lies where a process that reads from it has something else
+// (obstacles.hpp).
 //
 //   publisher's process:  | window 0 | window 1 |         window 0 is given up, it goes on in window 1
 //   subscriber's process: |     a JIT |         |         gets what is published from then on
 //
-// Nothing that exists is moved. Both endpoints get a notice, and the owner of the heap is asked to open a
-// window that all its readers can map and to allocate from that one alone: the new window begins a window set. What lies in
-// the window set before is lost to that subscription; the others read it as ever. A process is asked
-// heap_move_max times at most, and only if there is such a window: then its heap stays where it is.
-// What another user claims never takes the last of anything: a move, a window and its bytes in the quota
-// remain for the owner's own user, whose claims are not lies about other users.
+// Nothing that exists is moved. Both endpoints get a notice, and the owner of the heap is asked to
+// open a window that all its readers can map and to allocate from that one alone: the new window
+// begins a window set. What lies in the window set before is lost to that subscription; the others
+// read it as ever. A process is asked heap_move_max times at most, and only if there is such a
+// window: then its heap stays where it is. What another user claims never takes the last of
+// anything: a move, a window and its bytes in the quota remain for the owner's own user, whose
+// claims are not lies about other users.
 #pragma once
 
 #include <agnocast/abi/wire.hpp>
-#include <base/text/log.hpp>
 #include <base/sockets/peer_identity.hpp>
+#include <base/text/log.hpp>
 #include <daemon/admission/admission.hpp>
 #include <daemon/config/config.hpp>
 #include <daemon/lifecycle/endpoint_manager.hpp>
@@ -51,11 +53,12 @@ class AddressConflicts {
   /// A process says that it has something else in the arena. Errors: as Obstacles::add.
   [[nodiscard]] Result<void> add_obstacle(const PeerIdentity& identity, ClientIndex client,
                                           const wire::Blocked& range);
-  /// Chooses the next window of a process: one that the process itself can map, and that as few others as
-  /// possible cannot. Errors: arena_occupied, limit_reached.
+  /// Chooses the next window of a process: one that the process itself can map, and that as few
+  /// others as possible cannot. Errors: arena_occupied, limit_reached.
   [[nodiscard]] Result<WindowRecord> choose_window(ClientIndex client);
 
-  /// Look for conflicts, tell both processes of those that are new, and ask the owner of the heap to move.
+  /// Look for conflicts, tell both processes of those that are new, and ask the owner of the heap
+  /// to move.
   void look_at(const EndpointRef& publisher, const EndpointRef& subscription);
   void look_at_publishers_of(ClientIndex owner);
   void look_at_subscriptions_of(ClientIndex reader);

@@ -35,8 +35,8 @@ std::uint64_t Admission::places_quota(Kind kind) const noexcept {
 }
 
 Result<void> Admission::admit_client(std::uint32_t uid, bool counts_as_observer) {
-  // Room for one more connection there may be for processes that come back. Those that are gone count
-  // as long as others have something of them.
+  // Room for one more connection there may be for processes that come back. Those that are gone
+  // count as long as others have something of them.
   const std::uint64_t quota = config_.quota.clients;
   const std::uint64_t used = registry_.usage_of(uid).clients;
   if (counts_as_observer || used >= quota)
@@ -127,12 +127,13 @@ Result<void> Admission::check_places(const ClientRecord& record, const CreateReq
                        "[quota] subscriptions_per_topic");
   const auto allowed = check_limit(used.publishers, 1, places_quota(Kind::publisher),
                                    "[quota] publishers_per_topic");
-  if (!allowed) return endpoint_manager_.endings().explain_full(*known, allowed.error(), record.uid);
+  if (!allowed)
+    return endpoint_manager_.endings().explain_full(*known, allowed.error(), record.uid);
   return {};
 }
 
-// A number that its user has set and cannot have of any publisher there is. Where one is its own user's
-// the number is true of that one, and nobody who publishes as well can keep it out.
+// A number that its user has set and cannot have of any publisher there is. Where one is its own
+// user's the number is true of that one, and nobody who publishes as well can keep it out.
 Result<void> Admission::check_hold_quota(const ClientRecord& record, const CreateRequest& request) {
   const auto known = registry_.find_topic(record.domain, request.topic);
   if (request.quota_or_less || !known) return {};

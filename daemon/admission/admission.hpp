@@ -24,8 +24,8 @@ namespace agnocast::daemon {
 class Admission {
  public:
   Admission(const Config& config, const Arena& arena, const AddressPlan& plan,
-            const Registry& registry, const EndpointManager& endpoint_manager, const DescriptorStore& store,
-            const AccessControl& access) noexcept
+            const Registry& registry, const EndpointManager& endpoint_manager,
+            const DescriptorStore& store, const AccessControl& access) noexcept
       : config_(config),
         arena_(arena),
         plan_(plan),

@@ -1,7 +1,7 @@
 // SPDX-License-Identifier: Apache-2.0
 //
-// RefusalReport: tells everybody who has to know that a request was refused: the process that asked, the log,
-// and people who ask later (Refusals).
+// RefusalReport: tells everybody who has to know that a request was refused: the process that
+// asked, the log, and people who ask later (Refusals).
 #pragma once
 
 #include <base/text/log.hpp>

@@ -67,9 +67,9 @@ const AccessRule* deciding_rule(std::span<const AccessRule> rules, std::uint64_t
 Decision decide(std::span<const AccessRule> rules, const Subject& subject, std::uint64_t domain,
                 std::string_view topic, Action action) noexcept;
 
-/// Who may subscribe to this topic, as a number: equal for equal sets of users and groups, however the
-/// rules write them. Never 0; everybody_reads when everybody may. By it the daemon compares the readers
-/// of the topics of a process, whose messages lie in one heap.
+/// Who may subscribe to this topic, as a number: equal for equal sets of users and groups, however
+/// the rules write them. Never 0; everybody_reads when everybody may. By it the daemon compares the
+/// readers of the topics of a process, whose messages lie in one heap.
 std::uint64_t readers_of(std::span<const AccessRule> rules, std::uint64_t domain,
                          std::string_view topic) noexcept;
 inline constexpr std::uint64_t everybody_reads = 1;

@@ -32,8 +32,8 @@ namespace agnocast::daemon {
 /// "unlimited" in the file.
 inline constexpr std::uint64_t unlimited = std::numeric_limits<std::uint64_t>::max();
 
-/// What one user may have by default of something that there is for everybody: nobody takes the last
-/// places alone. Of what is too little to be divided, all.
+/// What one user may have by default of something that there is for everybody: nobody takes the
+/// last places alone. Of what is too little to be divided, all.
 constexpr std::uint64_t share_of_one_user(std::uint64_t all) noexcept { return all - all / 4; }
 
 struct Config {
@@ -43,8 +43,8 @@ struct Config {
     std::uint32_t socket_mode = 0660;
     std::string socket_group;  // empty: the group "agnocast" if there is one
     LogLevel log_level = LogLevel::info;
-    // 0: off. As long as WatchdogSec= of the unit: a loop that hangs costs nobody messages, and no load of a
-    // machine keeps a process from running for so long.
+    // 0: off. As long as WatchdogSec= of the unit: a loop that hangs costs nobody messages, and no
+    // load of a machine keeps a process from running for so long.
     std::uint32_t watchdog_seconds = 30;
     friend bool operator==(const Daemon&, const Daemon&) = default;
   };
@@ -85,10 +85,12 @@ struct Config {
     std::uint64_t queued_seconds = 30;
     // What full tables cost then is a tenth or two of a core; tools look once a second.
     std::uint64_t dumps_per_second = 20;
-    /// Bytes of the regions of one user's processes together. The memory of an endpoint that has ended stays with its process
-    /// for the next one; twice what the endpoints need that there may be at once, as extents of two sizes leave gaps.
+    /// Bytes of the regions of one user's processes together. The memory of an endpoint that has
+    /// ended stays with its process for the next one; twice what the endpoints need that there may
+    /// be at once, as extents of two sizes leave gaps.
     std::uint64_t region_bytes() const noexcept {
-      return 2 * (publishers * abi::publisher_extent_bytes + subscriptions * abi::subscription_extent_bytes);
+      return 2 * (publishers * abi::publisher_extent_bytes +
+                  subscriptions * abi::subscription_extent_bytes);
     }
     friend bool operator==(const Quota&, const Quota&) = default;
   };

@@ -82,7 +82,8 @@ constexpr Key keys[] = {
      AGNOCAST_NUMBER(quota.subscriptions), ""},
     {"quota", "publishers_per_topic", Kind::count, 1, many, 0, "auto", 0,
      AGNOCAST_NUMBER(quota.publishers_per_topic),
-     "publishers of one user in one topic; auto: three quarters of what [limits] allows, or unlimited",
+     "publishers of one user in one topic; auto: three quarters of what [limits] allows, or "
+     "unlimited",
      "unlimited", unlimited},
     {"quota", "subscriptions_per_topic", Kind::count, 1, many, 0, "auto", 0,
      AGNOCAST_NUMBER(quota.subscriptions_per_topic), "likewise", "unlimited", unlimited},
@@ -211,7 +212,8 @@ std::string to_toml(const Config& config) {
       "\n# Who may use which topics. The first rule that matches the topic and speaks of the "
       "action\n"
       "# decides; without one, everybody may. * and ? stand for characters of one name between\n"
-      "# slashes, ** for anything. A list that is empty means nobody. A process publishes on topics\n"
+      "# slashes, ** for anything. A list that is empty means nobody. A process publishes on "
+      "topics\n"
       "# with the same subscribers only: they share its memory.\n"
       "#\n"
       "# [[access]]\n"

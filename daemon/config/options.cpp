@@ -2,8 +2,8 @@
 
 #include <agnocast/abi/fingerprint.hpp>
 #include <agnocast/version.hpp>
-#include <base/text/text.hpp>
 #include <base/sockets/unix_address.hpp>
+#include <base/text/text.hpp>
 #include <daemon/config/options.hpp>
 
 #include <CLI/CLI.hpp>

@@ -51,8 +51,7 @@ std::optional<DeathStep> ClientDeath::next_close() {
     const EndpointRef& ref = endpoints_[next_endpoint_++];
     if (ref.kind != Kind::subscription || !is_ours(ref)) continue;
     const EndpointState state = registry_.subscription(ref.topic, ref.index).state;
-    if (state == EndpointState::active || state == EndpointState::leaving)
-      return death::Close{ref};
+    if (state == EndpointState::active || state == EndpointState::leaving) return death::Close{ref};
   }
   return std::nullopt;
 }
@@ -67,8 +66,8 @@ std::optional<DeathStep> ClientDeath::next_orphan() {
   return std::nullopt;
 }
 
-// What nobody has any more lies in the topics that it knew, and in those of its own endpoints. Nothing of it is
-// active by now, so it is told of nothing again.
+// What nobody has any more lies in the topics that it knew, and in those of its own endpoints.
+// Nothing of it is active by now, so it is told of nothing again.
 std::optional<DeathStep> ClientDeath::next_acknowledge() {
   if (!to_free_.empty()) {
     const EndpointRef ref = to_free_.back();

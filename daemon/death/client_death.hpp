@@ -1,7 +1,8 @@
 // SPDX-License-Identifier: Apache-2.0
 //
-// ClientDeath: the states of a client whose session is over, from the record of its death until its place is free.
-// A core without I/O: it reads the registry and says what the next step is; Reaping (reaper.hpp) carries it out.
+// ClientDeath: the states of a client whose session is over, from the record of its death until its
+// place is free. A core without I/O: it reads the registry and says what the next step is; Reaping
+// (reaper.hpp) carries it out.
 //
 //     ClientState    state            verb → function
 //
@@ -21,14 +22,15 @@
 //       ▼
 //     free
 //
-// One that was revoked goes the same way while its process lives, and stays `forgotten` until that ends
-// (ClientTermination::free_revoked). Which of these states a daemon that starts begins with says journal/cases.hpp: its
-// `recover` and `finish` are the first one, its `settle` is the last one.
+// One that was revoked goes the same way while its process lives, and stays `forgotten` until that
+// ends (ClientTermination::free_revoked). Which of these states a daemon that starts begins with
+// says journal/cases.hpp: its `recover` and `finish` are the first one, its `settle` is the last
+// one.
 //
-// Truths: from `orphaning` on no subscription of it is active or leaving; from `unmapping` on no publisher of it is
-// active; from `forgetting` on no announce set of an endpoint has it. The daemon may die in each state: the tables
-// have `dead`, so the next daemon begins again with `closing`, and finds done what was done. A daemon that dies in
-// `forgotten` leaves nothing to repeat.
+// Truths: from `orphaning` on no subscription of it is active or leaving; from `unmapping` on no
+// publisher of it is active; from `forgetting` on no announce set of an endpoint has it. The daemon
+// may die in each state: the tables have `dead`, so the next daemon begins again with `closing`,
+// and finds done what was done. A daemon that dies in `forgotten` leaves nothing to repeat.
 #pragma once
 
 #include <daemon/state/registry.hpp>
@@ -77,8 +79,9 @@ class ClientDeath {
   /// `client` is dead in the tables.
   ClientDeath(ClientIndex client, const Registry& registry);
 
-  /// What is to be done next. Nothing: it is forgotten. What an earlier step said is done by now; others may have been
-  /// served meanwhile, to whom what is left of the client looks as if it lived.
+  /// What is to be done next. Nothing: it is forgotten. What an earlier step said is done by now;
+  /// others may have been served meanwhile, to whom what is left of the client looks as if it
+  /// lived.
   std::optional<DeathStep> next();
   DeathState state() const noexcept { return state_; }
   ClientIndex client() const noexcept { return client_; }

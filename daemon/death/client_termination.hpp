@@ -1,11 +1,13 @@
 // SPDX-License-Identifier: Apache-2.0
 //
-// ClientTermination: what the end of a connection, the end of a process and an order to revoke mean.
+// ClientTermination: what the end of a connection, the end of a process and an order to revoke
+// mean.
 //
 //   connection ended   drop (nobody's), or detach: the process lives, and may come back
 //   process ended      drop, or reap; a revoked one: its place becomes free
 //   region gone        reap: after exec, or when the library was shut down
-//   revoke             reap although the process lives; the process is told, and its pidfd stays watched
+//   revoke             reap although the process lives; the process is told, and its pidfd stays
+//   watched
 //
 // journal/cases.hpp decides between them; this class carries the decision out.
 #pragma once

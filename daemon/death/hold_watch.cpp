@@ -12,11 +12,12 @@ namespace {
 
 // Lines and places that one look goes over, of all users: below a millisecond.
 constexpr std::uint32_t steps_per_look = 4096;
-// And of one user. So the lines of each are looked at once in as many looks as there are shares in them, times one
-// for each eight users. A subscription that is begun is finished: at most 254 lines more.
+// And of one user. So the lines of each are looked at once in as many looks as there are shares in
+// them, times one for each eight users. A subscription that is begun is finished: at most 254 lines
+// more.
 constexpr std::uint32_t steps_per_slice = 512;
-// Looks in a row above the quota that make it certain. One a second: there is no hurry, and somebody
-// who looks with agnocast-ctl verify can still see it.
+// Looks in a row above the quota that make it certain. One a second: there is no hurry, and
+// somebody who looks with agnocast-ctl verify can still see it.
 constexpr unsigned looks_needed = 6;
 
 }  // namespace
@@ -29,7 +30,7 @@ std::uint64_t HoldWatch::held_beyond_quota(TopicIndex topic, std::uint32_t subsc
       !regions_.is_open(record.client))
     return 0;
   const region::LinkWords<SharedMemory> line{regions_.region(record.client), record.extent,
-                                                publisher};
+                                             publisher};
   // The words behind the line have memory only when there are slots for them.
   const std::uint64_t slots = std::max<std::uint64_t>(
       registry_.publisher(topic, publisher).slot_count, abi::near_slot_count);

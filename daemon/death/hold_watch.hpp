@@ -4,12 +4,12 @@
 //
 // The library takes nothing beyond the quota, so only a process that writes its lines itself gets
 // there; what it holds is slots and memory of its publisher, who was promised a bound. Looking is
-// for now and then and costs a bounded number of lines each time. Users have their time slices, each with a
-// share of the lines, and go on where their last time slice ended: one who has very many lines is looked at as
-// often as the others, and only its own round takes longer.
+// for now and then and costs a bounded number of lines each time. Users have their time slices,
+// each with a share of the lines, and go on where their last time slice ended: one who has very
+// many lines is looked at as often as the others, and only its own round takes longer.
 //
-// A line is several words that its owner changes while they are read. So a bit counts only if it was
-// set in two rounds, and a subscription is reported only when that came out above its quota in
+// A line is several words that its owner changes while they are read. So a bit counts only if it
+// was set in two rounds, and a subscription is reported only when that came out above its quota in
 // several looks in a row: an honest one would have to release and take the same slots again between
 // the words of each of them.
 #pragma once
@@ -35,8 +35,9 @@ class HoldWatch {
     std::uint64_t held = 0;  // of one publisher
     std::uint64_t quota = 0;
   };
-  /// Looks at the next lines in turn, and again at those that were above their quota the last time. At
-  /// most one of each user: the end of its process is work, and others are not to wait behind it.
+  /// Looks at the next lines in turn, and again at those that were above their quota the last time.
+  /// At most one of each user: the end of its process is work, and others are not to wait behind
+  /// it.
   std::vector<Finding> look();
 
  private:
@@ -61,7 +62,7 @@ class HoldWatch {
 
   const Registry& registry_;
   const Regions& regions_;
-  std::optional<std::uint32_t> last_user_;  // the user of the last time slice
+  std::optional<std::uint32_t> last_user_;       // the user of the last time slice
   std::map<std::uint32_t, Position> positions_;  // by uid
   std::map<Key, Suspect> suspects_;
 };

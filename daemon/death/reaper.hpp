@@ -4,8 +4,8 @@
 //
 // A dead process leaves (a) holds on other people's messages, (b) at most one open intent per
 // publisher, (c) a region and windows that others still map. They are undone in exactly this order,
-// and a window may be used again only when everybody who was told about it has let go (rule RU). The
-// steps and their order: client_death.hpp.
+// and a window may be used again only when everybody who was told about it has let go (rule RU).
+// The steps and their order: client_death.hpp.
 //
 // Every step may be repeated. The reaper never trusts a value that the dead process wrote, and
 // never takes the end of a connection for a death: only the pidfd says it, or a process that has no
@@ -35,10 +35,11 @@ struct Reaped {
   std::uint64_t corrupt = 0;
 };
 
-/// The end of one process, endpoint by endpoint, and topic by topic of what it knew. `client` is alive in the tables, or was being reaped when
-/// the daemon died, and its process stores no more, unless the reason is `revoked`. A process whose region was
-/// lost has no queues to repair: its publishers end as they are. Between two calls others are served; what is
-/// left of the process looks to them as if it lived.
+/// The end of one process, endpoint by endpoint, and topic by topic of what it knew. `client` is
+/// alive in the tables, or was being reaped when the daemon died, and its process stores no more,
+/// unless the reason is `revoked`. A process whose region was lost has no queues to repair: its
+/// publishers end as they are. Between two calls others are served; what is left of the process
+/// looks to them as if it lived.
 class Reaping {
  public:
   /// Journals the death.
@@ -69,8 +70,8 @@ class Reaping {
   Reaped reaped_;
 };
 
-/// Whether the process has a mapping of this file. True as well when it cannot be known; nothing when
-/// there is no descriptor or no memory to look now.
+/// Whether the process has a mapping of this file. True as well when it cannot be known; nothing
+/// when there is no descriptor or no memory to look now.
 std::optional<bool> maps_file(pid_t pid, const Regions::FileId& file) noexcept;
 
 }  // namespace agnocast::daemon

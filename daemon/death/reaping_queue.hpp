@@ -1,8 +1,8 @@
 // SPDX-License-Identifier: Apache-2.0
 //
-// ReapingQueue: ends of processes that take more than one iteration of the loop. A process with thousands of
-// endpoints takes many; the queue gives each end its time slice, so that one that leaves much behind does not keep
-// other processes from being told of another end.
+// ReapingQueue: ends of processes that take more than one iteration of the loop. A process with
+// thousands of endpoints takes many; the queue gives each end its time slice, so that one that
+// leaves much behind does not keep other processes from being told of another end.
 #pragma once
 
 #include <daemon/death/reaper.hpp>
@@ -21,7 +21,10 @@ class ReapingQueue {
 
   ReapingQueue(Registry& registry, Regions& regions, Doorbells& doorbells,
                EndpointManager& endpoint_manager) noexcept
-      : registry_(registry), regions_(regions), doorbells_(doorbells), endpoint_manager_(endpoint_manager) {}
+      : registry_(registry),
+        regions_(regions),
+        doorbells_(doorbells),
+        endpoint_manager_(endpoint_manager) {}
 
   /// Journals the end and does a part of the work now; `then` is called when all of it is done.
   void begin(ClientIndex client, journal::DeathReason reason, AfterReaping then,

@@ -11,28 +11,29 @@
 namespace agnocast::daemon {
 namespace {
 
-// Looks in a row that make it certain of one that is deaf, at most one a second: five seconds are long
-// for a thread that only has to read a packet.
+// Looks in a row that make it certain of one that is deaf, at most one a second: five seconds are
+// long for a thread that only has to read a packet.
 constexpr unsigned deaf_looks_needed = 5;
 // The same of any other. A library that was refused asks every five seconds
 // (Reconnection::pause_refused), and a slow machine has hundreds of them to take back and to tell.
 constexpr unsigned looks_needed = 30;
-// Records and words of shared memory that one call looks at: below a millisecond. An endpoint that is
-// begun is finished: another 25,000 at most.
+// Records and words of shared memory that one call looks at: below a millisecond. An endpoint that
+// is begun is finished: another 25,000 at most.
 constexpr std::uint64_t steps_per_call = 16'384;
 // And for one user, so that four have a time slice in each call.
 constexpr std::uint64_t steps_per_slice = steps_per_call / 4;
 
 }  // namespace
 
-// Its own lines say so. A process that sets bits for nothing is bounded by its quota: see hold_watch.hpp.
+// Its own lines say so. A process that sets bits for nothing is bounded by its quota: see
+// hold_watch.hpp.
 bool UnmapWatch::holds(const SubscriptionRecord& subscription, const EndpointRef& of) {
   if ((subscription.state != EndpointState::active &&
        subscription.state != EndpointState::leaving) ||
       !regions_.is_open(subscription.client))
     return false;
   const region::LinkWords<SharedMemory> line{regions_.region(subscription.client),
-                                                subscription.extent, of.index};
+                                             subscription.extent, of.index};
   // The words behind the line have memory only when there are slots for them.
   const std::uint64_t slots = std::max<std::uint64_t>(
       registry_.publisher(of.topic, of.index).slot_count, abi::near_slot_count);
@@ -64,7 +65,7 @@ void UnmapWatch::note_debtors(Round& round, std::uint64_t generation, const Endp
 }
 
 void UnmapWatch::use_time_slice(std::uint32_t uid, Round& round,
-                           std::map<ClientIndex, Finding>& found) {
+                                std::map<ClientIndex, Finding>& found) {
   const auto of_user = endings_.given_up().find(uid);
   const std::uint64_t until = steps_ + steps_per_slice;
   for (; steps_ < until; ++round.next) {

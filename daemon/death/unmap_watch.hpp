@@ -2,22 +2,22 @@
 //
 // UnmapWatch: finds processes that do not unmap what is over, and so keep its place from others.
 //
-// By rule RU the place of an endpoint that is gone is free when everybody who was told of it has said
-// `unlinked`. Of more than a bounded number Endings gives the oldest up: what is unread there is
-// nobody's any more. Then nothing is left that a living process could want of them but messages that
-// it holds, and a library answers as soon as its control thread has read that it is to. Who neither
-// holds something nor answers is stopped, or broken, and what it keeps is others' to use: places,
-// processes, regions, heaps.
+// By rule RU the place of an endpoint that is gone is free when everybody who was told of it has
+// said `unlinked`. Of more than a bounded number Endings gives the oldest up: what is unread there
+// is nobody's any more. Then nothing is left that a living process could want of them but messages
+// that it holds, and a library answers as soon as its control thread has read that it is to. Who
+// neither holds something nor answers is stopped, or broken, and what it keeps is others' to use:
+// places, processes, regions, heaps.
 //
 // Only what was given up counts, so a process may be stopped as long as it likes while others have
-// room. It must not have let go of the same endpoint in each of many looks, so nobody is found who is
-// merely asked for one after the other. Few looks are enough if it was sent everything, or reads
-// nothing of it. Who reads, has no connection or has just come back gets more, and no more than that,
-// however often it comes back.
+// room. It must not have let go of the same endpoint in each of many looks, so nobody is found who
+// is merely asked for one after the other. Few looks are enough if it was sent everything, or reads
+// nothing of it. Who reads, has no connection or has just come back gets more, and no more than
+// that, however often it comes back.
 //
-// One look goes over everything that one user's processes had and that was given up, in as many calls as
-// that takes: others must not wait for it. Each user has looks of its own, and in a call its time slice: what
-// one has left behind makes no look at another's longer.
+// One look goes over everything that one user's processes had and that was given up, in as many
+// calls as that takes: others must not wait for it. Each user has looks of its own, and in a call
+// its time slice: what one has left behind makes no look at another's longer.
 #pragma once
 
 #include <daemon/lifecycle/endings.hpp>
@@ -43,8 +43,8 @@ class UnmapWatch {
     std::uint64_t generation = 0;  // of the oldest
     std::uint64_t count = 0;       // of such endpoints
   };
-  /// To be called about once a second. All that were found, a process once: one alone may make no place
-  /// free.
+  /// To be called about once a second. All that were found, a process once: one alone may make no
+  /// place free.
   std::vector<Finding> look();
   /// It is told everything once more.
   void notified_again(ClientIndex client);

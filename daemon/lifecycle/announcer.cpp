@@ -49,7 +49,7 @@ void Announcer::announce(const EndpointRef& subject, const EndpointRef& receiver
 }
 
 void Announcer::announce_publisher(TopicIndex topic, std::uint32_t index,
-                                    std::uint32_t subscription) {
+                                   std::uint32_t subscription) {
   const PublisherRecord& publisher = registry_.publisher(topic, index);
   const SubscriptionRecord& receiver = registry_.subscription(topic, subscription);
   if (record_member({Kind::publisher, topic, index}, receiver.client) == nullptr) return;
@@ -70,7 +70,7 @@ void Announcer::announce_publisher(TopicIndex topic, std::uint32_t index,
   }
   const auto bytes = packet_of(packet);
   send({Kind::publisher, topic, index}, receiver.client,
-           {{bytes.begin(), bytes.end()}, std::move(fds), {}});
+       {{bytes.begin(), bytes.end()}, std::move(fds), {}});
   if (on_matched)
     on_matched({Kind::publisher, topic, index}, {Kind::subscription, topic, subscription});
 }
@@ -83,7 +83,7 @@ bool Announcer::are_of_one_user(ClientIndex one, ClientIndex other) const {
 }
 
 void Announcer::announce_subscription(TopicIndex topic, std::uint32_t index,
-                                       std::uint32_t publisher) {
+                                      std::uint32_t publisher) {
   const SubscriptionRecord& subscription = registry_.subscription(topic, index);
   const PublisherRecord& receiver = registry_.publisher(topic, publisher);
   if (record_member({Kind::subscription, topic, index}, receiver.client) == nullptr) return;
@@ -96,17 +96,18 @@ void Announcer::announce_subscription(TopicIndex topic, std::uint32_t index,
   packet.same_user = same_user ? 1 : 0;
   const auto bytes = packet_of(packet);
   send({Kind::subscription, topic, index}, receiver.client,
-           {{bytes.begin(), bytes.end()},
-            {regions_.region_reader(subscription.client)},
-            [=, this, generation = subscription.generation](Outgoing& out) {
-              add_doorbells(out, {Kind::subscription, topic, index}, generation, same_user);
-            }});
+       {{bytes.begin(), bytes.end()},
+        {regions_.region_reader(subscription.client)},
+        [=, this, generation = subscription.generation](Outgoing& out) {
+          add_doorbells(out, {Kind::subscription, topic, index}, generation, same_user);
+        }});
 }
 
-// It may be over by now: whoever has drained its last publisher there has let go of what it never read
-// about. Then its place may be another's, of another user perhaps, and that one's doorbells are not for it.
+// It may be over by now: whoever has drained its last publisher there has let go of what it never
+// read about. Then its place may be another's, of another user perhaps, and that one's doorbells
+// are not for it.
 void Announcer::add_doorbells(Outgoing& packet, const EndpointRef& ref, std::uint64_t generation,
-                               bool same_user) {
+                              bool same_user) {
   if (!registry_.is_used(ref)) return;
   const SubscriptionRecord& subscription = registry_.subscription(ref.topic, ref.index);
   if (subscription.generation != generation ||
@@ -169,8 +170,7 @@ void Announcer::announce_region(ClientIndex client, ClientIndex owner) {
   // What the client says of the region before it has read all of this is said too early.
   Session* const session = channel_.session_of(client);
   AGNOCAST_CHECK(session != nullptr);
-  session->announcements().announced(region_of(owner),
-                                     session->packet_count() + 1);
+  session->announcements().announced(region_of(owner), session->packet_count() + 1);
   channel_.send(client, packet_of(packet), {});
 }
 

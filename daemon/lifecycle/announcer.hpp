@@ -1,14 +1,15 @@
 // SPDX-License-Identifier: Apache-2.0
 //
-// Announcer: hands endpoints of one process out to another: record, packet, descriptors and doorbells; and tells
-// owners what is the matter with their endpoints. What is announced to whom is decided in announcing.hpp.
+// Announcer: hands endpoints of one process out to another: record, packet, descriptors and
+// doorbells; and tells owners what is the matter with their endpoints. What is announced to whom is
+// decided in announcing.hpp.
 #pragma once
 
 #include <agnocast/abi/words.hpp>
 #include <daemon/lifecycle/regions.hpp>
 #include <daemon/state/registry.hpp>
-#include <daemon/transport/doorbells.hpp>
 #include <daemon/transport/client_channel.hpp>
+#include <daemon/transport/doorbells.hpp>
 
 #include <cstddef>
 #include <cstdint>
@@ -21,7 +22,8 @@ namespace agnocast::daemon {
 
 class Announcer {
  public:
-  Announcer(Registry& registry, Regions& regions, Doorbells& doorbells, ClientChannel& channel) noexcept
+  Announcer(Registry& registry, Regions& regions, Doorbells& doorbells,
+            ClientChannel& channel) noexcept
       : registry_(registry), regions_(regions), doorbells_(doorbells), channel_(channel) {}
   Announcer(const Announcer&) = delete;
   Announcer& operator=(const Announcer&) = delete;
@@ -29,8 +31,8 @@ class Announcer {
   /// Called with a publisher and the subscription it was just announced for.
   std::function<void(const EndpointRef&, const EndpointRef&)> on_matched;
 
-  /// The process is about to be told of the endpoint, and has to unmap it before the place is used again. Returns its
-  /// connection; null: it has none, and is announced this when it is back.
+  /// The process is about to be told of the endpoint, and has to unmap it before the place is used
+  /// again. Returns its connection; null: it has none, and is announced this when it is back.
   Session* record_member(const EndpointRef& ref, ClientIndex to);
   /// Tells the process of `receiver` of the endpoint `subject`, which is of the other kind.
   void announce(const EndpointRef& subject, const EndpointRef& receiver);
@@ -45,7 +47,8 @@ class Announcer {
   void send_missed_notices(ClientIndex client);
   void forget_client(ClientIndex client) { missed_notices_.erase(number(client)); }
 
-  /// Subscriptions, by generation, that were announced without doorbells because no descriptor was left.
+  /// Subscriptions, by generation, that were announced without doorbells because no descriptor was
+  /// left.
   using ByGeneration = std::map<std::uint64_t, EndpointRef>;
   bool has_waiting() const noexcept { return !waiting_.empty(); }
   void move_waiting_to(ByGeneration& others) { others.merge(waiting_); }

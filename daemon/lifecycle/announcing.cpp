@@ -13,7 +13,8 @@ namespace agnocast::daemon {
 Effects Announcing::created(const EndpointRef& ref, std::uint64_t request) const {
   Effects effects = records_of_members(ref);
   effects.push_back(answer(ref, request));
-  // Readers hear of a publisher before the publisher hears of them: they have mapped it when they are rung.
+  // Readers hear of a publisher before the publisher hears of them: they have mapped it when they
+  // are rung.
   Effects to_publishers;
   const auto meet = [&](const EndpointRef& publisher, const EndpointRef& subscription) {
     effects.push_back(effect::Announce{publisher, subscription});
@@ -21,10 +22,11 @@ Effects Announcing::created(const EndpointRef& ref, std::uint64_t request) const
   };
   if (ref.kind == Kind::publisher) {
     const PublisherRecord& own = registry_.publisher(ref.topic, ref.index);
-    registry_.for_each_subscription(ref.topic, [&](std::uint32_t s, const SubscriptionRecord& other) {
-      if (other.state == EndpointState::active && matches(own, other))
-        meet(ref, {Kind::subscription, ref.topic, s});
-    });
+    registry_.for_each_subscription(
+        ref.topic, [&](std::uint32_t s, const SubscriptionRecord& other) {
+          if (other.state == EndpointState::active && matches(own, other))
+            meet(ref, {Kind::subscription, ref.topic, s});
+        });
   } else {
     const SubscriptionRecord& own = registry_.subscription(ref.topic, ref.index);
     registry_.for_each_publisher(ref.topic, [&](std::uint32_t p, const PublisherRecord& other) {
@@ -82,16 +84,17 @@ effect::Send Announcing::answer(const EndpointRef& ref, std::uint64_t request) c
   return {registry_.owner_of(ref), packet};
 }
 
-// What is there now, and what it was told of and has not let go of yet, be it gone or not. Repetitions are the
-// client's to recognise.
+// What is there now, and what it was told of and has not let go of yet, be it gone or not.
+// Repetitions are the client's to recognise.
 Effects Announcing::to_owner(const EndpointRef& ref) const {
   Effects effects;
   if (ref.kind == Kind::publisher) {
     const PublisherRecord& own = registry_.publisher(ref.topic, ref.index);
-    registry_.for_each_subscription(ref.topic, [&](std::uint32_t s, const SubscriptionRecord& other) {
-      if (is_to_know(own, other))
-        effects.push_back(effect::Announce{{Kind::subscription, ref.topic, s}, ref});
-    });
+    registry_.for_each_subscription(
+        ref.topic, [&](std::uint32_t s, const SubscriptionRecord& other) {
+          if (is_to_know(own, other))
+            effects.push_back(effect::Announce{{Kind::subscription, ref.topic, s}, ref});
+        });
     return effects;
   }
   const SubscriptionRecord& own = registry_.subscription(ref.topic, ref.index);
@@ -111,12 +114,11 @@ Effects Announcing::to_owner(const EndpointRef& ref) const {
 Effects Announcing::to_publishers_of(const EndpointRef& subscription) const {
   Effects effects;
   const SubscriptionRecord& own = registry_.subscription(subscription.topic, subscription.index);
-  registry_.for_each_publisher(
-      subscription.topic, [&](std::uint32_t p, const PublisherRecord& publisher) {
-        if (is_to_know(publisher, own))
-          effects.push_back(
-              effect::Announce{subscription, {Kind::publisher, subscription.topic, p}});
-      });
+  registry_.for_each_publisher(subscription.topic, [&](std::uint32_t p,
+                                                       const PublisherRecord& publisher) {
+    if (is_to_know(publisher, own))
+      effects.push_back(effect::Announce{subscription, {Kind::publisher, subscription.topic, p}});
+  });
   return effects;
 }
 
@@ -162,8 +164,9 @@ Effects Announcing::what_is_over(ClientIndex client, TopicIndex topic) const {
   });
   registry_.for_each_subscription(topic, [&](std::uint32_t i, const SubscriptionRecord& record) {
     if (record.notified.contains(number(client)) && !is_looked_at(topic, record, client))
-      effects.push_back(effect::Send{client, reference_to({Kind::subscription, topic, i},
-                                                          record.generation, wire::Opcode::forget)});
+      effects.push_back(effect::Send{
+          client,
+          reference_to({Kind::subscription, topic, i}, record.generation, wire::Opcode::forget)});
   });
   return effects;
 }

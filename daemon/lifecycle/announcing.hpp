@@ -1,11 +1,12 @@
 // SPDX-License-Identifier: Apache-2.0
 //
-// Announcing: decides which process is told of which endpoint: when one is created, when a process comes back, when
-// doorbells are others now. A core without I/O, as endings.hpp.
+// Announcing: decides which process is told of which endpoint: when one is created, when a process
+// comes back, when doorbells are others now. A core without I/O, as endings.hpp.
 //
-// A process that is to get a publisher's messages is recorded in its announce set before anybody relies on it,
-// whatever becomes of both afterwards. A daemon that dies between the record of a creation and those of the
-// announcements leaves the rest to the next one, which is asked again: so every answer is preceded by the records.
+// A process that is to get a publisher's messages is recorded in its announce set before anybody
+// relies on it, whatever becomes of both afterwards. A daemon that dies between the record of a
+// creation and those of the announcements leaves the rest to the next one, which is asked again: so
+// every answer is preceded by the records.
 #pragma once
 
 #include <daemon/lifecycle/effects.hpp>
@@ -37,7 +38,8 @@ class Announcing {
  private:
   Effects records_of_members(const EndpointRef& ref) const;
   effect::Send answer(const EndpointRef& ref, std::uint64_t request) const;
-  /// Notices about endpoints of the topic that do not match this one; to its own process alone, or to both.
+  /// Notices about endpoints of the topic that do not match this one; to its own process alone, or
+  /// to both.
   Effects mismatches(const EndpointRef& ref, bool to_both) const;
   bool is_to_know(const PublisherRecord& own, const SubscriptionRecord& other) const;
   /// Has a process a publisher that still looks at this subscription?

@@ -64,8 +64,8 @@ void EffectRunner::carry_out(const effect::Notice& effect) {
 }
 void EffectRunner::carry_out(const effect::BeginAnew& effect) {
   channel_.begin_anew(effect.client,
-                   "what was announced to the processes of its user is more than the daemon "
-                   "remembers");
+                      "what was announced to the processes of its user is more than the daemon "
+                      "remembers");
 }
 
 // --- what the daemon keeps in its own memory
@@ -95,8 +95,6 @@ void EffectRunner::carry_out(const effect::GiveUpOrphans& effect) {
 void EffectRunner::carry_out(const effect::GiveUpSubscriptions& effect) {
   run(endings_.give_up_subscriptions(effect.topic));
 }
-void EffectRunner::carry_out(const effect::BeginFree&) {
-  AGNOCAST_CRASH_POINT(B_settle);
-}
+void EffectRunner::carry_out(const effect::BeginFree&) { AGNOCAST_CRASH_POINT(B_settle); }
 
 }  // namespace agnocast::daemon

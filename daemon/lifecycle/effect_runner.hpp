@@ -1,14 +1,15 @@
 // SPDX-License-Identifier: Apache-2.0
 //
-// EffectRunner: carries out what the life cycle has decided (effects.hpp), one effect after the other.
+// EffectRunner: carries out what the life cycle has decided (effects.hpp), one effect after the
+// other.
 #pragma once
 
 #include <daemon/lifecycle/announcer.hpp>
 #include <daemon/lifecycle/effects.hpp>
 #include <daemon/lifecycle/endings.hpp>
 #include <daemon/state/registry.hpp>
-#include <daemon/transport/doorbells.hpp>
 #include <daemon/transport/client_channel.hpp>
+#include <daemon/transport/doorbells.hpp>
 
 #include <functional>
 

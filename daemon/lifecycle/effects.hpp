@@ -2,15 +2,17 @@
 //
 // Effects: what a decision of the life cycle brings about, as values.
 //
-// A decision (endings.hpp, leaving.hpp, announcing.hpp) reads the registry and returns effects. EffectRunner carries them out, in
-// their order. A decision does no I/O and changes no table; the runner decides nothing.
+// A decision (endings.hpp, leaving.hpp, announcing.hpp) reads the registry and returns effects.
+// EffectRunner carries them out, in their order. A decision does no I/O and changes no table; the
+// runner decides nothing.
 //
-// Some decisions must see what an earlier effect has changed: whether a place is free is known when its last reader
+// Some decisions must see what an earlier effect has changed: whether a place is free is known when
+// its last reader
 // has let go. Such a decision is an effect itself (FreeUnused …). The runner asks for it when its turn comes, and
 // carries out the answer before it goes on.
 //
-// The daemon may die between any two effects. The next one finds what the records before that say, so an effect that
-// tells others of a change comes behind the effect that records it.
+// The daemon may die between any two effects. The next one finds what the records before that say,
+// so an effect that tells others of a change comes behind the effect that records it.
 #pragma once
 
 #include <agnocast/abi/wire.hpp>
@@ -77,13 +79,14 @@ struct Ring {
   ClientIndex client{};
   std::uint64_t executor = 0;
 };
-using Packet = std::variant<wire::Reference, wire::Orphaned, wire::Done, wire::EndpointCreated, wire::Own>;
+using Packet =
+    std::variant<wire::Reference, wire::Orphaned, wire::Done, wire::EndpointCreated, wire::Own>;
 struct Send {
   ClientIndex to{};
   Packet packet;
 };
-/// The process of `receiver` is told of `subject`, and gets the descriptors of its process and its doorbells. The record
-/// of that (RecordMember) is made first.
+/// The process of `receiver` is told of `subject`, and gets the descriptors of its process and its
+/// doorbells. The record of that (RecordMember) is made first.
 struct Announce {
   EndpointRef subject, receiver;
 };
@@ -137,12 +140,16 @@ using Effect =
                  effect::FreeSubscription, effect::FreeTopic, effect::FreeClient,
                  effect::RecordMember, effect::Acknowledge, effect::AcknowledgeRegion, effect::Ring,
                  effect::Send, effect::Announce, effect::Notice, effect::BeginAnew,
-                 effect::ForgetAnnounced, effect::CountAnsweredAgain, effect::FreeUnused, effect::FreeUnusedTopic, effect::FreeUnusedClient,
-                 effect::GiveUpOrphans, effect::GiveUpSubscriptions, effect::BeginFree>;
+                 effect::ForgetAnnounced, effect::CountAnsweredAgain, effect::FreeUnused,
+                 effect::FreeUnusedTopic, effect::FreeUnusedClient, effect::GiveUpOrphans,
+                 effect::GiveUpSubscriptions, effect::BeginFree>;
 
-/// A deque, because a list for a thousand readers must fit into the pieces of the memory reserve (memory_reserve.hpp).
+/// A deque, because a list for a thousand readers must fit into the pieces of the memory reserve
+/// (memory_reserve.hpp).
 using Effects = std::deque<Effect>;
 
-inline void append(Effects& to, const Effects& more) { to.insert(to.end(), more.begin(), more.end()); }
+inline void append(Effects& to, const Effects& more) {
+  to.insert(to.end(), more.begin(), more.end());
+}
 
 }  // namespace agnocast::daemon

@@ -32,8 +32,9 @@ Effects Endings::orphan(const EndpointRef& ref, std::uint64_t final_head,
       effects.push_back(effect::Ring{record.client, record.executor});
   });
   const auto packet = orphaned(ref, final_head);
-  for_each_notified(registry_, registry_.notified_of(ref),
-                [&](ClientIndex to) { effects.push_back(effect::Send{to, packet}); });
+  for_each_notified(registry_, registry_.notified_of(ref), [&](ClientIndex to) {
+    effects.push_back(effect::Send{to, packet});
+  });
   effects.push_back(effect::GiveUpOrphans{ref.topic});
   return effects;
 }
@@ -62,8 +63,9 @@ Effects Endings::ask_to_unmap(const EndpointRef& subscription) const {
   Effects effects;
   const auto packet =
       reference_to(subscription, registry_.generation_of(subscription), wire::Opcode::forget);
-  for_each_notified(registry_, registry_.notified_of(subscription),
-                [&](ClientIndex to) { effects.push_back(effect::Send{to, packet}); });
+  for_each_notified(registry_, registry_.notified_of(subscription), [&](ClientIndex to) {
+    effects.push_back(effect::Send{to, packet});
+  });
   effects.push_back(effect::GiveUpSubscriptions{subscription.topic});
   return effects;
 }
@@ -90,11 +92,13 @@ Effects Endings::kick_publishers_of(const EndpointRef& subscription) const {
 // holds anything is found by UnmapWatch.
 Effects Endings::give_up(const EndpointRef& ref) {
   Effects effects;
-  if (!given_up_[user_of(ref)].try_emplace(registry_.generation_of(ref), ref).second) return effects;
+  if (!given_up_[user_of(ref)].try_emplace(registry_.generation_of(ref), ref).second)
+    return effects;
   if (ref.kind == Kind::subscription) return effects;  // ask_to_unmap() has asked for it
   const auto packet = orphaned(ref);
-  for_each_notified(registry_, registry_.notified_of(ref),
-                [&](ClientIndex to) { effects.push_back(effect::Send{to, packet}); });
+  for_each_notified(registry_, registry_.notified_of(ref), [&](ClientIndex to) {
+    effects.push_back(effect::Send{to, packet});
+  });
   return effects;
 }
 
@@ -130,9 +134,9 @@ Effects Endings::give_up_orphans(TopicIndex topic) {
     if (record.state == EndpointState::orphan)
       orphans.emplace_back(record.generation, EndpointRef{Kind::publisher, topic, i});
   });
-  return give_up_oldest(
-      orphans, std::clamp<std::size_t>(registry_.capacity().publishers_per_topic / 2, 1,
-                                       abi::orphan_count_max));
+  return give_up_oldest(orphans,
+                        std::clamp<std::size_t>(registry_.capacity().publishers_per_topic / 2, 1,
+                                                abi::orphan_count_max));
 }
 
 Effects Endings::give_up_subscriptions(TopicIndex topic) {
@@ -155,8 +159,8 @@ Effects Endings::give_up_all_of(ClientIndex client) {
   return effects;
 }
 
-// Half of the places, and half of the arena, are for those that live. The user who has most of the rest
-// makes room for the others: nobody loses what is unread because of another user's dead.
+// Half of the places, and half of the arena, are for those that live. The user who has most of the
+// rest makes room for the others: nobody loses what is unread because of another user's dead.
 Effects Endings::give_up_gone() {
   struct Gone {
     std::vector<std::pair<std::uint64_t, ClientIndex>> clients;  // by generation
@@ -204,8 +208,8 @@ Effects Endings::give_up_gone() {
   return effects;
 }
 
-// Whoever keeps publishers that are gone is named. It holds messages of them, or UnmapWatch is not done
-// with it; anybody may revoke it.
+// Whoever keeps publishers that are gone is named. It holds messages of them, or UnmapWatch is not
+// done with it; anybody may revoke it.
 tl::unexpected<Failure> Endings::explain_full(TopicIndex topic, const Failure& why,
                                               std::optional<std::uint32_t> uid) const {
   std::uint64_t orphans = 0;
@@ -222,10 +226,10 @@ tl::unexpected<Failure> Endings::explain_full(TopicIndex topic, const Failure& w
   if (!is_full || most == kept.end() || *most == 0) return tl::unexpected(why);
   const ClientRecord& process =
       registry_.client(static_cast<ClientIndex>(std::distance(kept.begin(), most)));
-  return fail_with(why.code,
-                   std::string(detail_of(why)) + "; " + std::to_string(orphans) +
-                       " of them are gone, and process " + std::to_string(process.pid) + " (" +
-                       printable(process.name) + ") has not let go of " + std::to_string(*most));
+  return fail_with(why.code, std::string(detail_of(why)) + "; " + std::to_string(orphans) +
+                                 " of them are gone, and process " + std::to_string(process.pid) +
+                                 " (" + printable(process.name) + ") has not let go of " +
+                                 std::to_string(*most));
 }
 
 // --- rule RU
@@ -262,7 +266,8 @@ Effects Endings::free_unused(const EndpointRef& ref) {
 }
 
 Effects Endings::free_unused_topic(TopicIndex topic) const {
-  if (registry_.topic(topic).state != TopicState::used || !registry_.topic_is_empty(topic)) return {};
+  if (registry_.topic(topic).state != TopicState::used || !registry_.topic_is_empty(topic))
+    return {};
   return {effect::FreeTopic{topic}};
 }
 
@@ -300,9 +305,8 @@ Effects Endings::owed_acknowledgements(Kind kind, TopicIndex topic) const {
     return effects;
   }
   std::set<ClientIndex> publish;
-  registry_.for_each_publisher(topic, [&](std::uint32_t, const PublisherRecord& own) {
-    publish.insert(own.client);
-  });
+  registry_.for_each_publisher(
+      topic, [&](std::uint32_t, const PublisherRecord& own) { publish.insert(own.client); });
   registry_.for_each_subscription(topic, [&](std::uint32_t s, const SubscriptionRecord&) {
     owed({Kind::subscription, topic, s}, publish);
   });

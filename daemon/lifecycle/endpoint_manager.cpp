@@ -9,7 +9,8 @@
 
 namespace agnocast::daemon {
 
-EndpointManager::EndpointManager(Registry& registry, Regions& regions, Doorbells& doorbells, ClientChannel& channel)
+EndpointManager::EndpointManager(Registry& registry, Regions& regions, Doorbells& doorbells,
+                                 ClientChannel& channel)
     : registry_(registry),
       regions_(regions),
       doorbells_(doorbells),
@@ -53,7 +54,7 @@ Result<void> EndpointManager::create(ClientIndex client, const CreateRequest& re
 }
 
 Result<void> EndpointManager::create_publisher(ClientIndex client, TopicIndex topic,
-                                          const CreateRequest& request) {
+                                               const CreateRequest& request) {
   const auto plan = registry_.plan_publisher(client, topic, request.qos);
   if (!plan) return endings_.explain_full(topic, plan.error(), {});
   const auto ready = regions_.renew(client, {plan->extent, abi::publisher_extent_bytes},
@@ -78,7 +79,7 @@ Result<void> EndpointManager::create_publisher(ClientIndex client, TopicIndex to
 }
 
 Result<void> EndpointManager::create_subscription(ClientIndex client, TopicIndex topic,
-                                             const CreateRequest& request) {
+                                                  const CreateRequest& request) {
   if (!doorbells_.is_open(client, request.executor))
     return fail(Errc::invalid_argument, "the executor of the subscription is not open");
   const HoldPool pool = registry_.hold_pool();
@@ -105,7 +106,7 @@ bool EndpointManager::answer_again(ClientIndex client, const CreateRequest& requ
 }
 
 Result<void> EndpointManager::make_ready(TopicIndex topic, const SubscriptionPlan& plan,
-                                    ClientIndex client, std::uint64_t extent) {
+                                         ClientIndex client, std::uint64_t extent) {
   bool far = registry_.uses_far_slots(topic);
   for (const SlotRaise& raise : plan.raises) far = far || raise.slot_count > abi::near_slot_count;
   const std::uint64_t near_bytes = abi::far_hold_offset(abi::publisher_count_max, 0, 0);
@@ -128,7 +129,7 @@ Result<void> EndpointManager::make_ready(TopicIndex topic, const SubscriptionPla
 
 // For both sides. What may be long comes last: a packet has 255 bytes for it.
 std::string EndpointManager::type_mismatch_text(ClientIndex client, TopicIndex topic,
-                                           const CreateRequest& request) const {
+                                                const CreateRequest& request) const {
   const TopicRecord& there = registry_.topic(topic);
   return printable(request.type) + " (layout " + hexadecimal(request.layout_hash) +
          ") is asked for by process " + std::to_string(registry_.client(client).pid) + ", " +
@@ -196,7 +197,8 @@ Result<void> EndpointManager::unlinked(ClientIndex client, const wire::Unlinked&
   Session* const session = channel_.session_of(client);
   AGNOCAST_CHECK(session != nullptr);
   return run(leaving_.unlinked(
-      client, statement, {session->announcements(), session->packet_count(), welcome_back_.tells(client)}));
+      client, statement,
+      {session->announcements(), session->packet_count(), welcome_back_.tells(client)}));
 }
 
 Result<void> EndpointManager::run(const Result<Effects>& decision) {

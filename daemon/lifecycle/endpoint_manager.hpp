@@ -1,6 +1,7 @@
 // SPDX-License-Identifier: Apache-2.0
 //
-// EndpointManager: who joins and leaves which topic, and who has to hear of it. docs/control-plane.md.
+// EndpointManager: who joins and leaves which topic, and who has to hear of it.
+// docs/control-plane.md.
 //
 // Every operation has the same shape: check what the sender may say, let the registry decide and
 // journal, then answer, then announce. An announcement is journaled before it is sent (rule RU, a).
@@ -9,8 +10,8 @@
 // all that its announce sets say; so nothing that was sent on an earlier connection needs to be
 // known to have arrived.
 //
-// What the end of something means is decided without I/O (endings.hpp, leaving.hpp), and so is who is told
-// (announcing.hpp). EffectRunner carries it out.
+// What the end of something means is decided without I/O (endings.hpp, leaving.hpp), and so is who
+// is told (announcing.hpp). EffectRunner carries it out.
 #pragma once
 
 #include <daemon/lifecycle/announcer.hpp>
@@ -21,8 +22,8 @@
 #include <daemon/lifecycle/regions.hpp>
 #include <daemon/lifecycle/welcome_back.hpp>
 #include <daemon/state/registry.hpp>
-#include <daemon/transport/doorbells.hpp>
 #include <daemon/transport/client_channel.hpp>
+#include <daemon/transport/doorbells.hpp>
 #include <daemon/transport/requests.hpp>
 #include <daemon/transport/session.hpp>
 
@@ -37,7 +38,8 @@ namespace agnocast::daemon {
 
 class EndpointManager {
  public:
-  EndpointManager(Registry& registry, Regions& regions, Doorbells& doorbells, ClientChannel& channel);
+  EndpointManager(Registry& registry, Regions& regions, Doorbells& doorbells,
+                  ClientChannel& channel);
   EndpointManager(const EndpointManager&) = delete;
   EndpointManager& operator=(const EndpointManager&) = delete;
 
@@ -59,12 +61,12 @@ class EndpointManager {
   [[nodiscard]] Result<void> unlinked(ClientIndex client, const wire::Unlinked& statement);
   /// Tells every process that has the region of `owner` about its newest window.
   void announce_window(ClientIndex owner) { announcer_.announce_window(owner); }
-  /// Announcements that went without doorbells because no descriptor was left: they are made again, by
-  /// announce_renewed().
+  /// Announcements that went without doorbells because no descriptor was left: they are made again,
+  /// by announce_renewed().
   bool has_waiting() const noexcept { return announcer_.has_waiting(); }
   void announce_waiting() { announcer_.move_waiting_to(renewed_); }
-  /// The doorbells of an executor are others now: publishers are told of its subscriptions once more, a part of
-  /// them with each announce_renewed().
+  /// The doorbells of an executor are others now: publishers are told of its subscriptions once
+  /// more, a part of them with each announce_renewed().
   void renewed(ClientIndex client, std::uint64_t executor);
   bool has_renewed() const noexcept { return !renewed_.empty(); }
   void announce_renewed();
@@ -115,8 +117,8 @@ class EndpointManager {
   Announcer announcer_;
   EffectRunner runner_;
   WelcomeBack welcome_back_;
-  // By client: the topics whose endpoints have been told of its wrong types; once is enough. 512 bytes of each
-  // process, 1 MiB of all.
+  // By client: the topics whose endpoints have been told of its wrong types; once is enough. 512
+  // bytes of each process, 1 MiB of all.
   std::map<std::uint32_t, std::bitset<abi::topic_count_max>> type_notices_;
   // Subscriptions by generation: whose publishers are to be told of them once more.
   Announcer::ByGeneration renewed_;

@@ -119,10 +119,10 @@ bool Leaving::has_another_reader(ClientIndex client, const EndpointRef& subscrip
   bool has = false;
   registry_.for_each_subscription(
       subscription.topic, [&](std::uint32_t i, const SubscriptionRecord& record) {
-        has = has || (i != subscription.index && record.client == client &&
-                      (record.state == EndpointState::active ||
-                       record.state == EndpointState::leaving) &&
-                      matches(publisher, record));
+        has = has ||
+              (i != subscription.index && record.client == client &&
+               (record.state == EndpointState::active || record.state == EndpointState::leaving) &&
+               matches(publisher, record));
       });
   return has;
 }

@@ -1,10 +1,10 @@
 // SPDX-License-Identifier: Apache-2.0
 //
-// Leaving: decides about what processes say of the end of endpoints: that one of their own leaves, that it has
-// drained, that they have unmapped another one. A core without I/O, as endings.hpp.
+// Leaving: decides about what processes say of the end of endpoints: that one of their own leaves,
+// that it has drained, that they have unmapped another one. A core without I/O, as endings.hpp.
 //
-// A request may be said again after its answer was lost with the connection. What was carried out is answered as
-// before (journal/cases.hpp, Q).
+// A request may be said again after its answer was lost with the connection. What was carried out
+// is answered as before (journal/cases.hpp, Q).
 #pragma once
 
 #include <agnocast/result.hpp>

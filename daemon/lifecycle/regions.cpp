@@ -34,9 +34,10 @@ std::uint64_t bytes_of(int fd) noexcept {
   return ::fstat(fd, &file) == 0 ? static_cast<std::uint64_t>(file.st_size) : 0;
 }
 
-// The kernel keeps the name that a memfd is made with, for ever and for everybody to see. So each window
-// says where it belongs, and has one place; and to whom, because places are given out again, and who
-// has kept a former window could bring it. Without a space: people cut lines of /proc/PID/maps.
+// The kernel keeps the name that a memfd is made with, for ever and for everybody to see. So each
+// window says where it belongs, and has one place; and to whom, because places are given out again,
+// and who has kept a former window could bring it. Without a space: people cut lines of
+// /proc/PID/maps.
 std::string name_of_window(std::uint64_t base, uid_t owner) {
   return "agnocast-heap-" + hexadecimal(base) + "-" + std::to_string(owner);
 }
@@ -48,8 +49,8 @@ std::string file_of(int fd) {
   return bytes < 0 ? std::string() : std::string(file, static_cast<std::size_t>(bytes));
 }
 
-// Of the daemon's own: libraries, stacks, blocks that malloc maps one by one, board and tables. Some
-// hundred; where there are fewer than this left, it is malloc that fails next.
+// Of the daemon's own: libraries, stacks, blocks that malloc maps one by one, board and tables.
+// Some hundred; where there are fewer than this left, it is malloc that fails next.
 constexpr std::uint64_t mappings_kept = 2048;
 
 // Zero, whatever kind of endpoint was here. What was never written stays without memory.
@@ -57,17 +58,21 @@ Result<void> clear_memory(int fd, std::byte* region, const Regions::Extent& exte
   alignas(std::uint64_t) std::byte page[abi::page_bytes];
   static constexpr std::byte zero[abi::page_bytes] = {};
   for (std::uint64_t at = extent.offset; at < extent.offset + extent.bytes; at += abi::page_bytes) {
-    const ssize_t read = ::pread(fd, page, sizeof page, static_cast<off_t>(at));  // makes no memory of holes
+    const ssize_t read =
+        ::pread(fd, page, sizeof page, static_cast<off_t>(at));  // makes no memory of holes
     if (read < 0) return fail(Errc::os_failure, "clearing an extent", errno);
     if (read == 0) break;  // nothing is as long as that yet
-    if (std::memcmp(page, zero, static_cast<std::size_t>(read)) != 0) std::memset(region + at, 0, sizeof page);
+    if (std::memcmp(page, zero, static_cast<std::size_t>(read)) != 0)
+      std::memset(region + at, 0, sizeof page);
   }
   // The daemon's own view of the pages costs page tables.
   ::madvise(region + extent.offset, extent.bytes, MADV_DONTNEED);
   return {};
 }
-// Lengthening waits for the lock of the file, which the process keeps while it writes to it by system calls.
-Result<void> clear_extent(int fd, const std::weak_ptr<Mapping>& region, const Regions::Extent& extent) noexcept {
+// Lengthening waits for the lock of the file, which the process keeps while it writes to it by
+// system calls.
+Result<void> clear_extent(int fd, const std::weak_ptr<Mapping>& region,
+                          const Regions::Extent& extent) noexcept {
   AGNOCAST_CRASH_POINT(B_clear);
   if (const auto mapped = region.lock()) {
     if (auto cleared = clear_memory(fd, mapped->base(), extent); !cleared) return cleared;
@@ -228,16 +233,18 @@ bool Regions::is_clear(ClientIndex client, const Extent& extent) const noexcept 
   return cleared && cleared->extent == extent;
 }
 
-// The memory of an extent stays with its process when the endpoint has ended, which no quota of endpoints counts.
+// The memory of an extent stays with its process when the endpoint has ended, which no quota of
+// endpoints counts.
 Result<void> Regions::count_growth(ClientIndex client, const OfUser& user, const Extent& extent) {
   ClientMemory& memory = clients_[number(client)];
   const std::uint64_t end = extent.offset + extent.bytes;
   const std::uint64_t more = end > memory.given_bytes ? end - memory.given_bytes : 0;
   std::uint64_t& all = given_bytes_[user.uid];
   if (all + more > user.given_bytes_max)
-    return fail_with(Errc::quota_exceeded, "the processes of this user keep " + std::to_string(all) +
-                                               " bytes for endpoints that they have and have had; " +
-                                               std::to_string(user.given_bytes_max) + " are allowed");
+    return fail_with(Errc::quota_exceeded,
+                     "the processes of this user keep " + std::to_string(all) +
+                         " bytes for endpoints that they have and have had; " +
+                         std::to_string(user.given_bytes_max) + " are allowed");
   all += more;
   memory.given_bytes += more;
   memory.uid = user.uid;
@@ -256,7 +263,8 @@ Result<void> Regions::clear(ClientIndex client, const OfUser& user, const Extent
   const std::uint64_t clear = memory.last_clear + 1;
   const bool runs = errands_->try_run(
       Errands::Lane::clearing, uid,
-      [waits = std::weak_ptr(memory.region_writer), mapped = std::weak_ptr(memory.region), extent, result] {
+      [waits = std::weak_ptr(memory.region_writer), mapped = std::weak_ptr(memory.region), extent,
+       result] {
         const SharedFd file = waits.lock();
         if (!file) return;
         use_in_own_table(file->get(), [&](int fd) { *result = clear_extent(fd, mapped, extent); });
@@ -279,9 +287,8 @@ Result<void> Regions::renew(ClientIndex client, const Extent& extent, std::uint6
   ClientMemory& memory = clients_[number(client)];
   const bool is_clear_now = is_clear(client, extent);
   const auto cleared = std::exchange(memory.cleared, std::nullopt);
-  auto result = is_clear_now
-                    ? cleared->result
-                    : clear_extent(memory.region_writer->get(), memory.region, extent);
+  auto result = is_clear_now ? cleared->result
+                             : clear_extent(memory.region_writer->get(), memory.region, extent);
   if (!result) return result;
   memory.backed_bytes.erase(memory.backed_bytes.lower_bound(extent.offset),
                             memory.backed_bytes.lower_bound(extent.offset + extent.bytes));

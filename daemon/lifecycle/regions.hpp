@@ -5,20 +5,20 @@
 //
 // A process gets a writable descriptor of its own region and windows; everybody else one that was
 // opened for reading. The daemon keeps its own writable mapping of every client region: to prepare
-// extents before they are given out, and to repair the queues of a dead process. It is one mapping of
-// the kernel's, whatever lies in it: those are counted too (vm.max_map_count), and a lock of a part
-// would make three of one. So nothing is locked here; who must not wait for a page that was swapped
-// out locks what it maps itself (mlockall).
+// extents before they are given out, and to repair the queues of a dead process. It is one mapping
+// of the kernel's, whatever lies in it: those are counted too (vm.max_map_count), and a lock of a
+// part would make three of one. So nothing is locked here; who must not wait for a page that was
+// swapped out locks what it maps itself (mlockall).
 //
 // A region is as long as what was given out of it, a window as what its owner has put to use. A
-// reader has a descriptor of the whole, and touching a hole through a mapping makes a page, which no
-// limit of the reader counts; beyond the end there is nothing to be touched. Neither ever gets
+// reader has a descriptor of the whole, and touching a hole through a mapping makes a page, which
+// no limit of the reader counts; beyond the end there is nothing to be touched. Neither ever gets
 // shorter, and what is given out is backed by memory before anybody is told of it, so that nobody
 // meets SIGBUS who reads what he was told of.
 //
-// A page fault waits for a hole that is being punched over its page, as long as the one who punches it likes. So nobody
-// can punch holes into a region, the daemon included: an extent is cleared by stores, and its memory stays with its
-// process until that ends.
+// A page fault waits for a hole that is being punched over its page, as long as the one who punches
+// it likes. So nobody can punch holes into a region, the daemon included: an extent is cleared by
+// stores, and its memory stays with its process until that ends.
 //
 // Every memfd is put into the descriptor store before anybody is told of it, and removed when its
 // process is over; so a restarted daemon has the same memory again.
@@ -88,12 +88,12 @@ class Regions {
   /// Whether holes in regions can be forbidden here. Errors: as of forbid_holes().
   [[nodiscard]] static Result<void> can_forbid_holes();
 
-  /// A process that may write to the file of a region may keep the kernel's lock of it for ever. With errands
-  /// nothing below waits for that: back() does not take the lock, clear() takes it elsewhere. Without errands (tests)
-  /// renew() takes it in place.
+  /// A process that may write to the file of a region may keep the kernel's lock of it for ever.
+  /// With errands nothing below waits for that: back() does not take the lock, clear() takes it
+  /// elsewhere. Without errands (tests) renew() takes it in place.
   void use(Errands& errands) noexcept { errands_ = &errands; }
-  /// Backs the first `bytes` of the extent at `offset` with memory; free where that was done before. Errors:
-  /// os_failure.
+  /// Backs the first `bytes` of the extent at `offset` with memory; free where that was done
+  /// before. Errors: os_failure.
   [[nodiscard]] Result<void> back(ClientIndex client, std::uint64_t offset, std::uint64_t bytes);
   /// A part of a region that one endpoint has.
   struct Extent {
@@ -102,10 +102,11 @@ class Regions {
   };
   struct OfUser {
     std::uint32_t uid;
-    std::uint64_t given_bytes_max;  // of regions of all its processes, from their beginnings to the ends of their farthest extents
+    std::uint64_t given_bytes_max;  // of regions of all its processes, from their beginnings to the
+                                    // ends of their farthest extents
   };
-  /// Makes an extent as if never used, all zero, in an errand of this user; then calls `then`. Errors:
-  /// limit_reached, quota_exceeded. Throws std::bad_alloc when there is no thread for it.
+  /// Makes an extent as if never used, all zero, in an errand of this user; then calls `then`.
+  /// Errors: limit_reached, quota_exceeded. Throws std::bad_alloc when there is no thread for it.
   [[nodiscard]] Result<void> clear(ClientIndex client, const OfUser& user, const Extent& extent,
                                    std::function<void()> then);
   /// Whether clear() was the last that happened to it, and has ended.
@@ -118,11 +119,12 @@ class Regions {
   /// writable descriptor, which is its owner's alone. Errors: os_failure.
   [[nodiscard]] Result<SharedFd> open_window(ClientIndex client, std::uint64_t base, uid_t owner);
   /// Whether this is what an agnocastd of this user made as the window at `base` for a process of
-  /// `owner`: sealed memory of that name, no longer than that, which no other user can make; open for writing, as
-  /// its owner alone was given it. Errors: permission_denied.
+  /// `owner`: sealed memory of that name, no longer than that, which no other user can make; open
+  /// for writing, as its owner alone was given it. Errors: permission_denied.
   [[nodiscard]] static Result<void> check_window(int window, std::uint64_t base,
                                                  std::uint64_t bytes, uid_t owner);
-  /// A window that its owner has brought and that was checked goes into the store. Errors: os_failure.
+  /// A window that its owner has brought and that was checked goes into the store. Errors:
+  /// os_failure.
   [[nodiscard]] Result<void> bring_window(ClientIndex client, const UniqueFd& window);
   /// The writable descriptor once more: its owner did not get the answer. The same as long as an
   /// answer with it is on its way: who asks without end costs one descriptor. Errors: os_failure.
@@ -131,11 +133,12 @@ class Regions {
     return of(client).window_readers;
   }
 
-  /// The process is dead and recovered: unmaps its region, and closes what can write. What readers need stays for as long
-  /// as its place is taken: who was without a connection when it died is still to be announced its
-  /// last messages, and observers look at it.
+  /// The process is dead and recovered: unmaps its region, and closes what can write. What readers
+  /// need stays for as long as its place is taken: who was without a connection when it died is
+  /// still to be announced its last messages, and observers look at it.
   void unmap_client(ClientIndex client) noexcept;
-  /// The process is over, or never came to life: nothing is kept. Its memory is freed a little later.
+  /// The process is over, or never came to life: nothing is kept. Its memory is freed a little
+  /// later.
   void close_client(ClientIndex client) noexcept;
 
   /// How many processes can have a region mapped here, when the kernel allows so many mappings.
@@ -160,8 +163,9 @@ class Regions {
     std::uint64_t given_bytes = 0;  // to the end of the farthest extent that was cleared
   };
 
-  // Each process of a user has one, and those of its processes that have ended are passed over: more than a
-  // user's processes (its quota), and a bound of what a user that is stuck makes the daemon remember.
+  // Each process of a user has one, and those of its processes that have ended are passed over:
+  // more than a user's processes (its quota), and a bound of what a user that is stuck makes the
+  // daemon remember.
   static constexpr std::size_t clearing_waiting_max = 4096;
 
   explicit Regions(DescriptorStore& store) : store_(&store), clients_(abi::client_count_max) {}
@@ -169,7 +173,8 @@ class Regions {
                                            UniqueFd journal);
   [[nodiscard]] Result<void> map_region(ClientMemory& memory, UniqueFd writer) const;
   void free_elsewhere(ClientMemory memory) noexcept;
-  [[nodiscard]] Result<void> count_growth(ClientIndex client, const OfUser& user, const Extent& extent);
+  [[nodiscard]] Result<void> count_growth(ClientIndex client, const OfUser& user,
+                                          const Extent& extent);
   const ClientMemory& of(ClientIndex client) const noexcept { return clients_[number(client)]; }
 
   DescriptorStore* store_;
@@ -181,7 +186,7 @@ class Regions {
   Mapping board_, journal_;
   std::vector<ClientMemory> clients_;
   std::unordered_map<std::uint32_t, std::uint64_t> given_bytes_;  // by uid
-  std::uint64_t map_count_max_ = 0;  // vm.max_map_count
+  std::uint64_t map_count_max_ = 0;                               // vm.max_map_count
 };
 
 }  // namespace agnocast::daemon

@@ -58,8 +58,7 @@ void WelcomeBack::tell_next(ClientIndex client, ToTell& rest) {
     const auto node = rest.endpoints.extract(rest.endpoints.begin());
     if (is_there(node.key(), node.mapped())) runner_.run(announcing_.to_owner(node.mapped()));
   } else if (!rest.topics.empty()) {
-    runner_.run(
-        announcing_.what_is_over(client, rest.topics.extract(rest.topics.begin()).value()));
+    runner_.run(announcing_.what_is_over(client, rest.topics.extract(rest.topics.begin()).value()));
   } else {
     announcer_.announce_region(client, static_cast<ClientIndex>(rest.next_region++));
   }

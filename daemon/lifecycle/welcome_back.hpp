@@ -1,7 +1,7 @@
 // SPDX-License-Identifier: Apache-2.0
 //
-// WelcomeBack: a process on a new connection is told what it has and whom it knows. A part of it at first when that
-// is much; the rest as the process reads.
+// WelcomeBack: a process on a new connection is told what it has and whom it knows. A part of it at
+// first when that is much; the rest as the process reads.
 #pragma once
 
 #include <daemon/lifecycle/announcer.hpp>

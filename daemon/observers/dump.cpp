@@ -90,13 +90,14 @@ class Writer {
       endpoint.first_sequence = abi::first_sequence_of(publisher.generation);
       write_endpoint(endpoint);
     });
-    registry_.for_each_subscription(index, [&](std::uint32_t i, const SubscriptionRecord& subscription) {
-      wire::DumpEndpoint endpoint = endpoint_of(Kind::subscription, index, i, subscription);
-      endpoint.quota = subscription.quota;
-      endpoint.quota_of_others = subscription.quota_of_others;
-      endpoint.executor = subscription.executor;
-      write_endpoint(endpoint);
-    });
+    registry_.for_each_subscription(
+        index, [&](std::uint32_t i, const SubscriptionRecord& subscription) {
+          wire::DumpEndpoint endpoint = endpoint_of(Kind::subscription, index, i, subscription);
+          endpoint.quota = subscription.quota;
+          endpoint.quota_of_others = subscription.quota_of_others;
+          endpoint.executor = subscription.executor;
+          write_endpoint(endpoint);
+        });
   }
 
   template <class Record>
@@ -129,10 +130,10 @@ class Writer {
       body.uid = uid;
       body.connections = user.connections;
       body.observers = user.observers;
-      body.use = {usage.clients,    usage.publishers,    usage.subscriptions, usage.executors,
-                  usage.heap_bytes, usage.held_messages, usage.topics,
-                  user.queued_bytes, user.waits_ms / 1000, user.answers_ahead,
-                  places.publishers, places.subscriptions};
+      body.use = {usage.clients,      usage.publishers,  usage.subscriptions,
+                  usage.executors,    usage.heap_bytes,  usage.held_messages,
+                  usage.topics,       user.queued_bytes, user.waits_ms / 1000,
+                  user.answers_ahead, places.publishers, places.subscriptions};
       put(Opcode::dump_user, body);
       ++end_.user_count;
     }

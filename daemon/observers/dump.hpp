@@ -1,7 +1,7 @@
 // SPDX-License-Identifier: Apache-2.0
 //
-// Dump: everything the daemon knows, as packets for an observer. Pure; made in one iteration of the loop, so all
-// packets together are one moment.
+// Dump: everything the daemon knows, as packets for an observer. Pure; made in one iteration of the
+// loop, so all packets together are one moment.
 //
 // What the registry does not hold (who is connected, since when, counters) comes with the call. A
 // process's region goes along for reading: metadata, no message. Windows never do.

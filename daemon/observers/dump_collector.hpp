@@ -38,8 +38,8 @@ class DumpCollector {
  public:
   explicit DumpCollector(const DumpSources& sources) noexcept : from_(sources) {}
 
-  /// Returns the facts of this moment; those of processes are looked up when the dump is made. How many answers a
-  /// user is ahead is left open.
+  /// Returns the facts of this moment; those of processes are looked up when the dump is made. How
+  /// many answers a user is ahead is left open.
   DumpFacts collect() const;
 
  private:

@@ -1,12 +1,13 @@
 // SPDX-License-Identifier: Apache-2.0
 //
 // Flight recorder: the records of the redo log that are still there, as packets for an observer,
-// with names beside the numbers. Pure; made in one iteration of the loop, at most as many as the log holds.
+// with names beside the numbers. Pure; made in one iteration of the loop, at most as many as the
+// log holds.
 //
 // A record names places (topic 3, process 7), and places are used again. One counter gives out all
 // generations, so what is at a place now is what was there when the record was made exactly when it
-// is not younger than the generation that the record speaks of. A record that has a pid itself is sent with it
-// afterwards as well.
+// is not younger than the generation that the record speaks of. A record that has a pid itself is
+// sent with it afterwards as well.
 #pragma once
 
 #include <agnocast/abi/observe.hpp>

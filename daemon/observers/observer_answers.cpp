@@ -21,7 +21,8 @@ constexpr std::uint64_t observer_patience_ms = 5'000;
 
 }  // namespace
 
-// A small request for much work. Who has had his share waits, and is answered with what is true then.
+// A small request for much work. Who has had his share waits, and is answered with what is true
+// then.
 void ObserverAnswers::ask(Peer& peer, const LongRequest& request) {
   MemoryReserve::no_return();
   const std::uint64_t rate = quota_.dumps_per_second;

@@ -1,10 +1,11 @@
 // SPDX-License-Identifier: Apache-2.0
 //
-// ObserverAnswers: answers at length to observers: dumps, the journal, and dumps that wait for a change.
+// ObserverAnswers: answers at length to observers: dumps, the journal, and dumps that wait for a
+// change.
 //
-// A small request asks for much work, so each user has an allowance of answers; a request beyond it waits, and
-// is answered with what is true then. An answer is made at once and read at the observer's pace, within its
-// patience.
+// A small request asks for much work, so each user has an allowance of answers; a request beyond it
+// waits, and is answered with what is true then. An answer is made at once and read at the
+// observer's pace, within its patience.
 #pragma once
 
 #include <daemon/config/config.hpp>

@@ -1,6 +1,7 @@
 // SPDX-License-Identifier: Apache-2.0
 //
-// ObserverRequests: requests of processes that only look (agnocast-ctl). They have no place in the tables.
+// ObserverRequests: requests of processes that only look (agnocast-ctl). They have no place in the
+// tables.
 #pragma once
 
 #include <base/text/log.hpp>

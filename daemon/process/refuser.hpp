@@ -2,14 +2,14 @@
 //
 // Refuser: what serves when a previous run cannot be gone on with.
 //
-// Another build has left its tables, or they are damaged. Nothing of it is touched, every descriptor
-// stays where it is kept, and whoever connects is told what is wrong: `refused` with layout_mismatch
-// or store_damaged, to whatever he says; to `rejoin` with daemon_not_running, which means later. The
-// build that made the tables can be started again and goes on, with everybody.
+// Another build has left its tables, or they are damaged. Nothing of it is touched, every
+// descriptor stays where it is kept, and whoever connects is told what is wrong: `refused` with
+// layout_mismatch or store_damaged, to whatever he says; to `rejoin` with daemon_not_running, which
+// means later. The build that made the tables can be started again and goes on, with everybody.
 #pragma once
 
-#include <base/text/log.hpp>
 #include <base/sockets/packet_socket.hpp>
+#include <base/text/log.hpp>
 #include <daemon/transport/dispatcher.hpp>
 #include <daemon/transport/disposal.hpp>
 

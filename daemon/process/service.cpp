@@ -198,7 +198,8 @@ std::optional<Trouble> Service::go_on() {
   namespace stored = journal::stored;
   if (journal::decide_stored(stored::tables, board && journal, stored::none) ==
       journal::StoredDecision::start_anew) {
-    log_.write(LogLevel::error, "previous incarnation lost", {{"why", "a descriptor was not kept"}});
+    log_.write(LogLevel::error, "previous incarnation lost",
+               {{"why", "a descriptor was not kept"}});
     for (const char* const name : {"listen", "lock", "board", "journal"}) store_.remove(name);
     socket.reset();
     lock.reset();
@@ -240,7 +241,8 @@ std::optional<Trouble> Service::refuse(UniqueFd socket, const Failure& why) {
   // Another try may succeed.
   if (why.code == Errc::os_failure || !socket) return trouble_of(why);
   const std::string text = trouble_of(why).what;
-  refuser_.emplace(PacketListener(std::move(socket)), *dispatcher_, *disposal_, log_, why.code, text);
+  refuser_.emplace(PacketListener(std::move(socket)), *dispatcher_, *disposal_, log_, why.code,
+                   text);
   if (auto started = refuser_->start(); !started) return trouble_of(started.error());
   log_.write(LogLevel::error, "refusing everybody",
              {{"why", text},
@@ -267,11 +269,15 @@ void Service::look_at_passed() const {
 
 void Service::say_ready(bool resumed) {
   if (const auto forbidden = Regions::can_forbid_holes(); !forbidden)
-    log_.write(LogLevel::warning, "holes are allowed",
-               {{"why", trouble_of(forbidden.error()).what},
-                {"then", "a process that punches holes into its region may keep this daemon, and the processes that "
-                         "it exchanges messages with, waiting"},
-                {"hint", "it needs Linux 6.0 and CAP_LINUX_IMMUTABLE, which root in a container often lacks"}});
+    log_.write(
+        LogLevel::warning, "holes are allowed",
+        {{"why", trouble_of(forbidden.error()).what},
+         {"then",
+          "a process that punches holes into its region may keep this daemon, and the processes "
+          "that "
+          "it exchanges messages with, waiting"},
+         {"hint",
+          "it needs Linux 6.0 and CAP_LINUX_IMMUTABLE, which root in a container often lacks"}});
   const Arena& arena = broker_->arena();
   log_.write(LogLevel::notice, "ready",
              {{"pid", ::getpid()},

@@ -7,8 +7,8 @@
 //   that life is of another        nothing of it is touched, everybody is refused (refuser.hpp)
 //   build, or damaged
 //
-// At the end socket and doorbells are removed; not when a manager keeps descriptors, because then the
-// next run goes on with them. SIGINT is the exception: our supervisor says with it that no life
+// At the end socket and doorbells are removed; not when a manager keeps descriptors, because then
+// the next run goes on with them. SIGINT is the exception: our supervisor says with it that no life
 // follows.
 #pragma once
 

@@ -3,8 +3,8 @@
 #include <daemon/process/supervisor.hpp>
 
 #include <base/clock.hpp>
-#include <base/text/standard_error.hpp>
 #include <base/sockets/unix_address.hpp>
+#include <base/text/standard_error.hpp>
 #include <daemon/transport/descriptor_store.hpp>
 
 #include <fcntl.h>
@@ -42,12 +42,14 @@ constexpr std::uint64_t pause_most_ms = 5'000;
 // Who has lived so long did not die of what it found at its start.
 constexpr std::uint64_t settled_ms = 10'000;
 
-// How long a worker that is told to end may take until its loop says that it has heard of it, and from then
-// until it has ended. The first one is what a worker that hangs costs whoever waits: less than a second.
+// How long a worker that is told to end may take until its loop says that it has heard of it, and
+// from then until it has ended. The first one is what a worker that hangs costs whoever waits: less
+// than a second.
 constexpr std::uint64_t stop_patience_ms = 800, end_patience_ms = 5'000;
 // How long a worker may take until it serves; systemd's own.
 constexpr std::uint64_t start_patience_ms = 90'000;
-// How often a worker that is to end is looked at, and how long the end of the supervisor waits for its end.
+// How often a worker that is to end is looked at, and how long the end of the supervisor waits for
+// its end.
 constexpr std::uint64_t look_interval_ms = 20, kill_patience_ms = 150;
 // How long a worker that holds nothing any more may take until it has ended; usually at once.
 constexpr std::uint64_t remains_patience_ms = 500;
@@ -93,7 +95,8 @@ std::uint64_t pause_after(unsigned deaths_before, unsigned failed_starts,
                             : std::min(doubled(failed_starts - 1), pause_most_ms);
 }
 
-// Whoever starts a worker has all of them twice for a moment, and the worker needs about two for each.
+// Whoever starts a worker has all of them twice for a moment, and the worker needs about two for
+// each.
 std::size_t kept_limit() noexcept {
   constexpr rlim_t of_ourselves = 64;
   rlimit limit{};
@@ -137,7 +140,8 @@ std::optional<Notification> parse_notification(std::string_view text) {
     if (line.starts_with("STATUS=")) notification.status = line.substr(7);
     if (line.starts_with("FDNAME=")) notification.name = line.substr(7);
   }
-  // LISTEN_FDNAMES separates names by colons; the rest is systemd's rule (sd_pid_notify_with_fds(3)).
+  // LISTEN_FDNAMES separates names by colons; the rest is systemd's rule
+  // (sd_pid_notify_with_fds(3)).
   const auto fits = [](char c) { return c > ' ' && c < 127 && c != ':'; };
   const std::string& name = notification.name;
   if (name.empty() || name.size() > 255 || !std::all_of(name.begin(), name.end(), fits))
@@ -283,7 +287,8 @@ void Supervisor::start() {
   remains_since_ms_.reset();
   life_line_.reset();
   int line[2] = {-1, -1};
-  // Without it a worker that is stuck in the kernel is not seen to be gone; no reason not to start one.
+  // Without it a worker that is stuck in the kernel is not seen to be gone; no reason not to start
+  // one.
   if (::pipe2(line, O_CLOEXEC) == 0) life_line_.reset(line[0]);
   const UniqueFd other_end(line[1]);
   const pid_t parent = ::getpid();

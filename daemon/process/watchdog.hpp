@@ -2,9 +2,9 @@
 //
 // Watchdog: tells the service manager that the loop turns, where it wants to know (WatchdogSec=).
 //
-// Only the loop itself speaks, between two waits: a handler that never comes back is silence, and the
-// manager ends this process and starts the next one. It is woken for that twice in an interval, and not at
-// all where nobody asks.
+// Only the loop itself speaks, between two waits: a handler that never comes back is silence, and
+// the manager ends this process and starts the next one. It is woken for that twice in an interval,
+// and not at all where nobody asks.
 #pragma once
 
 #include <cstdint>

@@ -1,7 +1,7 @@
 // SPDX-License-Identifier: Apache-2.0
 //
-// AcknowledgementRequests: what a process says of things that the daemon has told it of: it has read a publisher
-// to its end, let go of something, cannot map a window, or gave up a reader.
+// AcknowledgementRequests: what a process says of things that the daemon has told it of: it has
+// read a publisher to its end, let go of something, cannot map a window, or gave up a reader.
 #pragma once
 
 #include <daemon/admission/address_conflicts.hpp>
@@ -14,7 +14,8 @@ namespace agnocast::daemon {
 
 class AcknowledgementRequests {
  public:
-  AcknowledgementRequests(EndpointManager& endpoint_manager, AddressConflicts& conflicts, ReaderReports& readers) noexcept
+  AcknowledgementRequests(EndpointManager& endpoint_manager, AddressConflicts& conflicts,
+                          ReaderReports& readers) noexcept
       : endpoint_manager_(endpoint_manager), conflicts_(conflicts), readers_(readers) {}
 
   [[nodiscard]] Result<void> drained(Peer& peer, const DrainedRequest& request);

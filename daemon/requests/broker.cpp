@@ -53,13 +53,14 @@ Broker::Broker(const BrokerOptions& options, Log& log, Dispatcher& dispatcher, L
           listener.doorbells_directory(), store,
           [&disposal](std::uint32_t uid, UniqueFd fd) { disposal.close(uid, std::move(fd)); }),
       endpoint_manager_(registry_, regions_, doorbells_, output_),
-      admission_(options_.config, options_.arena, plan_, registry_, endpoint_manager_, store, access_),
+      admission_(options_.config, options_.arena, plan_, registry_, endpoint_manager_, store,
+                 access_),
       conflicts_(options_.config.heap, options_.arena, registry_, admission_, plan_, obstacles_,
                  endpoint_manager_, output_, log),
       reaping_(registry_, regions_, doorbells_, endpoint_manager_),
       region_look_(connections_, errands, regions_),
-      termination_(connections_, dispatcher, registry_, store, obstacles_, endpoint_manager_, reaping_,
-                   region_look_, log),
+      termination_(connections_, dispatcher, registry_, store, obstacles_, endpoint_manager_,
+                   reaping_, region_look_, log),
       scheduler_(connections_, dispatcher, termination_),
       namespaces_(connections_, errands, scheduler_),
       collector_({options_.config, options_.arena, plan_, registry_, regions_, doorbells_,
@@ -79,8 +80,8 @@ Broker::Broker(const BrokerOptions& options, Log& log, Dispatcher& dispatcher, L
       window_requests_(options_.arena, registry_, regions_, plan_, endpoint_manager_, conflicts_,
                        admission_, output_, log),
       executor_requests_(registry_, doorbells_, admission_, output_),
-      endpoint_requests_(options_.config, registry_, regions_, endpoint_manager_, admission_, scheduler_,
-                         server_, refusal_report_, readers_, log),
+      endpoint_requests_(options_.config, registry_, regions_, endpoint_manager_, admission_,
+                         scheduler_, server_, refusal_report_, readers_, log),
       acknowledgement_requests_(endpoint_manager_, conflicts_, readers_),
       reader_(connections_, output_, disposal, scheduler_, termination_, server_),
       acceptor_({options_.config.quota, listener, dispatcher, disposal, registry_, admission_,
@@ -88,9 +89,10 @@ Broker::Broker(const BrokerOptions& options, Log& log, Dispatcher& dispatcher, L
   regions_.use(errands);
   fill_request_table();
   endpoint_manager_.on_client_freed = [this](ClientIndex client) { free_client(client); };
-  endpoint_manager_.set_on_matched([this](const EndpointRef& publisher, const EndpointRef& subscription) {
-    conflicts_.look_at(publisher, subscription);
-  });
+  endpoint_manager_.set_on_matched(
+      [this](const EndpointRef& publisher, const EndpointRef& subscription) {
+        conflicts_.look_at(publisher, subscription);
+      });
 }
 
 void Broker::fill_request_table() {
@@ -127,8 +129,8 @@ Result<void> Broker::resume() {
   const TableHeader& header = registry_.header();
   options_.arena = {header.arena_base, header.arena_bytes, header.window_bytes};
   plan_ = AddressPlan(options_.arena, options_.former_count);
-  return Recovery({options_.arena, plan_, registry_, regions_, doorbells_, endpoint_manager_, store_,
-                   dispatcher_, connections_, scheduler_, namespaces_, termination_, log_})
+  return Recovery({options_.arena, plan_, registry_, regions_, doorbells_, endpoint_manager_,
+                   store_, dispatcher_, connections_, scheduler_, namespaces_, termination_, log_})
       .run();
 }
 
@@ -183,8 +185,9 @@ int Broker::due_ms() const noexcept {
   if (!scheduler_.nobody_waits() || !reaping_.is_empty()) return 0;
   if (acceptor_.pauses()) return short_interval_ms;
   if (const int due = answers_.due_ms(); due >= 0) return std::min(due, short_interval_ms);
-  if (connections_.detached_count() > 0 || output_.flushes_later() || endpoint_manager_.has_waiting() ||
-      endpoint_manager_.tells() || endpoint_manager_.has_renewed() || endpoint_requests_.has_uncleared())
+  if (connections_.detached_count() > 0 || output_.flushes_later() ||
+      endpoint_manager_.has_waiting() || endpoint_manager_.tells() ||
+      endpoint_manager_.has_renewed() || endpoint_requests_.has_uncleared())
     return short_interval_ms;
   return connections_.all().empty() ? 10'000 : watch_interval_ms;
 }

@@ -1,22 +1,23 @@
 // SPDX-License-Identifier: Apache-2.0
 //
-// Broker: the composition root of agnocastd. It builds and owns everything below, and says in which order it has
-// its time slice. What happens when, and where:
+// Broker: the composition root of agnocastd. It builds and owns everything below, and says in which
+// order it has its time slice. What happens when, and where:
 //
 //   somebody wants to connect   Acceptor: accepts, identifies, watches connection and process
 //   connection readable         RequestScheduler, when its user has a time slice → PacketReader → RequestServer
 //                               → the handler that RequestTable names: *_requests.hpp
-//   connection or process ended ClientTermination: keeps the client (the process lives), or reaps it
-//   an errand has ended         the request that was parked for it goes on (RequestScheduler)
-//   time passes                 tick(): ReapingQueue, ObserverAnswers, and look_around() for what is due
-//   started again               Recovery
+//   connection or process ended ClientTermination: keeps the client (the process lives), or reaps
+//   it an errand has ended         the request that was parked for it goes on (RequestScheduler)
+//   time passes                 tick(): ReapingQueue, ObserverAnswers, and look_around() for what
+//   is due started again               Recovery
 //
-// What handlers share: Admission (quotas), AccessControl (rules), AddressConflicts (heaps that collide),
-// PeerOutput (what is sent), ConnectionTable (who is there). None of them knows Broker.
+// What handlers share: Admission (quotas), AccessControl (rules), AddressConflicts (heaps that
+// collide), PeerOutput (what is sent), ConnectionTable (who is there). None of them knows Broker.
 //
-// One thread. Calls that may take as long as a client likes are made in others (errands.hpp, disposal.hpp), and so
-// is the freeing of memory (closer.hpp). The order of things inside one event is the protocol's; between
-// events everything is consistent, so the daemon may be killed at any time.
+// One thread. Calls that may take as long as a client likes are made in others (errands.hpp,
+// disposal.hpp), and so is the freeing of memory (closer.hpp). The order of things inside one event
+// is the protocol's; between events everything is consistent, so the daemon may be killed at any
+// time.
 #pragma once
 
 #include <base/text/log.hpp>
@@ -27,9 +28,9 @@
 #include <daemon/config/config.hpp>
 #include <daemon/death/client_termination.hpp>
 #include <daemon/death/hold_watch.hpp>
-#include <daemon/death/unmap_watch.hpp>
 #include <daemon/death/reaping_queue.hpp>
 #include <daemon/death/region_look.hpp>
+#include <daemon/death/unmap_watch.hpp>
 #include <daemon/lifecycle/endpoint_manager.hpp>
 #include <daemon/lifecycle/regions.hpp>
 #include <daemon/observers/dump_collector.hpp>
@@ -84,7 +85,8 @@ class Broker final {
   [[nodiscard]] Result<void> resume();
   /// Begins to serve. Errors: os_failure.
   [[nodiscard]] Result<void> start();
-  /// Serves what the dispatcher has found, each user a share of it; what remains is served next time.
+  /// Serves what the dispatcher has found, each user a share of it; what remains is served next
+  /// time.
   void serve_waiting();
   /// What is to be done now and then; call it after at most due_ms() (-1: nothing is due).
   void tick();

@@ -35,7 +35,8 @@ Result<void> EndpointRequests::create(Peer& peer, const CreateRequest& request) 
   if (*waits) return {};
   // Before anybody is told of the publisher, and with it of the heap.
   const bool is_first = request.kind == Kind::publisher && record.readers == 0;
-  if (is_first) registry_.set_readers(client, readers_of(config_.access, record.domain, request.topic));
+  if (is_first)
+    registry_.set_readers(client, readers_of(config_.access, record.domain, request.topic));
   auto created = endpoint_manager_.create(client, request);
   if (!created && is_first) registry_.set_readers(client, 0);
   if (created && request.kind == Kind::subscription) readers_.created(client, request);
@@ -55,8 +56,8 @@ Result<void> EndpointRequests::leave(Peer& peer, const LeaveRequest& request) {
   return endpoint_manager_.leave(*peer.session.client(), request);
 }
 
-// The file of a region is one that its process may write to, and so keep locked: what waits for that is an
-// errand of its user, and the request with it.
+// The file of a region is one that its process may write to, and so keep locked: what waits for
+// that is an errand of its user, and the request with it.
 Result<bool> EndpointRequests::clear_before(Peer& peer, const CreateRequest& request) {
   const ClientIndex client = *peer.session.client();
   const std::uint64_t bytes = request.kind == Kind::publisher ? abi::publisher_extent_bytes

@@ -25,8 +25,9 @@ namespace agnocast::daemon {
 class EndpointRequests {
  public:
   EndpointRequests(const Config& config, Registry& registry, Regions& regions,
-                   EndpointManager& endpoint_manager, Admission& admission, RequestScheduler& scheduler,
-                   RequestServer& server, RefusalReport& refusals, ReaderReports& readers, Log& log) noexcept
+                   EndpointManager& endpoint_manager, Admission& admission,
+                   RequestScheduler& scheduler, RequestServer& server, RefusalReport& refusals,
+                   ReaderReports& readers, Log& log) noexcept
       : config_(config),
         registry_(registry),
         regions_(regions),

@@ -44,8 +44,8 @@ struct HelloRequests::Before {
   }
 };
 
-// A daemon that died while it welcomed a process has left a place that nobody uses. And a process that was
-// revoked may not come back while it has its region; after exec it is another program.
+// A daemon that died while it welcomed a process has left a place that nobody uses. And a process
+// that was revoked may not come back while it has its region; after exec it is another program.
 bool HelloRequests::look_before(Peer& peer, const wire::Hello& hello) {
   if (of_.connections.detached_count() == 0 || peer.revoked_trace) return false;
   const auto before = std::make_shared<Before>();

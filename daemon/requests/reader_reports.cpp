@@ -11,9 +11,11 @@
 
 namespace agnocast::daemon {
 
-// What a client says of its own publisher. The reader is looked up here: nothing of it is the client's word.
-// (Its process may not have been told of the reader: it is served no more also because it could not be mapped.)
-void ReaderReports::withdrawn(const PeerIdentity& who, ClientIndex client, const wire::Withdrawn& report) {
+// What a client says of its own publisher. The reader is looked up here: nothing of it is the
+// client's word. (Its process may not have been told of the reader: it is served no more also
+// because it could not be mapped.)
+void ReaderReports::withdrawn(const PeerIdentity& who, ClientIndex client,
+                              const wire::Withdrawn& report) {
   const ReaderPair pair{{Kind::publisher, static_cast<TopicIndex>(report.topic),
                          static_cast<std::uint32_t>(report.publisher)},
                         {Kind::subscription, static_cast<TopicIndex>(report.topic),
@@ -35,20 +37,20 @@ void ReaderReports::withdrawn(const PeerIdentity& who, ClientIndex client, const
   const auto& topic = registry_.topic(pair.publisher.topic).name;
   if (is_served) {
     log_for_user(log_, LogLevel::info, who.uid, "reader served again",
-         {{"topic", topic},
-          {"publisher_pid", who.pid},
-          {"publisher_uid", who.uid},
-          {"pid", reader.pid},
-          {"uid", reader.uid}});
+                 {{"topic", topic},
+                  {"publisher_pid", who.pid},
+                  {"publisher_uid", who.uid},
+                  {"pid", reader.pid},
+                  {"uid", reader.uid}});
   } else {
     log_for_user(log_, LogLevel::warning, who.uid, "reader withdrawn",
-         {{"topic", topic},
-          {"publisher_pid", who.pid},
-          {"publisher_uid", who.uid},
-          {"pid", reader.pid},
-          {"uid", reader.uid},
-          {"bytes", report.bytes},
-          {"why", journal::sentence_of(why)}});
+                 {{"topic", topic},
+                  {"publisher_pid", who.pid},
+                  {"publisher_uid", who.uid},
+                  {"pid", reader.pid},
+                  {"uid", reader.uid},
+                  {"bytes", report.bytes},
+                  {"why", journal::sentence_of(why)}});
   }
 }
 
@@ -74,8 +76,7 @@ void ReaderReports::look_for_silent_doorbells(std::uint64_t now_ms) {
     for (const EndpointRef& ref : registry_.endpoints_of(silent.client)) {
       if (ref.kind != Kind::subscription) continue;
       const SubscriptionRecord& record = registry_.subscription(ref.topic, ref.index);
-      if (record.state == EndpointState::active && record.executor == silent.executor)
-        mute(ref);
+      if (record.state == EndpointState::active && record.executor == silent.executor) mute(ref);
     }
   }
 }

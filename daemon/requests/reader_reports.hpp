@@ -1,12 +1,13 @@
 // SPDX-License-Identifier: Apache-2.0
 //
-// ReaderReports: what is said of readers that get less than others: those that a publisher serves no more, which the
-// publisher's process says, and those that nobody can ring, which the daemon finds. Each change is a record of the
-// redo log and a line of the log, for people who ask later; nothing follows from it.
+// ReaderReports: what is said of readers that get less than others: those that a publisher serves
+// no more, which the publisher's process says, and those that nobody can ring, which the daemon
+// finds. Each change is a record of the redo log and a line of the log, for people who ask later;
+// nothing follows from it.
 #pragma once
 
-#include <base/text/log.hpp>
 #include <base/sockets/peer_identity.hpp>
+#include <base/text/log.hpp>
 #include <daemon/requests/reader_notes.hpp>
 #include <daemon/state/registry.hpp>
 #include <daemon/transport/doorbells.hpp>

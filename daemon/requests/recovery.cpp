@@ -160,11 +160,11 @@ std::uint64_t Recovery::reap_while_away(const std::vector<ClientIndex>& ended) {
     const ClientState state = of_.registry.client(client).state;
     if (state == ClientState::alive) {
       of_.termination.reap(client, DeathReason::died, "ended while the daemon was away",
-                             UINT64_MAX);
+                           UINT64_MAX);
       ++dead;
     } else if (state == ClientState::dead) {
       of_.termination.reap(client, of_.registry.client(client).reason,
-                             "its end was not finished by the former daemon", UINT64_MAX);
+                           "its end was not finished by the former daemon", UINT64_MAX);
     }
   }
   return dead;

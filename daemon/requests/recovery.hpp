@@ -2,9 +2,9 @@
 //
 // Recovery: going on with a previous run. docs/control-plane.md, "Restart".
 //
-// Tables, board, memory, doorbells and the identity of every process are what they were; connections are
-// not. So everybody who lives is a process without a connection until it says rejoin, and whatever
-// was journaled but not done, sent or rung is done again:
+// Tables, board, memory, doorbells and the identity of every process are what they were;
+// connections are not. So everybody who lives is a process without a connection until it says
+// rejoin, and whatever was journaled but not done, sent or rung is done again:
 //
 //     redo the change under way → the board says what the tables say → memory, doorbells and pidfds back
 //     → what belongs to no living record is removed → deaths that happened meanwhile, reaps that did
@@ -13,8 +13,8 @@
 // Each step may be repeated: a daemon that dies in here is started again and begins here.
 #pragma once
 
-#include <base/text/log.hpp>
 #include <base/descriptors/pidfd.hpp>
+#include <base/text/log.hpp>
 #include <daemon/death/client_termination.hpp>
 #include <daemon/lifecycle/endpoint_manager.hpp>
 #include <daemon/lifecycle/regions.hpp>
@@ -54,7 +54,8 @@ class Recovery {
  public:
   explicit Recovery(const RecoveredParts& parts) noexcept : of_(parts) {}
 
-  /// Call once, after the registry was opened and before anybody is served. Errors: store_damaged, os_failure.
+  /// Call once, after the registry was opened and before anybody is served. Errors: store_damaged,
+  /// os_failure.
   [[nodiscard]] Result<void> run();
 
  private:

@@ -16,7 +16,8 @@ struct Rejoiner {
   bool same_process = false;  // and it is this one
 };
 
-/// Returns the facts for journal::decide_rejoin(). Looks at nothing that the request names outside the tables.
+/// Returns the facts for journal::decide_rejoin(). Looks at nothing that the request names outside
+/// the tables.
 journal::RejoinFacts rejoin_facts(const wire::Rejoin& request, const Registry& registry,
                                   const Rejoiner& who);
 

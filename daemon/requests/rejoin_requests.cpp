@@ -58,7 +58,8 @@ Result<void> RejoinRequests::rejoin(Peer& peer, const wire::Rejoin& request) {
   }
   of_.access.warn_of_other_readers(client);
   MemoryReserve::no_return();
-  // It may have been taken for one more because the daemon had not seen yet that the old one had ended.
+  // It may have been taken for one more because the daemon had not seen yet that the old one had
+  // ended.
   of_.connections.count_as_client(peer);
   peer.session.greet(client);
   of_.connections.set_client(client, &peer);

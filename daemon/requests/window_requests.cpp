@@ -59,8 +59,8 @@ Result<void> WindowRequests::open_window(Peer& peer, const wire::WindowRequest& 
   return {};
 }
 
-// What lies in a window outlives the daemon that gave it: its owner, which knows nobody here yet, keeps
-// it where it is, and its readers find the same memory at the same place.
+// What lies in a window outlives the daemon that gave it: its owner, which knows nobody here yet,
+// keeps it where it is, and its readers find the same memory at the same place.
 Result<void> WindowRequests::bring_window(Peer& peer, const wire::BringWindow& request,
                                           std::span<UniqueFd> fds) {
   const UniqueFd& window = fds[0];  // decode() has counted them
@@ -104,9 +104,10 @@ Result<void> WindowRequests::bring_window(Peer& peer, const wire::BringWindow& r
       return done();
     case journal::BroughtDecision::protocol_violation:
       return fail_with(Errc::protocol_violation,
-                       facts.number == brought::known   ? "another window has this number"
-                       : facts.number == brought::later ? "windows are brought one after the other"
-                                                        : "a window that cannot be of this window set");
+                       facts.number == brought::known ? "another window has this number"
+                       : facts.number == brought::later
+                           ? "windows are brought one after the other"
+                           : "a window that cannot be of this window set");
     case journal::BroughtDecision::permission_denied:
       return ours;
     case journal::BroughtDecision::over_limit:

@@ -1,10 +1,11 @@
 // SPDX-License-Identifier: Apache-2.0
 //
-// WindowRequests: heap windows: one that a process asks for, and one that it brings from a former incarnation.
+// WindowRequests: heap windows: one that a process asks for, and one that it brings from a former
+// incarnation.
 #pragma once
 
-#include <base/text/log.hpp>
 #include <base/descriptors/unique_fd.hpp>
+#include <base/text/log.hpp>
 #include <daemon/admission/address_conflicts.hpp>
 #include <daemon/admission/admission.hpp>
 #include <daemon/lifecycle/endpoint_manager.hpp>
@@ -22,8 +23,8 @@ namespace agnocast::daemon {
 class WindowRequests {
  public:
   WindowRequests(const Arena& arena, Registry& registry, Regions& regions, AddressPlan& plan,
-                 EndpointManager& endpoint_manager, AddressConflicts& conflicts, Admission& admission,
-                 PeerOutput& output, Log& log) noexcept
+                 EndpointManager& endpoint_manager, AddressConflicts& conflicts,
+                 Admission& admission, PeerOutput& output, Log& log) noexcept
       : arena_(arena),
         registry_(registry),
         regions_(regions),

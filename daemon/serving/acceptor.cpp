@@ -22,7 +22,8 @@ namespace agnocast::daemon {
 
 namespace {
 
-// How many connections are accepted in a row: whoever connects again and again, refused or not, is never done.
+// How many connections are accepted in a row: whoever connects again and again, refused or not, is
+// never done.
 constexpr unsigned connections_per_slice = 8;
 
 // To a connection that is not taken: it is closed afterwards, but not without a word.

@@ -2,14 +2,15 @@
 //
 // Acceptor: takes connections, or refuses them with a word.
 //
-// A refused connection is answered before it is closed. When no descriptor is left, a spare one is given up for a
-// moment so that there is something to answer with; then nobody is accepted until the next look around.
+// A refused connection is answered before it is closed. When no descriptor is left, a spare one is
+// given up for a moment so that there is something to answer with; then nobody is accepted until
+// the next look around.
 #pragma once
 
-#include <base/text/log.hpp>
+#include <base/descriptors/unique_fd.hpp>
 #include <base/sockets/packet_socket.hpp>
 #include <base/sockets/peer_identity.hpp>
-#include <base/descriptors/unique_fd.hpp>
+#include <base/text/log.hpp>
 #include <daemon/admission/admission.hpp>
 #include <daemon/config/config.hpp>
 #include <daemon/serving/request_scheduler.hpp>
@@ -57,7 +58,8 @@ class Acceptor {
   void pause_listening();
   void accept(PacketSocket socket);
   void refuse_over_quota(PacketSocket socket, const PeerIdentity& identity);
-  /// Watches the connection and its process from now on. `only_observes`: it is no place for a client.
+  /// Watches the connection and its process from now on. `only_observes`: it is no place for a
+  /// client.
   void attach(PacketSocket socket, PeerIdentity identity, bool only_observes);
   /// Takes one waiting connection although no descriptor is left, and says why it is refused.
   void turn_away();

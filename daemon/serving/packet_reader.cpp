@@ -74,8 +74,9 @@ unsigned PacketReader::read(PeerId id, const TimeSlice& slice) {
   return slice.packets_left;
 }
 
-// A descriptor that is received is one to close, and the kernel may close some on the way. So a packet that
-// brings any is left where it is, and goes with its connection. Only a window is wanted.
+// A descriptor that is received is one to close, and the kernel may close some on the way. So a
+// packet that brings any is left where it is, and goes with its connection. Only a window is
+// wanted.
 bool PacketReader::may_receive(Peer& peer, std::span<std::byte> buffer) {
   const auto next = peer.session.socket().peek(buffer);
   if (!next) {
@@ -83,7 +84,8 @@ bool PacketReader::may_receive(Peer& peer, std::span<std::byte> buffer) {
     return false;
   }
   if (next->kind == Packet::Kind::nothing) {
-    // A sender that was let through just before the kernel began to refuse has come to its end by then.
+    // A sender that was let through just before the kernel began to refuse has come to its end by
+    // then.
     constexpr std::uint64_t sending_ms = 1'000;
     if (!peer.brings_windows && refuses_descriptors(peer.session.socket().fd()) &&
         monotonic_ms() - peer.refuses_since_ms >= sending_ms)
@@ -106,8 +108,8 @@ bool PacketReader::may_receive(Peer& peer, std::span<std::byte> buffer) {
   return false;
 }
 
-// All of it happens elsewhere: for want of a number the kernel closes what comes, and whatever is not a
-// window is closed there, too.
+// All of it happens elsewhere: for want of a number the kernel closes what comes, and whatever is
+// not a window is closed there, too.
 void PacketReader::receive_window(Peer& peer) {
   const std::uint32_t uid = peer.session.identity().uid;
   // Another number of the connection: the loop may close its own meanwhile.

@@ -2,8 +2,9 @@
 //
 // PacketReader: reads the packets of one connection, as many as its user's time slice has room for.
 //
-// A packet that brings descriptors is received in the loop only if its connection cannot carry any; else the
-// packet is looked at first, and a window is received by Disposal while the connection is parked.
+// A packet that brings descriptors is received in the loop only if its connection cannot carry any;
+// else the packet is looked at first, and a window is received by Disposal while the connection is
+// parked.
 #pragma once
 
 #include <daemon/death/client_termination.hpp>
@@ -34,14 +35,15 @@ class PacketReader {
         termination_(termination),
         server_(server) {}
 
-  /// Serves one connection, and the end of its process. Returns how many packets there were; nothing: it is gone.
+  /// Serves one connection, and the end of its process. Returns how many packets there were;
+  /// nothing: it is gone.
   std::optional<unsigned> serve_slice(PeerId id, const TimeSlice& slice);
   /// Returns how many packets there were.
   unsigned read(PeerId id, const TimeSlice& slice);
 
  private:
-  /// Looks at the next packet of a connection that descriptors may have come into. False: it is not to be
-  /// received here, and has been dealt with.
+  /// Looks at the next packet of a connection that descriptors may have come into. False: it is not
+  /// to be received here, and has been dealt with.
   bool may_receive(Peer& peer, std::span<std::byte> buffer);
   /// A window comes with a descriptor, which is received elsewhere.
   void receive_window(Peer& peer);

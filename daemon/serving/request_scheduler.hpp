@@ -5,9 +5,9 @@
 //   event ──▶ waits for its user's time slice ──▶ read ──▶ parked, if a request waits for an errand
 //                                                            └── errand done: unpark, the request goes on
 //
-// Users are served in turn: a user with a thousand connections is served as much as a user with one. Nothing is
-// read from a parked connection. A ticket is the number of what it waits for, so an errand that ends later
-// finds nobody once the connection waits for something else.
+// Users are served in turn: a user with a thousand connections is served as much as a user with
+// one. Nothing is read from a parked connection. A ticket is the number of what it waits for, so an
+// errand that ends later finds nobody once the connection waits for something else.
 #pragma once
 
 #include <daemon/death/client_termination.hpp>

@@ -21,8 +21,8 @@ RequestServer::RequestServer(Admission& admission, AddressConflicts& conflicts,
   handlers_.add(*this, &RequestServer::reject);
 }
 
-// The one place where a request may fail for want of memory. Until something is changed it is as if it
-// had never come; from then on there is the reserve.
+// The one place where a request may fail for want of memory. Until something is changed it is as if
+// it had never come; from then on there is the reserve.
 template <class Serve>
 void RequestServer::serve_or_refuse(Peer& peer, std::uint64_t id, Serve serve_it) {
   try {

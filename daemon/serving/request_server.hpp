@@ -1,9 +1,11 @@
 // SPDX-License-Identifier: Apache-2.0
 //
-// RequestServer: from a packet to an answer. Decodes it, has its handler serve it, and reports its refusal.
+// RequestServer: from a packet to an answer. Decodes it, has its handler serve it, and reports its
+// refusal.
 //
-// A request is a parsed packet: bounded, but true only as far as its handler checks it against quotas, access
-// rules and the tables. What it changes is journaled before it is answered. docs/control-plane.md.
+// A request is a parsed packet: bounded, but true only as far as its handler checks it against
+// quotas, access rules and the tables. What it changes is journaled before it is answered.
+// docs/control-plane.md.
 #pragma once
 
 #include <daemon/admission/address_conflicts.hpp>

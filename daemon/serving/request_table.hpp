@@ -2,8 +2,8 @@
 //
 // RequestTable: which function of which class serves a request, by its kind.
 //
-// The opcodes of the wire and the kinds of Request are one to one but for those that ask again. A request
-// without an entry is a mistake of whoever filled the table.
+// The opcodes of the wire and the kinds of Request are one to one but for those that ask again. A
+// request without an entry is a mistake of whoever filled the table.
 #pragma once
 
 #include <base/check.hpp>

@@ -4,8 +4,8 @@
 
 #include <daemon/serving/user_namespaces.hpp>
 
-#include <base/sockets/peer_identity.hpp>
 #include <base/descriptors/pidfd.hpp>
+#include <base/sockets/peer_identity.hpp>
 #include <daemon/death/region_look.hpp>
 
 namespace agnocast::daemon {

@@ -2,8 +2,8 @@
 //
 // UserNamespaces: finds the user namespace of a process that connects.
 //
-// Before Linux 6.11 only /proc says it, and whoever looks there may have to wait: so long nothing is read from the
-// process.
+// Before Linux 6.11 only /proc says it, and whoever looks there may have to wait: so long nothing
+// is read from the process.
 #pragma once
 
 #include <daemon/serving/request_scheduler.hpp>

@@ -5,8 +5,8 @@
 // The arena is one range that every client reserves without memory when it says hello; it is cut
 // into windows of equal length, and the lowest free one is given out. A window comes back only when
 // the announce set of its owner's region is empty (rule RU), which the registry knows; nothing here
-// infers it. Processes may have something else in the arena (obstacles.hpp): a window is then taken where
-// as few as possible have.
+// infers it. Processes may have something else in the arena (obstacles.hpp): a window is then taken
+// where as few as possible have.
 //
 //   base                                                        base + bytes
 //   | window 0 | window 1 | window 2 | …                        |
@@ -70,7 +70,8 @@ class AddressPlan {
     std::uint64_t weight = 0;  // of the obstacles in it, together
     friend bool operator==(const Choice&, const Choice&) = default;
   };
-  /// The free window with the least weight, of those the first from where this plan begins; nothing when none is free and allowed.
+  /// The free window with the least weight, of those the first from where this plan begins; nothing
+  /// when none is free and allowed.
   std::optional<Choice> best(std::span<const Obstacle> obstacles = {}) const;
   /// The same; it is not free any more.
   std::optional<Choice> take(std::span<const Obstacle> obstacles = {});

@@ -2,17 +2,17 @@
 //
 // HoldPool: how many messages of a publisher the subscriptions of other users may hold. Pure.
 //
-// A publisher goes on as long as it has a slot. Of its slots it needs itself the longest history that
-// anybody may ask for, and what is in hand; the rest is what subscriptions hold:
+// A publisher goes on as long as it has a slot. Of its slots it needs itself the longest history
+// that anybody may ask for, and what is in hand; the rest is what subscriptions hold:
 //
 //   |<---------------------------- slots_per_publisher (2048) ----------------------------->|
 //   |  history and in hand (1035)  |  one for each subscription (768)  |  pool (245)        |
 //
-// Every subscription may hold one message, so nobody can be kept from reading. More than one comes from the
-// pool, of which a user may have half of what other users have left: who comes later finds something,
-// too. All three are constants of the configuration, so the sum holds for every publisher, whoever's it
-// is and whenever it comes. Subscriptions of the publisher's own user are not limited here: what they hold
-// beyond the share of others is a matter of that user.
+// Every subscription may hold one message, so nobody can be kept from reading. More than one comes
+// from the pool, of which a user may have half of what other users have left: who comes later finds
+// something, too. All three are constants of the configuration, so the sum holds for every
+// publisher, whoever's it is and whenever it comes. Subscriptions of the publisher's own user are
+// not limited here: what they hold beyond the share of others is a matter of that user.
 #pragma once
 
 #include <agnocast/abi/limits.hpp>
@@ -25,7 +25,8 @@ namespace agnocast::daemon {
 // One for the message being published and one for the one being borrowed.
 inline constexpr std::uint64_t slots_in_hand = 2;
 // What a publisher needs beside a history of some depth: a keep-all one has one message more.
-inline constexpr std::uint64_t slots_beside_history = 1 + abi::deferred_scan_count_max + slots_in_hand;
+inline constexpr std::uint64_t slots_beside_history =
+    1 + abi::deferred_scan_count_max + slots_in_hand;
 
 class HoldPool {
  public:

@@ -12,9 +12,10 @@
 //
 // Registry::change() is a point of no return, and so is whatever else cannot be undone by leaving
 // it. The reserve is filled up before each request and each connection; while that fails, they are
-// refused before they are looked at, so each begins with all of it. What one event can allocate without end
-// is a MayFail of its own: packets (their reader loses its connection) and dumps (likewise). When the
-// reserve is used up all the same, the daemon aborts and is started again, as after any death.
+// refused before they are looked at, so each begins with all of it. What one event can allocate
+// without end is a MayFail of its own: packets (their reader loses its connection) and dumps
+// (likewise). When the reserve is used up all the same, the daemon aborts and is started again, as
+// after any death.
 //
 // Of one thread: allocations of others fail as they always do.
 #pragma once

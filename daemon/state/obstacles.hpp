@@ -1,13 +1,14 @@
 // SPDX-License-Identifier: Apache-2.0
 //
-// Obstacles: what processes have where heap windows lie (a JIT, a GPU's addresses), as each says for
-// itself. Pure.
+// Obstacles: what processes have where heap windows lie (a JIT, a GPU's addresses), as each says
+// for itself. Pure.
 //
 // A claim always holds for the process that makes it: no window is opened for it there, and what
-// others have there is unreachable for it. For everybody else it is a wish: new windows avoid it while
-// others are free, and a heap may be asked to move. So that nobody has the whole arena avoided,
-// the claims of one user count for others only up to half of the arena and ranges_per_user_max different
-// ranges, the earliest first; what is beyond holds for its own process alone. Not journaled: whoever comes back says it again.
+// others have there is unreachable for it. For everybody else it is a wish: new windows avoid it
+// while others are free, and a heap may be asked to move. So that nobody has the whole arena
+// avoided, the claims of one user count for others only up to half of the arena and
+// ranges_per_user_max different ranges, the earliest first; what is beyond holds for its own
+// process alone. Not journaled: whoever comes back says it again.
 #pragma once
 
 #include <agnocast/result.hpp>
@@ -37,8 +38,8 @@ class Obstacles {
 
   explicit Obstacles(const Arena& arena) noexcept : arena_(arena) {}
 
-  /// A claim of a process; the same one again changes nothing. Errors: protocol_violation (not in the
-  /// arena, or one too many).
+  /// A claim of a process; the same one again changes nothing. Errors: protocol_violation (not in
+  /// the arena, or one too many).
   [[nodiscard]] Result<void> add(ClientIndex client, std::uint32_t uid, std::uint64_t base,
                                  std::uint64_t bytes, std::string what);
   /// The process is gone.

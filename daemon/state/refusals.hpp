@@ -1,10 +1,10 @@
 // SPDX-License-Identifier: Apache-2.0
 //
-// Refusals: what was refused lately, for people who ask later why something does not work (doctor, top,
-// monitor). Pure. The log says the same; this is what a tool can read.
+// Refusals: what was refused lately, for people who ask later why something does not work (doctor,
+// top, monitor). Pure. The log says the same; this is what a tool can read.
 //
-// A refusal that comes again is counted, not kept twice. What is kept is bounded, and nobody can push out what
-// others were refused: the user who has most loses his oldest.
+// A refusal that comes again is counted, not kept twice. What is kept is bounded, and nobody can
+// push out what others were refused: the user who has most loses his oldest.
 #pragma once
 
 #include <agnocast/abi/wire.hpp>

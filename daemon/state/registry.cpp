@@ -1,7 +1,7 @@
 // SPDX-License-Identifier: Apache-2.0
 //
-// Registry, operations: what there is room for, and which record says that it is wanted. What a record
-// does to tables and board: registry_apply.cpp; the beginning of a life: registry_open.cpp.
+// Registry, operations: what there is room for, and which record says that it is wanted. What a
+// record does to tables and board: registry_apply.cpp; the beginning of a life: registry_open.cpp.
 
 #include <daemon/state/registry.hpp>
 #include <daemon/state/registry_counters.hpp>
@@ -356,8 +356,9 @@ void Registry::free_topic(TopicIndex index) {
 
 // --- endpoints
 
-// N >= max(K, deepest window) + every hold quota + what deferred scans leave + what is in hand: then
-// no reader can make the publisher run out (docs/protocol.md, slots). Whole words of hold bits.
+// N >= max(K, deepest window) + every hold quota + what deferred scans leave + what is in hand:
+// then no reader can make the publisher run out (docs/protocol.md, slots). Whole words of hold
+// bits.
 std::uint64_t Registry::slots_needed(TopicIndex topic, const PublisherRecord& publisher,
                                      const SubscriptionRecord* joining) const {
   const abi::Qos offered = abi::unpack_qos(publisher.qos);
@@ -379,8 +380,8 @@ std::uint64_t Registry::slots_needed(TopicIndex topic, const PublisherRecord& pu
 }
 
 namespace {
-// A place that has no bit and is not free, or that somebody has not let go of, is damage that open() does
-// not look for: such a place is not given out.
+// A place that has no bit and is not free, or that somebody has not let go of, is damage that
+// open() does not look for: such a place is not given out.
 template <class Record>
 bool is_vacant(const Record& record) noexcept {
   return record.state == EndpointState::free && record.notified.reusable();

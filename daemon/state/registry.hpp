@@ -8,9 +8,9 @@
 // it would be (index, generation, extent), the shell makes the memory ready, add_*() makes it so;
 // between the two nothing else may change.
 //
-// The rules about *when* something may change lie in endings.cpp, leaving.cpp and reaper.cpp; here are the
-// facts that they ask for. What is kept beside the tables (names to topics, endpoints and extents
-// of a process) is derived from them and made anew by open().
+// The rules about *when* something may change lie in endings.cpp, leaving.cpp and reaper.cpp; here
+// are the facts that they ask for. What is kept beside the tables (names to topics, endpoints and
+// extents of a process) is derived from them and made anew by open().
 //
 // Callers pass indexes that they have checked: an index out of range is a mistake of ours.
 #pragma once
@@ -197,8 +197,8 @@ class Registry {
   Usage usage_of(std::uint32_t uid) const;
   /// Has a process of this user an endpoint there?
   bool takes_part(std::uint32_t uid, TopicIndex topic) const;
-  /// Users that have something, and the topics of one in which it has endpoints, each in turn: the first
-  /// one behind what is given, the very first when nothing is.
+  /// Users that have something, and the topics of one in which it has endpoints, each in turn: the
+  /// first one behind what is given, the very first when nothing is.
   std::optional<std::uint32_t> next_user(std::optional<std::uint32_t> after) const;
   std::optional<TopicIndex> next_topic_of(std::uint32_t uid, std::optional<TopicIndex> after) const;
   std::size_t user_count() const noexcept { return accounts_.size(); }
@@ -218,12 +218,13 @@ class Registry {
     return client(index).state >= ClientState::dead &&
            client(index).reason == journal::DeathReason::revoked;
   }
-  /// It is dead, and leaves the announce sets of all endpoints of this topic: what it had mapped there is unmapped.
+  /// It is dead, and leaves the announce sets of all endpoints of this topic: what it had mapped
+  /// there is unmapped.
   void acknowledge_topic(ClientIndex gone, TopicIndex topic);
   /// A topic with an endpoint that it was told of and has not let go of.
   std::optional<TopicIndex> known_topic_of(ClientIndex index) const;
-  /// It leaves those of all regions, and has let go of everything that it was ever told about. Only when
-  /// there is no such topic any more.
+  /// It leaves those of all regions, and has let go of everything that it was ever told about. Only
+  /// when there is no such topic any more.
   void client_forgotten(ClientIndex index);
   /// Gone, forgotten, without endpoints, known to nobody: its place may be used again after
   /// free_client().
@@ -395,7 +396,8 @@ class Registry {
   /// An endpoint may end while it is visited, and its topic with it.
   template <class Function>
   void for_each_place(Kind kind, TopicIndex topic, Function function) const {
-    for (auto place = next_place(kind, topic, 0); place; place = next_place(kind, topic, *place + 1))
+    for (auto place = next_place(kind, topic, 0); place;
+         place = next_place(kind, topic, *place + 1))
       function(*place);
   }
   void use_place(const EndpointRef& ref);

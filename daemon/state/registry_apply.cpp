@@ -1,8 +1,8 @@
 // SPDX-License-Identifier: Apache-2.0
 //
-// Registry, the one way to change anything: a record is committed to the redo log and then applied. A
-// daemon that died in between is followed by one that applies it again, so each of these functions may be
-// repeated: it stores what the record says, and never adds to what it finds.
+// Registry, the one way to change anything: a record is committed to the redo log and then applied.
+// A daemon that died in between is followed by one that applies it again, so each of these
+// functions may be repeated: it stores what the record says, and never adds to what it finds.
 
 #include <base/check.hpp>
 #include <daemon/state/memory_reserve.hpp>
@@ -318,8 +318,9 @@ bool Registry::has_record_at(Kind kind, std::uint64_t number) const noexcept {
                   static_cast<std::uint32_t>(number % places)});
 }
 
-// A page belongs to the records that begin before its end and end behind its beginning, of one topic or
-// two. What is not whole pages of the table stays: a page at its beginning and one at its end.
+// A page belongs to the records that begin before its end and end behind its beginning, of one
+// topic or two. What is not whole pages of the table stays: a page at its beginning and one at its
+// end.
 void Registry::vacate_place(const EndpointRef& ref) {
   TopicRecord& topic = tables_.topic[number(ref.topic)];
   const bool publisher = ref.kind == Kind::publisher;
@@ -327,7 +328,8 @@ void Registry::vacate_place(const EndpointRef& ref) {
   store(places[ref.index / 64], places[ref.index / 64] & ~(std::uint64_t{1} << ref.index % 64));
 
   static const std::uint64_t page = static_cast<std::uint64_t>(::sysconf(_SC_PAGESIZE));
-  const std::uint64_t table = publisher ? offsetof(Tables, publisher) : offsetof(Tables, subscription);
+  const std::uint64_t table =
+      publisher ? offsetof(Tables, publisher) : offsetof(Tables, subscription);
   const std::uint64_t size = publisher ? sizeof(PublisherRecord) : sizeof(SubscriptionRecord);
   const std::uint64_t places_max =
       publisher ? abi::publisher_count_max : abi::subscription_count_max;

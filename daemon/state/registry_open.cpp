@@ -1,6 +1,7 @@
 // SPDX-License-Identifier: Apache-2.0
 //
-// Registry, the beginning of a life: a fresh one, or one that goes on with the memory of an earlier.
+// Registry, the beginning of a life: a fresh one, or one that goes on with the memory of an
+// earlier.
 //
 // That memory is the daemon's alone. All the same nothing in it is used as an index before it was
 // checked: a bug may have been there, or another build. What is wrong is said and never mended by a
@@ -30,11 +31,13 @@ constexpr std::uint64_t layout_of_tables() noexcept {
   sum.add(sizeof(TableHeader), offsetof(TableHeader, arena_base), offsetof(TableHeader, counters),
           offsetof(TableHeader, doorbells));
   sum.add(sizeof(ClientRecord), offsetof(ClientRecord, reason), offsetof(ClientRecord, executors),
-          offsetof(ClientRecord, readers), offsetof(ClientRecord, window_count), offsetof(ClientRecord, window),
-          offsetof(ClientRecord, notified), offsetof(ClientRecord, name));
+          offsetof(ClientRecord, readers), offsetof(ClientRecord, window_count),
+          offsetof(ClientRecord, window), offsetof(ClientRecord, notified),
+          offsetof(ClientRecord, name));
   sum.add(sizeof(TopicRecord), offsetof(TopicRecord, publishers),
-          offsetof(TopicRecord, subscriptions), offsetof(TopicRecord, domain), offsetof(TopicRecord, layout_hash),
-          offsetof(TopicRecord, name), offsetof(TopicRecord, type));
+          offsetof(TopicRecord, subscriptions), offsetof(TopicRecord, domain),
+          offsetof(TopicRecord, layout_hash), offsetof(TopicRecord, name),
+          offsetof(TopicRecord, type));
   sum.add(sizeof(PublisherRecord), offsetof(PublisherRecord, slot_count),
           offsetof(PublisherRecord, final_head), offsetof(PublisherRecord, creation),
           offsetof(PublisherRecord, last_joined), offsetof(PublisherRecord, notified),

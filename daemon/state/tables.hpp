@@ -6,11 +6,12 @@
 //   header · client[2048] · topic[4096] · publisher[4096][254] · subscription[4096][768]
 //
 // An endpoint's record lies at the place its board entry has, so nothing is searched and nothing is
-// moved. The memfd is sparse: a page on which every record is free has no memory (it is given back when
-// the last of them is freed), and nobody looks at a place that is not in use (a read of a hole would
-// allocate it): each topic has one bit for each of its places. A record of zero bytes is a free one.
-// Only the redo log's records change a table (registry_apply.cpp); names are the exception: they are
-// written into a free place first, and the record that follows makes the place count.
+// moved. The memfd is sparse: a page on which every record is free has no memory (it is given back
+// when the last of them is freed), and nobody looks at a place that is not in use (a read of a hole
+// would allocate it): each topic has one bit for each of its places. A record of zero bytes is a
+// free one. Only the redo log's records change a table (registry_apply.cpp); names are the
+// exception: they are written into a free place first, and the record that follows makes the place
+// count.
 #pragma once
 
 #include <agnocast/abi/limits.hpp>
@@ -79,8 +80,8 @@ using PlaceBits = std::uint64_t[(capacity + 63) / 64];
 struct TopicRecord {
   std::uint64_t generation;
   TopicState state;
-  // One more than the highest index ever used, as the board has it: publishers remember endpoints up to
-  // there. Nobody else walks so far.
+  // One more than the highest index ever used, as the board has it: publishers remember endpoints
+  // up to there. Nobody else walks so far.
   std::uint32_t publisher_high;
   std::uint32_t subscription_high;
   std::uint32_t reserved;
@@ -114,7 +115,7 @@ struct SubscriptionRecord {
   std::uint64_t extent;
   std::uint64_t quota;
   std::uint64_t executor;
-  std::uint64_t creation;  // id of the request that created it
+  std::uint64_t creation;         // id of the request that created it
   std::uint64_t quota_of_others;  // messages of a publisher of another user
   AnnounceSet notified;
   char node[abi::wire::name_bytes];

@@ -1,6 +1,7 @@
 // SPDX-License-Identifier: Apache-2.0
 //
-// A line of the log that any client can cause: limited for each user, unless somebody looks at everything.
+// A line of the log that any client can cause: limited for each user, unless somebody looks at
+// everything.
 #pragma once
 
 #include <base/text/log.hpp>

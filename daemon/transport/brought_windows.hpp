@@ -2,8 +2,8 @@
 //
 // Windows that a process brings from a former incarnation.
 //
-// A process brings what it has from a former incarnation before it asks this one for anything. Until then the
-// kernel lets descriptors through to the daemon.
+// A process brings what it has from a former incarnation before it asks this one for anything.
+// Until then the kernel lets descriptors through to the daemon.
 #pragma once
 
 #include <daemon/transport/connection_table.hpp>

@@ -2,13 +2,14 @@
 //
 // Closer: lets go of the memory of processes that have ended.
 //
-// Closing the last descriptor of a memfd frees its pages, a tenth of a second and more for each GiB; unmapping it takes as long, and
-// waits for locks that readers of the file have as well. The daemon must not keep everybody waiting for that.
-// So a thread of its own does both. It waits until the manager has removed its copies from the store: otherwise the
-// manager might be the last, which under systemd is PID 1.
+// Closing the last descriptor of a memfd frees its pages, a tenth of a second and more for each
+// GiB; unmapping it takes as long, and waits for locks that readers of the file have as well. The
+// daemon must not keep everybody waiting for that. So a thread of its own does both. It waits until
+// the manager has removed its copies from the store: otherwise the manager might be the last, which
+// under systemd is PID 1.
 //
-// The thread touches nothing but the descriptors that it was given. It begins with the first of them.
-// A death of the daemon needs no care: a process that ends closes everything.
+// The thread touches nothing but the descriptors that it was given. It begins with the first of
+// them. A death of the daemon needs no care: a process that ends closes everything.
 #pragma once
 
 #include <base/memory/mapping.hpp>
@@ -30,8 +31,8 @@ class Closer {
   Closer(const Closer&) = delete;
   Closer& operator=(const Closer&) = delete;
 
-  /// Takes over these uses of descriptors that were removed from the store, and a mapping of one of them;
-  /// closes them soon.
+  /// Takes over these uses of descriptors that were removed from the store, and a mapping of one of
+  /// them; closes them soon.
   void close(std::vector<SharedFd> fds, std::shared_ptr<Mapping> mapping = {});
 
  private:

@@ -1,13 +1,14 @@
 // SPDX-License-Identifier: Apache-2.0
 //
-// ConnectionTable: every connection and the process at its other end, found by number and by client; and
-// how many of them each user has.
+// ConnectionTable: every connection and the process at its other end, found by number and by
+// client; and how many of them each user has.
 //
 //   accepted ──▶ attached ──connection lost──▶ detached ──process ended or came back──▶ removed
 //                        ──revoked──────────▶ detached
 //
-// A peer outlives its connection: as long as its process lives and has memory of the daemon's, it keeps its
-// place here. A peer that waits for a connection to be closed does not exist: Disposal closes it elsewhere.
+// A peer outlives its connection: as long as its process lives and has memory of the daemon's, it
+// keeps its place here. A peer that waits for a connection to be closed does not exist: Disposal
+// closes it elsewhere.
 #pragma once
 
 #include <agnocast/abi/observe.hpp>
@@ -103,7 +104,8 @@ class ConnectionTable {
   std::uint64_t detached_count() const noexcept { return detached_count_; }
   std::uint64_t observer_count() const noexcept { return observer_count_; }
 
-  /// malloc keeps what was freed. Once most of what was queued is not queued any more, its pages go back.
+  /// malloc keeps what was freed. Once most of what was queued is not queued any more, its pages go
+  /// back.
   void give_memory_back();
 
  private:

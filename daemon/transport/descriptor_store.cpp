@@ -30,8 +30,8 @@ std::size_t limit_of_manager() noexcept {
   return parsed.ec == std::errc() && parsed.ptr == end && limit > 0 ? limit : SIZE_MAX;
 }
 
-// systemd says with $FDSTORE that it keeps something since version 254; before, one can only try: it
-// closes what it does not keep.
+// systemd says with $FDSTORE that it keeps something since version 254; before, one can only try:
+// it closes what it does not keep.
 bool manager_keeps_anything() noexcept {
   int ends[2];
   if (::pipe2(ends, O_CLOEXEC | O_NONBLOCK) != 0) return true;

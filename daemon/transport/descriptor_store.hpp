@@ -2,21 +2,21 @@
 //
 // Descriptor store: what of this process outlives it.
 //
-// A manager (systemd, or our own supervisor: see supervisor.hpp) keeps descriptors by name and hands
-// them to the next run. What is put is in the manager's queue when put() returns: a death right
-// after it loses nothing. The names:
+// A manager (systemd, or our own supervisor: see supervisor.hpp) keeps descriptors by name and
+// hands them to the next run. What is put is in the manager's queue when put() returns: a death
+// right after it loses nothing. The names:
 //
-//   board, journal, lock, listen     once, in this order: with the lock there is a life to go on with
-//   rN   region of process N, to write          pN     its pidfd
-//   wN.K its window K, to read                  eN.X   eventfd of its executor X
+//   board, journal, lock, listen     once, in this order: with the lock there is a life to go on
+//   with rN   region of process N, to write          pN     its pidfd wN.K its window K, to read
+//   eN.X   eventfd of its executor X
 //
 // A descriptor is put before the journal record that makes it count, and removed after the record
 // that ends it. What a death in between leaves over is what nobody takes at the next start.
 //
 // Without a manager, or with one that keeps nothing, nothing is kept, and every call succeeds.
 //
-// A manager that listens for the daemon (socket activation) hands its socket in beside them, under the
-// name `socket`. That one is the manager's for good, and never put or removed here.
+// A manager that listens for the daemon (socket activation) hands its socket in beside them, under
+// the name `socket`. That one is the manager's for good, and never put or removed here.
 #pragma once
 
 #include <agnocast/result.hpp>
@@ -44,7 +44,8 @@ struct HandedIn {
   std::string name;
   UniqueFd fd;
 };
-/// All of them, close-on-exec from now on; once, and before anything else is opened. Errors: os_failure.
+/// All of them, close-on-exec from now on; once, and before anything else is opened. Errors:
+/// os_failure.
 [[nodiscard]] Result<std::vector<HandedIn>> receive_descriptors();
 
 class DescriptorStore {

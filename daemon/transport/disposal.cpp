@@ -25,8 +25,8 @@ constexpr std::uint32_t nobody = UINT32_MAX;
 struct Disposal::State {
   struct User {
     std::vector<UniqueFd> waiting;
-    std::vector<UniqueFd> batch;     // being handed over; of the errand alone
-    std::vector<pid_t> closing;      // threads that have not ended, when last looked at
+    std::vector<UniqueFd> batch;  // being handed over; of the errand alone
+    std::vector<pid_t> closing;   // threads that have not ended, when last looked at
     std::vector<pid_t> receiving;
     std::size_t receiving_count = 0;  // errands that have not been answered
 
@@ -119,10 +119,9 @@ void Disposal::close_in_place() {
     {
       const std::lock_guard lock(state_->mutex);
       if (!state_->is_forbidden || state_->is_closing) return;
-      const auto user =
-          std::find_if(state_->users.begin(), state_->users.end(), [](const auto& one) {
-            return !one.second.batch.empty() || !one.second.waiting.empty();
-          });
+      const auto user = std::find_if(
+          state_->users.begin(), state_->users.end(),
+          [](const auto& one) { return !one.second.batch.empty() || !one.second.waiting.empty(); });
       if (user == state_->users.end()) return;
       uid = user->first;
       std::vector<UniqueFd>& batch = user->second.batch;

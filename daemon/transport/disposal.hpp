@@ -2,18 +2,21 @@
 //
 // Disposal: closes what a client sent, and the connections it may have sent something on.
 //
-// A close may last as long as the client likes (base/descriptors/closing.hpp). Nothing of that happens in the loop. The loop
-// shuts a connection, so that the other end hears of it at once and can send nothing more; an errand hands it to
-// a thread that ends, one after the other for each user:
+// A close may last as long as the client likes (base/descriptors/closing.hpp). Nothing of that
+// happens in the loop. The loop shuts a connection, so that the other end hears of it at once and
+// can send nothing more; an errand hands it to a thread that ends, one after the other for each
+// user:
 //
 //   close_connection(uid) ──▶ waiting of this user ──▶ batch ──▶ thread that ends ──▶ the next batch
 //
-// What cannot be hurried at all (a FUSE server that does not answer) keeps one such thread, and nothing else: it has
-// a descriptor table of its own. What its user has waiting meanwhile is given to another one when it is waiting_max, so it
-// never takes up the numbers of the daemon. No other user waits for any of it.
+// What cannot be hurried at all (a FUSE server that does not answer) keeps one such thread, and
+// nothing else: it has a descriptor table of its own. What its user has waiting meanwhile is given
+// to another one when it is waiting_max, so it never takes up the numbers of the daemon. No other
+// user waits for any of it.
 //
-// Where the kernel refuses descriptors (SO_PASSRIGHTS, Linux 6.16) nothing is queued, and callers close in place.
-// Where a filter forbids such threads, an errand of this user's own closes in the daemon's table.
+// Where the kernel refuses descriptors (SO_PASSRIGHTS, Linux 6.16) nothing is queued, and callers
+// close in place. Where a filter forbids such threads, an errand of this user's own closes in the
+// daemon's table.
 #pragma once
 
 #include <base/descriptors/closing.hpp>
@@ -31,8 +34,8 @@ namespace agnocast::daemon {
 
 class Disposal {
  public:
-  /// Descriptors of one user that wait behind one that does not come to its end. A thread costs the kernel as
-  /// much as some ten connections.
+  /// Descriptors of one user that wait behind one that does not come to its end. A thread costs the
+  /// kernel as much as some ten connections.
   static constexpr std::size_t waiting_max = 512;
   /// Threads of one user that may be stuck with what came beside a window.
   static constexpr std::size_t receiving_max = 8;

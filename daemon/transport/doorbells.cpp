@@ -116,12 +116,12 @@ void Doorbells::restore(ClientIndex client, std::uint64_t executor) {
   auto sender = connect_to(way, name_of(key));
   const bool is_silent = !sender;
   doorbells_[key] = Entry{share(std::move(eventfd)),
-                     {},
-                     sender ? Doorbell(std::move(*sender)) : Doorbell(),
-                     std::move(way),
-                     is_silent,
-                     0,
-                     is_silent ? renewals_max : 0};
+                          {},
+                          sender ? Doorbell(std::move(*sender)) : Doorbell(),
+                          std::move(way),
+                          is_silent,
+                          0,
+                          is_silent ? renewals_max : 0};
 }
 
 std::vector<Doorbells::Executor> Doorbells::look() {

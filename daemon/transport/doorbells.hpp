@@ -2,15 +2,16 @@
 //
 // Doorbells: the doorbells of all executors, as their maker keeps them.
 //
-// Of every executor the daemon keeps the eventfd (the descriptor store does as well), to pass it on to publishers of the same user, and
-// one datagram sender of its own. It rings by datagram only: an eventfd whose O_NONBLOCK its holder
-// has cleared would block whoever writes to it, and the daemon must not wait for anybody. For every
-// publisher process a sender of its own is connected when it is announced to, and not kept.
+// Of every executor the daemon keeps the eventfd (the descriptor store does as well), to pass it on
+// to publishers of the same user, and one datagram sender of its own. It rings by datagram only: an
+// eventfd whose O_NONBLOCK its holder has cleared would block whoever writes to it, and the daemon
+// must not wait for anybody. For every publisher process a sender of its own is connected when it
+// is announced to, and not kept.
 //
-// The names in the directory are for the next daemon. This one goes its own way to each (O_PATH), so
-// nothing is lost when they are removed meanwhile. A daemon that starts without them has eventfds alone:
-// publishers of the same user ring those, for others such an executor is silent until its process is back
-// and is given a new socket.
+// The names in the directory are for the next daemon. This one goes its own way to each (O_PATH),
+// so nothing is lost when they are removed meanwhile. A daemon that starts without them has
+// eventfds alone: publishers of the same user ring those, for others such an executor is silent
+// until its process is back and is given a new socket.
 #pragma once
 
 #include <agnocast/result.hpp>
@@ -40,12 +41,13 @@ class Doorbells {
   Doorbells(const Doorbells&) = delete;
   Doorbells& operator=(const Doorbells&) = delete;
 
-  /// New doorbells: eventfd and bound socket, for the executor's process, which is of this user. Those that it was
-  /// given before it never got, or they are still on their way: then it is given the same. Errors: os_failure.
+  /// New doorbells: eventfd and bound socket, for the executor's process, which is of this user.
+  /// Those that it was given before it never got, or they are still on their way: then it is given
+  /// the same. Errors: os_failure.
   [[nodiscard]] Result<std::vector<SharedFd>> open(ClientIndex client, std::uint64_t executor,
                                                    std::uint32_t uid);
-  /// Doorbells of a previous run, out of the store; their names are in the directory still. A doorbell
-  /// whose receiver is gone is silent.
+  /// Doorbells of a previous run, out of the store; their names are in the directory still. A
+  /// doorbell whose receiver is gone is silent.
   void restore(ClientIndex client, std::uint64_t executor);
   /// Removes the names that belong to no doorbell.
   void remove_unknown_names() noexcept;
@@ -56,16 +58,18 @@ class Doorbells {
   /// any more. Errors: os_failure: not now, there is no descriptor or no memory.
   [[nodiscard]] Result<std::vector<SharedFd>> for_publisher(ClientIndex client,
                                                             std::uint64_t executor, bool same_user);
-  /// For a process that is back: new doorbells (the eventfd stays) of an executor that this daemon found without a way
-  /// to it; none if nothing is lost. A process that closes what it is given gets it a few times. Errors: os_failure.
+  /// For a process that is back: new doorbells (the eventfd stays) of an executor that this daemon
+  /// found without a way to it; none if nothing is lost. A process that closes what it is given
+  /// gets it a few times. Errors: os_failure.
   [[nodiscard]] Result<std::vector<SharedFd>> renew(ClientIndex client, std::uint64_t executor,
                                                     std::uint32_t uid);
   struct Executor {
     ClientIndex client;
     std::uint64_t executor;
   };
-  /// Looks at the next few doorbells in turn: has anybody the receivers? Returns those that are silent for the second look in
-  /// a row, each once: a process that ends shuts its doorbells a moment before the daemon hears of its end.
+  /// Looks at the next few doorbells in turn: has anybody the receivers? Returns those that are
+  /// silent for the second look in a row, each once: a process that ends shuts its doorbells a
+  /// moment before the daemon hears of its end.
   std::vector<Executor> look();
   /// As far as that is known: by datagram nobody reaches it.
   bool is_silent(ClientIndex client, std::uint64_t executor) const {

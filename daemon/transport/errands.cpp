@@ -2,8 +2,8 @@
 
 #include <daemon/transport/errands.hpp>
 
-#include <base/signals.hpp>
 #include <base/descriptors/unique_fd.hpp>
+#include <base/signals.hpp>
 
 #include <sys/epoll.h>
 #include <sys/eventfd.h>
@@ -39,7 +39,7 @@ struct Errands::State {
 
   struct Queue {
     std::deque<Errand> errands;  // the first one is ready or under way
-    std::list<Key> place;        // in `ready`, while it is not there: a thread may have no memory for one
+    std::list<Key> place;  // in `ready`, while it is not there: a thread may have no memory for one
   };
 
   std::mutex mutex;
@@ -93,7 +93,8 @@ void Errands::State::work(const std::shared_ptr<State>& state) {
 
 void Errands::State::start_thread(const std::shared_ptr<State>& self) {
   if (idle_count >= ready.size() || thread_count >= thread_count_max) return;
-  // Otherwise those that are there go on with it; without any, the next errand or answer() tries again.
+  // Otherwise those that are there go on with it; without any, the next errand or answer() tries
+  // again.
   static_cast<void>(begin_thread(self));
 }
 

@@ -2,19 +2,21 @@
 //
 // Errands: calls that may take as long as a client likes, and so must not be made in the loop.
 //
-// A close of a descriptor that a client sent, a look at /proc/PID/maps of its process, a change of a file that it
-// may write to: each may sleep in the kernel for ever. Threads of this pool make such calls; the loop hands them in and gets an answer later.
+// A close of a descriptor that a client sent, a look at /proc/PID/maps of its process, a change of
+// a file that it may write to: each may sleep in the kernel for ever. Threads of this pool make
+// such calls; the loop hands them in and gets an answer later.
 //
 //   loop:    run(lane, uid, errand, then) ──▶ queue of this lane and user
 //   thread:                                   errand()  ──▶ answers, eventfd
 //   loop:    the dispatcher finds the eventfd ───────────▶ then()
 //
-// Of one lane of one user, one errand at a time is under way, in order: an errand that never ends keeps one
-// thread and the later errands of that user waiting, and nobody else's. waiting() is what the user has waiting;
-// callers refuse what would make it too much. A pool that has all its threads lets further users wait.
+// Of one lane of one user, one errand at a time is under way, in order: an errand that never ends
+// keeps one thread and the later errands of that user waiting, and nobody else's. waiting() is what
+// the user has waiting; callers refuse what would make it too much. A pool that has all its threads
+// lets further users wait.
 //
-// Nobody waits for a thread, not even at the end: a thread that is stuck ends with the process. So an errand
-// touches only what it owns, and `then` runs in the loop, never after the pool is gone.
+// Nobody waits for a thread, not even at the end: a thread that is stuck ends with the process. So
+// an errand touches only what it owns, and `then` runs in the loop, never after the pool is gone.
 #pragma once
 
 #include <agnocast/result.hpp>
@@ -39,11 +41,12 @@ class Errands {
   Errands(const Errands&) = delete;
   Errands& operator=(const Errands&) = delete;
 
-  /// Makes the call in another thread, then `then` (if there is one) in the loop. Neither may throw.
+  /// Makes the call in another thread, then `then` (if there is one) in the loop. Neither may
+  /// throw.
   void run(Lane lane, std::uint32_t uid, std::function<void()> errand,
            std::function<void()> then = {});
-  /// The same for what can be refused: false, and nothing was handed in, when there is no thread and none can be
-  /// had.
+  /// The same for what can be refused: false, and nothing was handed in, when there is no thread
+  /// and none can be had.
   [[nodiscard]] bool try_run(Lane lane, std::uint32_t uid, std::function<void()> errand,
                              std::function<void()> then);
   /// Errands of this lane and user that have not ended.

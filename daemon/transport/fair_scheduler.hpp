@@ -2,9 +2,10 @@
 //
 // FairScheduler: serves users in turn. Pure; time is told.
 //
-// Each user who has connections waiting gets a time slice: so many packets, and so many milliseconds, however
-// many connections they come from. At least one packet of each user is handled. What a slice is too short for
-// waits in the order in which it came, until every other user has had a slice.
+// Each user who has connections waiting gets a time slice: so many packets, and so many
+// milliseconds, however many connections they come from. At least one packet of each user is
+// handled. What a slice is too short for waits in the order in which it came, until every other
+// user has had a slice.
 #pragma once
 
 #include <daemon/transport/connection_table.hpp>
@@ -34,8 +35,9 @@ class FairScheduler {
   void wait(std::uint32_t uid, PeerId id) { waiting_[uid].push_back(id); }
   bool nobody_waits() const noexcept { return waiting_.empty(); }
 
-  /// Gives every user who waits one slice. `serve(id, slice)` returns how many packets it handled, or nothing when
-  /// the connection is gone, which costs nothing. `now_ns()` returns CLOCK_MONOTONIC.
+  /// Gives every user who waits one slice. `serve(id, slice)` returns how many packets it handled,
+  /// or nothing when the connection is gone, which costs nothing. `now_ns()` returns
+  /// CLOCK_MONOTONIC.
   template <class Serve, class Now>
   void serve(Serve serve, Now now_ns) {
     for (auto user = waiting_.begin(); user != waiting_.end();) {

@@ -39,8 +39,7 @@ tl::unexpected<Complaint> complain(Errc code, std::string what) {
 /// A directory that we have just made, with this mode whatever the umask. Somebody may have put
 /// something else there since: no link is followed.
 bool set_mode(const std::string& directory, mode_t mode) noexcept {
-  const UniqueFd made(
-      ::open(directory.c_str(), O_RDONLY | O_DIRECTORY | O_NOFOLLOW | O_CLOEXEC));
+  const UniqueFd made(::open(directory.c_str(), O_RDONLY | O_DIRECTORY | O_NOFOLLOW | O_CLOEXEC));
   struct stat entry {};
   return made && ::fstat(made.get(), &entry) == 0 && entry.st_uid == ::geteuid() &&
          ::fchmod(made.get(), mode) == 0;
@@ -327,8 +326,8 @@ Result<void> Listener::keep(DescriptorStore& store) const {
 }
 
 Listener::~Listener() {
-  // Who waits to be accepted goes with it, with all that he has sent: the end of the process closes that, and
-  // does not linger.
+  // Who waits to be accepted goes with it, with all that he has sent: the end of the process closes
+  // that, and does not linger.
   static_cast<void>(socket_.release().release());
   if (path_.empty() || !removes_) return;
   if (!is_passed_) ::unlink(path_.c_str());

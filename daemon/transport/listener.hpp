@@ -3,32 +3,35 @@
 // Listener: the place where clients find the daemon, and proof that there is only one.
 //
 //   SOCKET             where clients connect
-//   RUN/NAME.lock      held with flock as long as the daemon runs; NAME is the socket's last part. It
+//   RUN/NAME.lock      held with flock as long as the daemon runs; NAME is the socket's last part.
+//   It
 //                      says how many daemons have begun here, each with nothing of the former's
 //   RUN/NAME.bells/    names of the doorbells, for the daemon's user alone
 //
 // RUN is the socket's directory unless the configuration names another one.
 //
-// The lock decides who may clear away what a previous run left; a socket that still answers although
-// nobody has the lock belongs to somebody else and is left alone. A clean end removes socket and
-// doorbells; the lock file stays (removing it would let two others each lock a file of that name).
+// The lock decides who may clear away what a previous run left; a socket that still answers
+// although nobody has the lock belongs to somebody else and is left alone. A clean end removes
+// socket and doorbells; the lock file stays (removing it would let two others each lock a file of
+// that name).
 //
 // All three outlive the process when a manager keeps descriptors: connections that come meanwhile
 // wait in the socket's queue, the lock stays taken, and doorbells keep their names.
 //
-// A socket that is passed (socket activation) is used before any other, where it is: its name, owner and mode are
-// the business of whoever made it, and it is neither kept in the store nor removed.
+// A socket that is passed (socket activation) is used before any other, where it is: its name,
+// owner and mode are the business of whoever made it, and it is neither kept in the store nor
+// removed.
 //
-// Nobody can connect before the socket has its final owner and mode; until then it is as if no daemon
-// were there, which is a reason to try again. It is not made under another name and renamed: it would keep that
-// name (getsockname), and the next run finds the place by it.
+// Nobody can connect before the socket has its final owner and mode; until then it is as if no
+// daemon were there, which is a reason to try again. It is not made under another name and renamed:
+// it would keep that name (getsockname), and the next run finds the place by it.
 //
 // Every complaint is one sentence for people, with the path in it.
 #pragma once
 
 #include <agnocast/error.hpp>
-#include <base/sockets/packet_socket.hpp>
 #include <base/descriptors/unique_fd.hpp>
+#include <base/sockets/packet_socket.hpp>
 #include <daemon/transport/descriptor_store.hpp>
 
 #include <tl/expected.hpp>
@@ -56,17 +59,17 @@ struct ListenerOptions {
 
 class Listener {
  public:
-  /// Where a passed socket listens. Complains unless it is one of packets (AF_UNIX, SOCK_SEQPACKET) that
-  /// listens and has a path.
+  /// Where a passed socket listens. Complains unless it is one of packets (AF_UNIX, SOCK_SEQPACKET)
+  /// that listens and has a path.
   [[nodiscard]] static tl::expected<std::string, Complaint> place_of(const UniqueFd& passed);
 
   /// `passed`, or a socket of our own if that is empty.
   [[nodiscard]] static tl::expected<Listener, Complaint> open(const ListenerOptions& options,
                                                               UniqueFd passed);
 
-  /// Socket and lock of a previous run, with its directory of doorbells; nothing is cleared. `passed` takes the
-  /// place of the socket. Without it a socket that was not kept, or that its name does not lead to any more,
-  /// is made anew: renewed(). So is a lock that was not kept.
+  /// Socket and lock of a previous run, with its directory of doorbells; nothing is cleared.
+  /// `passed` takes the place of the socket. Without it a socket that was not kept, or that its
+  /// name does not lead to any more, is made anew: renewed(). So is a lock that was not kept.
   [[nodiscard]] static tl::expected<Listener, Complaint> adopt(const ListenerOptions& options,
                                                                UniqueFd passed, UniqueFd socket,
                                                                UniqueFd lock,
@@ -90,13 +93,14 @@ class Listener {
   const std::string& doorbells_directory() const noexcept { return doorbells_; }
   bool renewed() const noexcept { return renewed_; }
   bool is_passed() const noexcept { return is_passed_; }
-  /// In what a passed socket is not as `options` want it, as a sentence; empty: in nothing, or it is our own.
+  /// In what a passed socket is not as `options` want it, as a sentence; empty: in nothing, or it
+  /// is our own.
   std::string differences(const ListenerOptions& options) const;
   /// How many daemons began here before this one.
   std::uint64_t former_count() const noexcept { return former_count_; }
-  /// Lock and socket go into the store, unless they are there, the socket last; a socket that is renewed takes the place of
-  /// the former one. A passed one is not put. A death in between leaves the lock, which says that there was a life. Errors:
-  /// as DescriptorStore::put.
+  /// Lock and socket go into the store, unless they are there, the socket last; a socket that is
+  /// renewed takes the place of the former one. A passed one is not put. A death in between leaves
+  /// the lock, which says that there was a life. Errors: as DescriptorStore::put.
   [[nodiscard]] Result<void> keep(DescriptorStore& store) const;
   /// Whether socket and doorbells are removed at the end; if not, the next run goes on with them.
   void remove_names(bool removes) noexcept { removes_ = removes; }

@@ -70,8 +70,8 @@ void PeerOutput::go_on_flushing() {
   }
 }
 
-// Not disconnected: the caller may be in the middle of an announcement. The connection is shut, and its
-// end is read like any other.
+// Not disconnected: the caller may be in the middle of an announcement. The connection is shut, and
+// its end is read like any other.
 void PeerOutput::end(Peer& peer, std::string_view why) {
   const std::uint32_t uid = peer.session.identity().uid;
   log_.write_limited("output uid=" + std::to_string(uid), LogLevel::warning, "connection ended",

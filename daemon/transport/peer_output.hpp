@@ -1,17 +1,18 @@
 // SPDX-License-Identifier: Apache-2.0
 //
-// PeerOutput: what the daemon sends to processes, and what happens to a process that does not read it.
+// PeerOutput: what the daemon sends to processes, and what happens to a process that does not read
+// it.
 //
-// A packet is sent at once, or waits in the queue of its session. The output of a connection ends when its
-// queue is too long, too old, or the longest one of a user who has too much waiting altogether. Then the
-// connection is shut, not closed: whoever called may be in the middle of an announcement, and the end of the
-// connection is read later like any other.
+// A packet is sent at once, or waits in the queue of its session. The output of a connection ends
+// when its queue is too long, too old, or the longest one of a user who has too much waiting
+// altogether. Then the connection is shut, not closed: whoever called may be in the middle of an
+// announcement, and the end of the connection is read later like any other.
 #pragma once
 
 #include <base/text/log.hpp>
+#include <daemon/transport/client_channel.hpp>
 #include <daemon/transport/connection_table.hpp>
 #include <daemon/transport/dispatcher.hpp>
-#include <daemon/transport/client_channel.hpp>
 
 #include <cstdint>
 #include <optional>

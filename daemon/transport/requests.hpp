@@ -64,9 +64,8 @@ struct Rejected {
 using Request =
     std::variant<wire::Hello, wire::Rejoin, wire::WindowRequest, ExecutorRequest, CreateRequest,
                  LeaveRequest, DrainedRequest, wire::Unlinked, wire::Blocked, wire::Withdrawn,
-                 wire::BringWindow,
-                 wire::Observe, wire::Dump, wire::ReadJournal, wire::Revoke, wire::SetLogLevel,
-                 wire::AskAccess, Rejected>;
+                 wire::BringWindow, wire::Observe, wire::Dump, wire::ReadJournal, wire::Revoke,
+                 wire::SetLogLevel, wire::AskAccess, Rejected>;
 
 /// How far a connection has come, and so what may be said on it: hello or rejoin makes it a client,
 /// observe an observer, for good.

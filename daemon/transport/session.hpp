@@ -57,7 +57,8 @@ struct KeptForUser {
   std::uint64_t book_bytes = 0;          // of the books below
 };
 
-/// What one thing costs, as a part of what all such things of its user cost. It goes with the thing.
+/// What one thing costs, as a part of what all such things of its user cost. It goes with the
+/// thing.
 class BytesOfUser {
  public:
   using Sum = std::uint64_t KeptForUser::*;
@@ -93,8 +94,8 @@ class BookBytes : public BytesOfUser {
   // As much as packets that wait by default: two million announcements. The processes
   // that are told of more than this pay with connections that begin anew, so the number has no key.
   static constexpr std::uint64_t of_user_max = std::uint64_t{96} << 20;
-  // Of each book, whatever the others of its user cost: 1,536 processes of one user (its default quota) with
-  // two books each have 96 MiB of this.
+  // Of each book, whatever the others of its user cost: 1,536 processes of one user (its default
+  // quota) with two books each have 96 MiB of this.
   static constexpr std::uint64_t own_max = std::uint64_t{32} << 10;
 
   explicit BookBytes(std::shared_ptr<KeptForUser> user) noexcept
@@ -105,9 +106,9 @@ class BookBytes : public BytesOfUser {
   }
 };
 
-/// In which packet of one connection each thing was announced last. Where there is no room for more, the older
-/// half of it is forgotten. A statement that was made before what was forgotten cannot be judged any more: its
-/// process is told everything again, on a new connection.
+/// In which packet of one connection each thing was announced last. Where there is no room for
+/// more, the older half of it is forgotten. A statement that was made before what was forgotten
+/// cannot be judged any more: its process is told everything again, on a new connection.
 class AnnouncementNumbers {
  public:
   // A node of 24 bytes with what malloc adds, and its part of the buckets.
@@ -162,8 +163,8 @@ class AnnouncementNumbers {
   BookBytes bytes_;
 };
 
-/// Of which collisions a process was told on one connection. A reader that comes back again and again
-/// has nothing new to say to its publishers.
+/// Of which collisions a process was told on one connection. A reader that comes back again and
+/// again has nothing new to say to its publishers.
 class CollisionsNotified {
  public:
   // Pairs of endpoints. A process that has more is told of some twice, and costs the daemon 2 MB.
@@ -195,8 +196,9 @@ class CollisionsNotified {
 struct Outgoing {
   std::vector<std::byte> bytes;
   std::vector<SharedFd> fds;
-  // Called once, just before it is sent. Whatever is made for this packet alone is made here: in the
-  // queue of a client that does not read it would be one more descriptor of ours for each packet.
+  // Called once, just before it is sent. Whatever is made for this packet alone is made here: in
+  // the queue of a client that does not read it would be one more descriptor of ours for each
+  // packet.
   std::function<void(Outgoing&)> complete = {};
   std::uint64_t since_ms = 0;    // when it was handed in
   std::uint64_t cost_bytes = 0;  // of the session, as long as it waits
@@ -204,9 +206,9 @@ struct Outgoing {
 
 class Session {
  public:
-  // Of one client that does not read, some 10 MB; [quota] queued_bytes bounds those of all clients of
-  // a user together. Who comes back is told in parts of half of this, and of one endpoint or topic
-  // more; each is at most 1,022 packets.
+  // Of one client that does not read, some 10 MB; [quota] queued_bytes bounds those of all clients
+  // of a user together. Who comes back is told in parts of half of this, and of one endpoint or
+  // topic more; each is at most 1,022 packets.
   static constexpr std::size_t queue_count_max = 16 * 1024;
 
   Session(PacketSocket socket, PeerIdentity identity,

@@ -414,8 +414,9 @@ class Demo {
     report_.line("subscriber process; the next message follows when this one was checked. Medians");
     report_.line("over " + rounds + (options_.rounds == 1 ? " round" : " rounds") +
                  ". Filling the message is not included.");
-    report_.line(with_dds ? "Both alike: sender and receiver on cores of their own, one receiver, 1 ms rest"
-                          : "Sender and receiver are on cores of their own, with 1 ms rest");
+    report_.line(
+        with_dds ? "Both alike: sender and receiver on cores of their own, one receiver, 1 ms rest"
+                 : "Sender and receiver are on cores of their own, with 1 ms rest");
     report_.line("before each message, alternating: the times include waking an idle core.");
     if (!with_dds) return;
     report_.line("Cyclone DDS: from the call of dds_write (which serializes) to the return of");

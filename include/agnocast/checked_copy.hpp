@@ -24,9 +24,7 @@ namespace agnocast {
 template <class T>
 class Snapshot {
  public:
-  explicit Snapshot(const void* original) noexcept {
-    std::memcpy(bytes_, original, sizeof(T));
-  }
+  explicit Snapshot(const void* original) noexcept { std::memcpy(bytes_, original, sizeof(T)); }
   const T& operator*() const noexcept { return *std::launder(reinterpret_cast<const T*>(bytes_)); }
   const T* operator->() const noexcept { return &**this; }
 
@@ -91,8 +89,8 @@ inline bool take_bits(MessageBounds&, const std::vector<bool>&) noexcept { retur
 template <class Text>
 bool take_text(MessageBounds& bounds, const Text& text, const void* original) noexcept {
   constexpr std::size_t letter = sizeof(typename Text::value_type);
-  const auto at = reinterpret_cast<std::uintptr_t>(text.data()) -
-                  reinterpret_cast<std::uintptr_t>(original);
+  const auto at =
+      reinterpret_cast<std::uintptr_t>(text.data()) - reinterpret_cast<std::uintptr_t>(original);
   if (at < sizeof(Text) && text.size() <= (sizeof(Text) - at) / letter) return true;
   return bounds.take(text.data(), text.size(), letter);
 }

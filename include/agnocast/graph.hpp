@@ -29,13 +29,11 @@ struct EndpointInfo {
   std::uint64_t layout_hash = 0;
   std::string node_name, node_namespace;  ///< "talker", "/ns"
   QoS qos{1};                             ///< as requested by the endpoint
-  std::uint64_t generation =
-      0;                  ///< unique within one incarnation; for a publisher, equal to
-                          ///< MessageInfo::publisher of its messages
-  std::uint32_t pid = 0;  ///< in the daemon's pid namespace; 0 if not visible there
+  std::uint64_t generation = 0;  ///< unique within one incarnation; for a publisher, equal to
+                                 ///< MessageInfo::publisher of its messages
+  std::uint32_t pid = 0;         ///< in the daemon's pid namespace; 0 if not visible there
   std::uint32_t uid = 0;
-  std::uint64_t client =
-      0;  ///< of the process: the same for all its endpoints, and unique to it
+  std::uint64_t client = 0;  ///< of the process: the same for all its endpoints, and unique to it
   std::string process_name;
 };
 

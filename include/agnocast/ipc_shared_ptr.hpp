@@ -18,9 +18,8 @@ namespace agnocast {
 
 /// Metadata of a received message.
 struct MessageInfo {
-  std::uint64_t sequence = 0;  ///< of its publisher; consecutive, the first is 1
-  std::uint64_t publisher =
-      0;  ///< generation of the publisher: unique during the life of a daemon
+  std::uint64_t sequence = 0;   ///< of its publisher; consecutive, the first is 1
+  std::uint64_t publisher = 0;  ///< generation of the publisher: unique during the life of a daemon
   std::uint64_t publish_time_ns = 0;  ///< CLOCK_MONOTONIC when it was published
   std::uint64_t object_bytes = 0;     ///< sizeof the message object
   /// Returns publish_time_ns in CLOCK_REALTIME nanoseconds, by the present offset of the two

@@ -43,9 +43,9 @@ struct FieldTable {
   bool is_polymorphic;          ///< marked by the generator (rosidl::Buffer)
   std::uint32_t element_bytes;  ///< sizeof one element; 0 for a message, see its own table
   std::size_t offset;           ///< bytes from the start of the message object
-  std::size_t array_bound;   ///< elements of a fixed array, or the upper bound of a sequence
-  std::size_t string_bound;  ///< characters of a bounded string, else 0
-  const void* nested;        ///< table of the element, for messages
+  std::size_t array_bound;      ///< elements of a fixed array, or the upper bound of a sequence
+  std::size_t string_bound;     ///< characters of a bounded string, else 0
+  const void* nested;           ///< table of the element, for messages
   std::size_t (*size)(const void* member);
   const void* (*get)(const void* member, std::size_t index);
   void (*resize)(void* member, std::size_t size);

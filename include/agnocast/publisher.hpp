@@ -440,9 +440,7 @@ class Publisher : public detail::LendingPublisher<T, detail::TypedCode<T>> {
   /// less. Errors as of the other overloads without loan_invalid; and protocol_violation: a
   /// received rosidl message refers to memory outside its publisher's (docs/messages.md,
   /// Forwarding).
-  PublishResult publish(const T& message) noexcept {
-    return this->publish_copy(copy_of(message));
-  }
+  PublishResult publish(const T& message) noexcept { return this->publish_copy(copy_of(message)); }
   using Base::try_publish;
   [[nodiscard]] PublishResult try_publish(const T& message) noexcept { return publish(message); }
   /// publish_for with a message that the caller keeps: copies it once, however often it retries.

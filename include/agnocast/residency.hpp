@@ -227,10 +227,9 @@ struct ResidentCopy {
 /// Runs `code.copy(original)` in the shared heap; it may throw. Not inlined: publish seldom needs
 /// it, and would get longer for each message type.
 template <class Code, class Object>
-[[gnu::noinline]] Result<ResidentCopy<typename Code::Owner>> try_copy_into_heap(const Code& code,
-                                                              const Object& original,
-                                                              const MessageType& type,
-                                                              const SharedHeap& heap) noexcept {
+[[gnu::noinline]] Result<ResidentCopy<typename Code::Owner>> try_copy_into_heap(
+    const Code& code, const Object& original, const MessageType& type,
+    const SharedHeap& heap) noexcept {
   SharedScope scope(heap);
   using Made = Result<ResidentCopy<typename Code::Owner>>;
   return guarded(
@@ -253,10 +252,9 @@ template <class Code, class Object>
 
 /// The same; if there is no room, calls `has_more_room()` to make some, and tries once more.
 template <class Code, class Object, class HasMoreRoom>
-[[gnu::noinline]] Result<ResidentCopy<typename Code::Owner>> copy_into_heap(const Code& code, const Object& original,
-                                                          const HasMoreRoom& has_more_room,
-                                                          const MessageType& type,
-                                                          const SharedHeap& heap) noexcept {
+[[gnu::noinline]] Result<ResidentCopy<typename Code::Owner>> copy_into_heap(
+    const Code& code, const Object& original, const HasMoreRoom& has_more_room,
+    const MessageType& type, const SharedHeap& heap) noexcept {
   // No assignment: without exceptions tl::expected assigns only copyable types.
   auto copy = try_copy_into_heap(code, original, type, heap);
   if (copy || copy.error().code == Errc::user_code_threw || !has_more_room()) return copy;

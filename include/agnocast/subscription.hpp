@@ -95,7 +95,7 @@ class AGNOCAST_PUBLIC UntypedSubscription {
   std::uint64_t persistent_id() const noexcept;
   struct Writer {
     std::uint64_t persistent_id;  // 0: not announced yet; there is no notification when it is
-    bool is_gone;           // but some of its messages are unread
+    bool is_gone;                 // but some of its messages are unread
   };
   /// Returns the connected publishers, and dead ones with undelivered messages.
   std::vector<Writer> writers() const;

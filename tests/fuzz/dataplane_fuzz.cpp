@@ -57,8 +57,8 @@ struct Window {
   Memory* region;
   std::uint64_t opened = 0;
   void open() {
-    opened = std::max(opened,
-                      region::load_frontier<M>(region->base(), 0, window_bytes) & ~(abi::page_bytes - 1));
+    opened = std::max(
+        opened, region::load_frontier<M>(region->base(), 0, window_bytes) & ~(abi::page_bytes - 1));
     require(opened <= window_bytes);
   }
   region::Place place_of(std::uint64_t address, std::uint64_t size) const {
@@ -177,8 +177,8 @@ void read_from_a_liar(FuzzedDataProvider& input) {
         break;
       default: {
         (void)journal::verify_queue(words, first, slots, input.ConsumeBool());
-        (void)journal::verify_link(region::LinkWords<M>{lines.base(), extent, 0}, words, generation, first,
-                                   slots);
+        (void)journal::verify_link(region::LinkWords<M>{lines.base(), extent, 0}, words, generation,
+                                   first, slots);
         break;
       }
     }

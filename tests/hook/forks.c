@@ -1,6 +1,7 @@
 /* SPDX-License-Identifier: Apache-2.0
  *
- * An ordinary C program that forks without exec, from threads too, and uses the heap in every process.
+ * An ordinary C program that forks without exec, from threads too, and uses the heap in every
+ * process.
  */
 #include <pthread.h>
 #include <stdio.h>
@@ -10,7 +11,7 @@
 #include <unistd.h>
 
 static int child(int number) {
-  char *text = NULL;
+  char* text = NULL;
   for (int i = 0; i < 100; ++i) {
     text = realloc(text, (size_t)(i + 1) * 50);
     memset(text, 'a' + number % 26, (size_t)(i + 1) * 50);
@@ -20,8 +21,8 @@ static int child(int number) {
   return good ? 0 : 1;
 }
 
-static void *forking(void *argument) {
-  int *const failures = argument;
+static void* forking(void* argument) {
+  int* const failures = argument;
   for (int i = 0; i < 30; ++i) {
     const pid_t pid = fork();
     if (pid == 0) _exit(child(i));

@@ -41,7 +41,7 @@ int count_bad_allocs() {
     ++thrown;
   }
   if (operator new(huge, std::nothrow) == nullptr) ++thrown;
-  if (operator new(huge, std::align_val_t{256}, std::nothrow) == nullptr) ++thrown;
+  if (operator new (huge, std::align_val_t{256}, std::nothrow) == nullptr) ++thrown;
   return thrown;
 }
 }  // namespace
@@ -55,7 +55,7 @@ extern "C" __attribute__((visibility("default"))) int module_out_of_memory() {
     if (++handler_calls == 2) std::set_new_handler(nullptr);
   });
   try {
-    operator delete(operator new(~std::size_t{0} >> 1));
+    operator delete(operator new (~std::size_t{0} >> 1));
   } catch (const std::bad_alloc&) {
   }
   struct alignas(128) Wide {

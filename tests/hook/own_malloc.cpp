@@ -34,7 +34,9 @@ void* take(std::size_t alignment, std::size_t size) {
 extern "C" {
 EXPORTED void* malloc(std::size_t size) { return take(16, size); }
 EXPORTED void* calloc(std::size_t count, std::size_t size) { return take(16, count * size); }
-EXPORTED void* aligned_alloc(std::size_t alignment, std::size_t size) { return take(alignment, size); }
+EXPORTED void* aligned_alloc(std::size_t alignment, std::size_t size) {
+  return take(alignment, size);
+}
 EXPORTED int posix_memalign(void** result, std::size_t alignment, std::size_t size) {
   *result = take(alignment, size);
   return *result == nullptr ? 12 : 0;
@@ -42,7 +44,8 @@ EXPORTED int posix_memalign(void** result, std::size_t alignment, std::size_t si
 EXPORTED void free(void* block) {
   if (block == nullptr) return;
   ++calls;
-  if (static_cast<char*>(block) < arena || static_cast<char*>(block) >= arena + sizeof arena) foreign = true;
+  if (static_cast<char*>(block) < arena || static_cast<char*>(block) >= arena + sizeof arena)
+    foreign = true;
 }
 EXPORTED void* realloc(void* old, std::size_t size) {
   void* const block = take(16, size);
@@ -65,7 +68,7 @@ int main() {
   const bool libcs = copy >= arena && copy < arena + sizeof arena;
   free(copy);
   texts.clear();
-  std::printf("new lands in the program's heap: %d, strdup: %d, foreign frees: %d, used: %d\n", mine, libcs, foreign,
-              calls > 3000);
+  std::printf("new lands in the program's heap: %d, strdup: %d, foreign frees: %d, used: %d\n",
+              mine, libcs, foreign, calls > 3000);
   return mine && libcs && !foreign ? 0 : 1;
 }

@@ -49,7 +49,8 @@ Outcome run(const std::vector<std::string>& arguments, const RunOptions& options
   for (const std::string& argument : arguments) argv.push_back(const_cast<char*>(argument.c_str()));
   argv.push_back(nullptr);
   std::vector<char*> envp;
-  for (const std::string& variable : environment) envp.push_back(const_cast<char*>(variable.c_str()));
+  for (const std::string& variable : environment)
+    envp.push_back(const_cast<char*>(variable.c_str()));
   envp.push_back(nullptr);
 
   int out[2];
@@ -80,7 +81,8 @@ Outcome run(const std::vector<std::string>& arguments, const RunOptions& options
   std::string* streams[2] = {&outcome.output, &outcome.error};
   bool in_time = true;
   while (polled[0].fd >= 0 || polled[1].fd >= 0) {
-    const auto left = std::chrono::duration_cast<std::chrono::milliseconds>(end - std::chrono::steady_clock::now());
+    const auto left = std::chrono::duration_cast<std::chrono::milliseconds>(
+        end - std::chrono::steady_clock::now());
     if (left.count() <= 0) {
       in_time = false;
       break;
@@ -102,7 +104,8 @@ Outcome run(const std::vector<std::string>& arguments, const RunOptions& options
   waitpid(pid, &status, 0);
   close(out[0]);
   close(err[0]);
-  if (in_time) outcome.exit_status = WIFEXITED(status) ? WEXITSTATUS(status) : 128 + WTERMSIG(status);
+  if (in_time)
+    outcome.exit_status = WIFEXITED(status) ? WEXITSTATUS(status) : 128 + WTERMSIG(status);
   return outcome;
 }
 
@@ -116,8 +119,10 @@ void run_in_own_process(const char* suite, const char* name) {
   const std::string filter = std::string("--gtest_filter=") + suite + "." + name;
   const Outcome outcome = run({self, "--in-own-process", filter, "--gtest_brief=1"}, options);
   if (outcome.output.find("[  SKIPPED ]") != std::string::npos) GTEST_SKIP() << outcome.output;
-  EXPECT_EQ(outcome.exit_status, 0) << (outcome.exit_status == -1 ? "timed out\n" : "") << outcome.output << outcome.error;
-  EXPECT_NE(outcome.output.find("[  PASSED  ] 1 test"), std::string::npos) << outcome.output << outcome.error;
+  EXPECT_EQ(outcome.exit_status, 0)
+      << (outcome.exit_status == -1 ? "timed out\n" : "") << outcome.output << outcome.error;
+  EXPECT_NE(outcome.output.find("[  PASSED  ] 1 test"), std::string::npos)
+      << outcome.output << outcome.error;
 }
 
 const agnocast_heaphook_table& hook() {
@@ -174,7 +179,8 @@ void attach(const WindowFile& file, std::uint32_t scope) {
 }
 
 Directory::Directory() {
-  std::string name = (std::filesystem::temp_directory_path() / "agnocast_hook_test_XXXXXX").string();
+  std::string name =
+      (std::filesystem::temp_directory_path() / "agnocast_hook_test_XXXXXX").string();
   if (mkdtemp(name.data()) == nullptr) std::abort();
   chmod(name.c_str(), 0755);
   path = name;
@@ -197,7 +203,8 @@ std::size_t self_status_kib(const char* field) {
   std::ifstream status("/proc/self/status");
   std::string line;
   while (std::getline(status, line)) {
-    if (line.rfind(std::string(field) + ":", 0) == 0) return std::stoul(line.substr(std::strlen(field) + 1));
+    if (line.rfind(std::string(field) + ":", 0) == 0)
+      return std::stoul(line.substr(std::strlen(field) + 1));
   }
   return 0;
 }

@@ -49,15 +49,15 @@ bool hook_is_linked();
 void run_in_own_process(const char* suite, const char* name);
 bool in_own_process();
 
-#define HOOKED_TEST(suite, name)                                             \
-  static void body_of_##suite##_##name();                                    \
-  TEST(suite, name) {                                                        \
-    if (::hook_test::in_own_process()) {                                     \
-      body_of_##suite##_##name();                                            \
-    } else {                                                                 \
-      ::hook_test::run_in_own_process(#suite, #name);                        \
-    }                                                                        \
-  }                                                                          \
+#define HOOKED_TEST(suite, name)                      \
+  static void body_of_##suite##_##name();             \
+  TEST(suite, name) {                                 \
+    if (::hook_test::in_own_process()) {              \
+      body_of_##suite##_##name();                     \
+    } else {                                          \
+      ::hook_test::run_in_own_process(#suite, #name); \
+    }                                                 \
+  }                                                   \
   static void body_of_##suite##_##name()
 
 // Returns the hook of this process.

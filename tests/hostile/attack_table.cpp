@@ -37,7 +37,8 @@ const char* table_path() { return std::getenv("AGNOCAST_ATTACK_TABLE"); }
 void append(const nlohmann::json& row) {
   const std::string line = row.dump() + "\n";
   const int file = ::open(table_path(), O_WRONLY | O_APPEND | O_CREAT | O_CLOEXEC, 0644);
-  EXPECT_EQ(::write(file, line.data(), line.size()), static_cast<ssize_t>(line.size())) << table_path();
+  EXPECT_EQ(::write(file, line.data(), line.size()), static_cast<ssize_t>(line.size()))
+      << table_path();
   ::close(file);
 }
 
@@ -51,7 +52,8 @@ class RowsWithoutFigures : public testing::EmptyTestEventListener {
     nlohmann::json row{{"test", name_of(test)},
                        {"survived", result.Passed()},
                        {"seconds", static_cast<double>(result.elapsed_time()) / 1e3}};
-    if (result.Skipped()) row["skipped"] = result.GetTestPartResult(result.total_part_count() - 1).message();
+    if (result.Skipped())
+      row["skipped"] = result.GetTestPartResult(result.total_part_count() - 1).message();
     append(row);
   }
 };
@@ -84,8 +86,7 @@ ProcessUse use_of(pid_t pid) {
   for (int field = 3; field < 14; ++field) fields >> skipped;
   std::uint64_t user = 0, system = 0;
   fields >> user >> system;
-  use.cpu_ns =
-      (user + system) * 1'000'000'000 / static_cast<std::uint64_t>(::sysconf(_SC_CLK_TCK));
+  use.cpu_ns = (user + system) * 1'000'000'000 / static_cast<std::uint64_t>(::sysconf(_SC_CLK_TCK));
   return use;
 }
 
@@ -102,7 +103,8 @@ void AttackRow::write(pid_t daemon, const Victim& victim) {
   const nlohmann::json row{
       {"test", name_of(*test)},
       {"survived", !testing::Test::HasFailure()},
-      {"seconds", static_cast<double>(monotonic_ns() - static_cast<std::uint64_t>(begin_ns_)) / 1e9},
+      {"seconds",
+       static_cast<double>(monotonic_ns() - static_cast<std::uint64_t>(begin_ns_)) / 1e9},
       {"victim",
        {{"messages", victim.messages},
         {"lost", victim.lost},

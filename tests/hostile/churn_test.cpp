@@ -19,7 +19,9 @@ namespace {
 using wire::Kind;
 using wire::Opcode;
 
-constexpr const char* escapes = "no\x1b]0;owned\x07\n\r\x9b" "2J\x1b[2J\x7f";
+constexpr const char* escapes =
+    "no\x1b]0;owned\x07\n\r\x9b"
+    "2J\x1b[2J\x7f";
 
 /// Returns how many processes, endpoints and windows the daemon's tables hold.
 nlohmann::json counts_of(Stage& stage) {
@@ -74,7 +76,8 @@ TEST(HostileChurn, OtherTypesUnderTheRightNameMatchNobody) {
     HostileNode node(path);
     EXPECT_EQ(node.wire().open_executor().opcode(), Opcode::executor_opened);
     for (attack.ready(); attack.goes_on(); ++attack.word(0)) {
-      auto body = WireClient::endpoint(stream_topic, {}, "wrong/msg/Type" + std::to_string(chance()));
+      auto body =
+          WireClient::endpoint(stream_topic, {}, "wrong/msg/Type" + std::to_string(chance()));
       body.layout_hash = chance.nasty();
       EXPECT_EQ(node.wire().ask(Opcode::create_subscription, body).refused_code(),
                 Errc::type_mismatch);
@@ -113,14 +116,30 @@ TEST(HostileChurn, NamesFullOfControlCharactersReachNoTerminal) {
   ASSERT_TRUE(attacker.wait_until_ready());
   const std::string attacker_pid = std::to_string(attacker.pid());
   unsigned escaped = 0;
-  for (const std::vector<std::string>& words : std::vector<std::vector<std::string>>{
-           {"topic", "list"}, {"topic", "list", "-v"}, {"topic", "info", "-v", open_topic},
-           {"topic", "find", "test/msg/Type"}, {"topic", "type", open_topic}, {"node", "list"},
-           {"node", "info", "/node"}, {"service", "list"}, {"process", "list"},
-           {"process", "info", attacker_pid}, {"heap", "list"}, {"heap", "info", attacker_pid},
-           {"message", "list"}, {"status"}, {"top", "-b", "-n", "1"}, {"dump"}, {"graph"},
-           {"doctor"}, {"journal"}, {"verify"}, {"access", open_topic}, {"metrics"},
-           {"bridge", "list"}}) {
+  for (const std::vector<std::string>& words :
+       std::vector<std::vector<std::string>>{{"topic", "list"},
+                                             {"topic", "list", "-v"},
+                                             {"topic", "info", "-v", open_topic},
+                                             {"topic", "find", "test/msg/Type"},
+                                             {"topic", "type", open_topic},
+                                             {"node", "list"},
+                                             {"node", "info", "/node"},
+                                             {"service", "list"},
+                                             {"process", "list"},
+                                             {"process", "info", attacker_pid},
+                                             {"heap", "list"},
+                                             {"heap", "info", attacker_pid},
+                                             {"message", "list"},
+                                             {"status"},
+                                             {"top", "-b", "-n", "1"},
+                                             {"dump"},
+                                             {"graph"},
+                                             {"doctor"},
+                                             {"journal"},
+                                             {"verify"},
+                                             {"access", open_topic},
+                                             {"metrics"},
+                                             {"bridge", "list"}}) {
     for (const bool json : {false, true}) {
       std::vector<std::string> line = words;
       if (json) line.insert(line.begin(), "--json");

@@ -9,8 +9,8 @@
 // close not even a signal ends.
 
 #include <tests/hostile/hostile_node.hpp>
-#include <tests/support/wire/deaf_peer.hpp>
 #include <tests/support/machine/silent_fuse.hpp>
+#include <tests/support/wire/deaf_peer.hpp>
 
 #include <fcntl.h>
 #include <poll.h>
@@ -53,10 +53,10 @@ wire::Hello some_hello() {
 }
 
 enum Place : unsigned {
-  with_hello,        // a request that may not carry one
-  before_hello,      // a packet that ends the connection
-  behind_the_end,    // queued on a connection that ends
-  unread,            // sent, and the sender exits before it is read
+  with_hello,      // a request that may not carry one
+  before_hello,    // a packet that ends the connection
+  behind_the_end,  // queued on a connection that ends
+  unread,          // sent, and the sender exits before it is read
   with_observe,
   as_window,         // the request that may carry a descriptor
   as_window_number,  // the same, with more descriptors than the daemon receives per packet
@@ -127,8 +127,9 @@ bool kernel_refuses_descriptors() {
 
 /// Calls `after` when the attackers are gone, before it expects the daemon to have its descriptors
 /// back.
-void honest_goes_on_beside(Stage& stage, const std::function<void(Attack&)>& body,
-                           const std::function<void()>& after = [] {}) {
+void honest_goes_on_beside(
+    Stage& stage, const std::function<void(Attack&)>& body,
+    const std::function<void()>& after = [] {}) {
   const std::size_t before = stage.daemon().descriptor_count();
   Attacker attacker(body);
   if (!attacker.wait_until_ready()) return;
@@ -154,7 +155,8 @@ void honest_goes_on_beside(Stage& stage, const std::function<void(Attack&)>& bod
 
 /// Returns whether one of its threads is in a wait that no signal ends.
 bool is_waiting_in_kernel(pid_t process) {
-  for (const auto& task : std::filesystem::directory_iterator("/proc/" + std::to_string(process) + "/task")) {
+  for (const auto& task :
+       std::filesystem::directory_iterator("/proc/" + std::to_string(process) + "/task")) {
     std::ifstream file(task.path() / "stat");
     const std::string stat((std::istreambuf_iterator<char>(file)), {});
     const std::size_t end_of_name = stat.rfind(')');
@@ -190,9 +192,8 @@ TEST_P(HostileClosing, SocketsThatLingerDelayNobody) {
       }
       const auto place = static_cast<Place>(round % place_count);
       // The sender exits, so the daemon holds the last reference to the socket.
-      Child sender([&] {
-        return send_at(place, path, peer.lingering_socket(1'000'000).release()) ? 0 : 1;
-      });
+      Child sender(
+          [&] { return send_at(place, path, peer.lingering_socket(1'000'000).release()) ? 0 : 1; });
       sent[place] = sender.wait() == 0;
       ++attack.word(0);
       if (round == place_count) attack.ready();
@@ -210,7 +211,9 @@ TEST_P(HostileClosing, SocketsThatLingerDelayNobody) {
 class SilentFiles {
  public:
   SilentFiles()
-      : directory_(make_directory()), clean_(file("clean"), S_IFREG), dirty_(file("dirty"), S_IFREG, true) {}
+      : directory_(make_directory()),
+        clean_(file("clean"), S_IFREG),
+        dirty_(file("dirty"), S_IFREG, true) {}
   ~SilentFiles() {
     end();
     remove_directory(directory_);
@@ -237,7 +240,8 @@ class SilentFiles {
       if (sender == 0) {
         ::prctl(PR_SET_PDEATHSIG, SIGKILL);
         const bool is_dirty = round / place_count % 2 != 0;
-        const int silent = ::open((directory_ + (is_dirty ? "/dirty" : "/clean")).c_str(), O_RDWR | O_CLOEXEC);
+        const int silent =
+            ::open((directory_ + (is_dirty ? "/dirty" : "/clean")).c_str(), O_RDWR | O_CLOEXEC);
         if (silent < 0 ||
             // Each round has its own page: a page under writeback cannot be written to.
             (is_dirty && ::pwrite(silent, "x", 1, off_t{4096} * round) != 1))
@@ -300,17 +304,20 @@ TEST_P(HostileClosing, AWorkerThatDiesBesideSuchFilesIsReplaced) {
   stage.honest_goes_on();
   stage.honest_is_served();
   const auto another = stage.another_honest_process();
-  EXPECT_EQ(another->ask(std::string("watch ") + open_topic), "ok") << "the next process is welcomed";
+  EXPECT_EQ(another->ask(std::string("watch ") + open_topic), "ok")
+      << "the next process is welcomed";
   attacker.kill();
   files.end();
 }
 
 TEST_P(HostileClosing, ADaemonThatDiesBesideSuchFilesKeepsNothingOpen) {
   AGNOCAST_NEEDS_TWO_USERS();
-  DaemonProcess daemon({.config = "[daemon]\nsocket_mode = \"0666\"\n"
-                                  "[heap]\nwindow_bytes = \"64MiB\"\narena_bytes = \"4GiB\"\n" AGNOCAST_TEST_ARENA_BASE,
-                        .arguments = {"--fd-store=none"},
-                        .without_passrights = GetParam()});
+  DaemonProcess daemon(
+      {.config =
+           "[daemon]\nsocket_mode = \"0666\"\n"
+           "[heap]\nwindow_bytes = \"64MiB\"\narena_bytes = \"4GiB\"\n" AGNOCAST_TEST_ARENA_BASE,
+       .arguments = {"--fd-store=none"},
+       .without_passrights = GetParam()});
   SilentFiles files;
   if (!files.made()) GTEST_SKIP() << "no FUSE here";
   WireClient client(daemon.socket_path());
@@ -359,7 +366,8 @@ TEST(HostileLooking, LookingAtAProcessThatDoesNotEndDelaysNobody) {
     stage.honest_is_served();
   }
   const auto another = stage.another_honest_process();
-  EXPECT_EQ(another->ask(std::string("watch ") + open_topic), "ok") << "the next process is welcomed";
+  EXPECT_EQ(another->ask(std::string("watch ") + open_topic), "ok")
+      << "the next process is welcomed";
   process.end();
   attacker.end();
 }
@@ -400,18 +408,24 @@ class LockedFile {
   void attack(Attack& attack, const std::string& path, const char* known_type) const {
     HostileNode node(path);
     const auto leaving = node.join(wire::Kind::publisher, "/leaving");
-    EXPECT_EQ(node.wire().ask(Opcode::create_publisher, node.body_like(known_type, "/locked", {})).opcode(),
+    EXPECT_EQ(node.wire()
+                  .ask(Opcode::create_publisher, node.body_like(known_type, "/locked", {}))
+                  .opcode(),
               Opcode::endpoint_created);
     attack.word(0) = static_cast<std::uint64_t>(keep(node.region_fd()));
     EXPECT_TRUE(eventually([&] { return attack.word(1) != 0; }));
-    EXPECT_EQ(node.wire().reference(Opcode::leave, wire::Kind::publisher, leaving.topic, leaving.index,
-                                    leaving.generation).opcode(),
+    EXPECT_EQ(node.wire()
+                  .reference(Opcode::leave, wire::Kind::publisher, leaving.topic, leaving.index,
+                             leaving.generation)
+                  .opcode(),
               Opcode::done);
-    const std::uint64_t waits = node.wire().send(Opcode::create_publisher, WireClient::endpoint("/waits", {}));
+    const std::uint64_t waits =
+        node.wire().send(Opcode::create_publisher, WireClient::endpoint("/waits", {}));
     attack.ready();
     while (attack.goes_on()) {
       const auto answer = node.wire().poll();
-      if (answer && answer->header().request == waits && answer->refused_code() == Errc::limit_reached)
+      if (answer && answer->header().request == waits &&
+          answer->refused_code() == Errc::limit_reached)
         attack.word(2) = 1;
       ::usleep(1'000);
     }
@@ -452,16 +466,19 @@ TEST(HostileLocking, AFileThatItsProcessKeepsLockedDelaysNobody) {
   const auto keeper = static_cast<pid_t>(attacker.word(0));
   const std::uint64_t died = stage.counters().clients_died;
   attacker.kill();
-  EXPECT_TRUE(eventually([&] { return stage.counters().clients_died > died; })) << "the daemon did not notice the death";
+  EXPECT_TRUE(eventually([&] { return stage.counters().clients_died > died; }))
+      << "the daemon did not notice the death";
   others_go_on();
   ::kill(keeper, SIGKILL);
 }
 
 TEST(HostileLocking, ADaemonThatDiesBesideALockedFileKeepsNothingOpen) {
   AGNOCAST_NEEDS_TWO_USERS();
-  DaemonProcess daemon({.config = "[daemon]\nsocket_mode = \"0666\"\n"
-                                  "[heap]\nwindow_bytes = \"64MiB\"\narena_bytes = \"4GiB\"\n" AGNOCAST_TEST_ARENA_BASE,
-                        .arguments = {"--fd-store=none"}});
+  DaemonProcess daemon(
+      {.config =
+           "[daemon]\nsocket_mode = \"0666\"\n"
+           "[heap]\nwindow_bytes = \"64MiB\"\narena_bytes = \"4GiB\"\n" AGNOCAST_TEST_ARENA_BASE,
+       .arguments = {"--fd-store=none"}});
   LockedFile file;
   if (!file.made()) GTEST_SKIP() << "no FUSE here";
   WireClient client(daemon.socket_path());
@@ -472,7 +489,8 @@ TEST(HostileLocking, ADaemonThatDiesBesideALockedFileKeepsNothingOpen) {
   if (!attacker.wait_until_ready()) return;
   const UniqueFd lock(::open((daemon.socket_path() + ".lock").c_str(), O_RDONLY | O_CLOEXEC));
   ASSERT_TRUE(lock);
-  EXPECT_TRUE(eventually([&] { return is_waiting_in_kernel(daemon.pid()); })) << "the daemon does not wait for the lock";
+  EXPECT_TRUE(eventually([&] { return is_waiting_in_kernel(daemon.pid()); }))
+      << "the daemon does not wait for the lock";
   ::kill(daemon.pid(), SIGKILL);
   EXPECT_TRUE(eventually([&] { return ::flock(lock.get(), LOCK_EX | LOCK_NB) == 0; }));
   EXPECT_TRUE(eventually([&] {
@@ -484,8 +502,9 @@ TEST(HostileLocking, ADaemonThatDiesBesideALockedFileKeepsNothingOpen) {
   attacker.kill();
 }
 
-INSTANTIATE_TEST_SUITE_P(Kernels, HostileClosing, testing::Bool(),
-                         [](const auto& param) { return param.param ? "before_6_16" : "as_it_is"; });
+INSTANTIATE_TEST_SUITE_P(Kernels, HostileClosing, testing::Bool(), [](const auto& param) {
+  return param.param ? "before_6_16" : "as_it_is";
+});
 
 }  // namespace
 }  // namespace agnocast::test

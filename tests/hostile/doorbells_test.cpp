@@ -193,7 +193,8 @@ TEST(HostileDoorbells, AReceiverThatIsClosedDelaysNobody) {
   asks_for_rings(stage, [](HostileNode& node) {
     for (const UniqueFd& doorbell : node.doorbells()) ::close(::dup(doorbell.get()));
     const UniqueFd null(::open("/dev/null", O_RDWR | O_CLOEXEC));
-    for (const UniqueFd& doorbell : node.doorbells()) EXPECT_GE(::dup2(null.get(), doorbell.get()), 0);
+    for (const UniqueFd& doorbell : node.doorbells())
+      EXPECT_GE(::dup2(null.get(), doorbell.get()), 0);
   });
 }
 

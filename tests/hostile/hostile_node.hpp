@@ -140,7 +140,7 @@ class HostileNode {
     return {region_.base(), publisher.extent};
   }
   region::LinkWords<M> line(const wire::EndpointCreated& subscription,
-                               std::uint64_t publisher) const {
+                            std::uint64_t publisher) const {
     return {region_.base(), subscription.extent, publisher};
   }
   abi::SharedWord& armed() const { return word(offsetof(abi::ClientRegionHeader, executor)); }

@@ -16,8 +16,8 @@
 #include <linux/fs.h>
 #include <linux/futex.h>
 #include <linux/userfaultfd.h>
-#include <sys/ioctl.h>
 #include <sched.h>
+#include <sys/ioctl.h>
 #include <sys/ptrace.h>
 #include <sys/stat.h>
 #include <sys/syscall.h>
@@ -96,7 +96,8 @@ void try_to_write(int fd, const std::string& what, Length length = Length::may_g
   const std::string path = path_of(fd);
   for (const int flags : {O_RDWR, O_WRONLY, O_RDONLY, O_RDWR | O_TRUNC}) {
     const bool is_immutable = flags != O_RDONLY && has_no_holes(fd);
-    EXPECT_EQ(outcome([&] { return ::open(path.c_str(), flags | O_CLOEXEC); }), is_immutable ? EPERM : EACCES)
+    EXPECT_EQ(outcome([&] { return ::open(path.c_str(), flags | O_CLOEXEC); }),
+              is_immutable ? EPERM : EACCES)
         << flags;
   }
   EXPECT_EQ(outcome_of_map(::mmap(nullptr, page, PROT_READ | PROT_WRITE, MAP_SHARED, fd, 0)),
@@ -106,9 +107,9 @@ void try_to_write(int fd, const std::string& what, Length length = Length::may_g
   EXPECT_EQ(outcome([&] { return ::fallocate(fd, 0, 0, page); }), EBADF);
   EXPECT_EQ(punch(fd, 0, page), EBADF);
   EXPECT_EQ(outcome([&] { return ::fcntl(fd, F_ADD_SEALS, F_SEAL_WRITE); }), EPERM);
-  EXPECT_EQ(::fcntl(fd, F_GET_SEALS),
-            F_SEAL_SHRINK | F_SEAL_SEAL | (length == Length::fixed ? F_SEAL_GROW : 0) |
-                (::fcntl(fd, F_GET_SEALS) & 0x20 /* F_SEAL_EXEC */));
+  EXPECT_EQ(::fcntl(fd, F_GET_SEALS), F_SEAL_SHRINK | F_SEAL_SEAL |
+                                          (length == Length::fixed ? F_SEAL_GROW : 0) |
+                                          (::fcntl(fd, F_GET_SEALS) & 0x20 /* F_SEAL_EXEC */));
   EXPECT_EQ(outcome([&] { return ::fchmod(fd, 0777); }), EPERM);
   EXPECT_EQ(outcome([&] { return ::fchown(fd, ::getuid(), ::getgid()); }), EPERM);
   struct stat before {};
@@ -187,7 +188,8 @@ TEST_P(HostileMemory, GivesNobodyAWayToWriteMemoryOfOthers) {
     node.join(Kind::publisher, open_topic);
     const auto subscription = node.announced();
     ASSERT_EQ(subscription.body.kind, Kind::subscription);
-    ASSERT_EQ(subscription.fds.size(), 2u) << "region and datagram doorbell: no eventfd for this user";
+    ASSERT_EQ(subscription.fds.size(), 2u)
+        << "region and datagram doorbell: no eventfd for this user";
     struct stat doorbell {};
     ASSERT_EQ(::fstat(subscription.fds[1].get(), &doorbell), 0);
     EXPECT_TRUE(S_ISSOCK(doorbell.st_mode)) << "an eventfd would let us block its other holders";
@@ -226,7 +228,8 @@ TEST_P(HostileMemory, GivesAnObserverNoWayToWrite) {
         ASSERT_EQ(::fstat(fd.get(), &status), 0);
         char name[64] = {};
         EXPECT_GT(::readlink(path_of(fd.get()).c_str(), name, sizeof name - 1), 0);
-        EXPECT_EQ(std::string(name), "/memfd:agnocast-region (deleted)") << "an observer gets no window";
+        EXPECT_EQ(std::string(name), "/memfd:agnocast-region (deleted)")
+            << "an observer gets no window";
         EXPECT_LT(status.st_size, off_t{1} << 20) << "the region should be only a few extents long";
         try_to_write(fd.get(), "region of a process");
       }
@@ -339,7 +342,8 @@ TEST(HostileHoles, InItsOwnRegionDelayNobody) {
     while (attack.goes_on()) {
       const int by_call = punch(node.region_fd(), subscription.extent, much - subscription.extent);
       const int by_mapping = outcome([&] {
-        return ::madvise(node.region() + subscription.extent, much - subscription.extent, MADV_REMOVE);
+        return ::madvise(node.region() + subscription.extent, much - subscription.extent,
+                         MADV_REMOVE);
       });
       EXPECT_EQ(by_call, EPERM);
       EXPECT_EQ(by_mapping, EPERM);
@@ -453,7 +457,8 @@ TEST_P(HostileMemory, ReadersAllocateNoMemoryInHoles) {
     const std::uint64_t window = publisher.body.window[0].bytes;
     ASSERT_GE(window, 64 * mib);
     EXPECT_LE(touch_all(publisher.fds[0].get(), node.welcome().client_region_bytes), mib);
-    EXPECT_LE(touch_all(publisher.fds[1].get(), window), 8 * mib) << "the owner extends it by 2 MiB at a time";
+    EXPECT_LE(touch_all(publisher.fds[1].get(), window), 8 * mib)
+        << "the owner extends it by 2 MiB at a time";
     attack.ready();
     while (attack.goes_on()) ::usleep(5000);
   });

@@ -49,9 +49,9 @@ class RelayNode {
       return "ok";
     }
     if (what == "relay") {
-      rumor_ = create_generic_subscription(
-          node_, topic, "std_msgs/msg/String", QoS(100),
-          [this](const GenericMessage& message) { pass_on(message); });
+      rumor_ =
+          create_generic_subscription(node_, topic, "std_msgs/msg/String", QoS(100),
+                                      [this](const GenericMessage& message) { pass_on(message); });
       return "ok";
     }
     if (what == "forward" || what == "forward_checked") {

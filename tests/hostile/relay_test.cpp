@@ -50,13 +50,15 @@ TEST(HostileRelay, PassesOnNoMemoryOfAnotherPublisher) {
   ASSERT_TRUE(eventually([&] { return relay.look() && relay.read > 0; }));
   Attacker attacker([&](Attack& attack) { spread_rumors(stage.socket_path(), attack); });
   if (!attacker.wait_until_ready()) return attacker.end();
-  EXPECT_TRUE(eventually(
-      [&] { return !relay.look() || (relay.relayed >= 20 && relay.refused >= 200); }))
-      << relay.relayed << " relayed, " << relay.refused << " refused";
+  EXPECT_TRUE(eventually([&] {
+    return !relay.look() || (relay.relayed >= 20 && relay.refused >= 200);
+  })) << relay.relayed
+      << " relayed, " << relay.refused << " refused";
   EXPECT_EQ(relay.strange, 0u) << "of " << relay.relayed << " texts that were passed on";
   attacker.end();
   const std::uint64_t before = relay.read;
-  EXPECT_TRUE(eventually([&] { return !relay.look() || relay.read > before; })) << "the relay stopped reading";
+  EXPECT_TRUE(eventually([&] { return !relay.look() || relay.read > before; }))
+      << "the relay stopped reading";
   std::printf("%llu texts relayed, %llu refused\n", static_cast<unsigned long long>(relay.relayed),
               static_cast<unsigned long long>(relay.refused));
 }
@@ -77,12 +79,14 @@ TEST_P(HostileTypedRelay, PublishesNoMemoryOfAnotherPublisher) {
   if (!attacker.wait_until_ready()) return attacker.end();
   EXPECT_TRUE(eventually([&] {
     return !relay.look() || !judge.look() || (judge.relayed >= 20 && relay.refused >= 200);
-  })) << judge.relayed << " relayed, " << relay.refused << " refused";
+  })) << judge.relayed
+      << " relayed, " << relay.refused << " refused";
   EXPECT_EQ(judge.strange, 0u) << "of " << judge.relayed << " texts that were published again";
   EXPECT_EQ(judge.refused, 0u) << "the relay published memory that is not its own";
   attacker.end();
   const std::uint64_t before = relay.read;
-  EXPECT_TRUE(eventually([&] { return !relay.look() || relay.read > before; })) << "the relay stopped reading";
+  EXPECT_TRUE(eventually([&] { return !relay.look() || relay.read > before; }))
+      << "the relay stopped reading";
 }
 
 INSTANTIATE_TEST_SUITE_P(Each, HostileTypedRelay, testing::Values("forward", "forward_checked"),

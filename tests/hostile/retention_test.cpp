@@ -34,9 +34,7 @@ constexpr uid_t more_hostile_uids[] = {65521, 65522};
 /// The subscriptions of an attacker on a topic with one publisher.
 class Holder {
  public:
-  explicit Holder(const std::string& path) : node_(path) {
-    node_.open_executor();
-  }
+  explicit Holder(const std::string& path) : node_(path) { node_.open_executor(); }
 
   /// Adds one on the stream; returns false when the daemon refused it.
   bool subscribe(std::uint64_t quota) {

@@ -25,7 +25,8 @@ std::string only(const std::string& topic, const std::string& subscribe) {
 const std::string honest = "\"uid:" + std::to_string(honest_uid) + "\"";
 
 StageOptions with(const std::string& rules) { return {.more = rules}; }
-const std::string secret_rules = only("/secret", honest) + only("/likewise", honest + ", " + honest) +
+const std::string secret_rules = only("/secret", honest) +
+                                 only("/likewise", honest + ", " + honest) +
                                  only("/_service/**/vault", honest);
 
 std::string differ() { return sentence_of(Errc::readers_differ); }
@@ -206,7 +207,8 @@ TEST(HostileSecrets, AReaderThatMayNotReadAllTopicsOfAProcessIsRefusedLater) {
   });
   if (!attacker.wait_until_ready()) return attacker.end();
   const auto reader = stage.another_honest_process();
-  EXPECT_EQ(reader->ask("watch /public"), "ok") << "the reader may read all of the process's topics";
+  EXPECT_EQ(reader->ask("watch /public"), "ok")
+      << "the reader may read all of the process's topics";
   EXPECT_EQ(attacker.word(1), 0u);
   attacker.end();
 }

@@ -76,8 +76,7 @@ TEST(HostileServer, ReceivesNothingFromAProcessThatFindsItAtTheNamedPath) {
   if (!attacker.wait_until_ready()) return attacker.end();
   // An ordinary user, and root itself.
   for (const uid_t uid : {honest_uid, uid_t{0}}) {
-    const auto victim =
-        node(square.socket(), {AGNOCAST_HONEST_NODE, std::to_string(uid)});
+    const auto victim = node(square.socket(), {AGNOCAST_HONEST_NODE, std::to_string(uid)});
     const std::string answer = victim->ask("create /named");
     EXPECT_EQ(answer, untrusted());
   }
@@ -90,8 +89,8 @@ TEST(HostileServer, ReceivesNothingFromAProcessThatFindsItAtTheNamedPath) {
   EXPECT_TRUE(eventually([&] { return attacker.word(connections) >= 4; }));
   EXPECT_EQ(attacker.word(bytes), 0u);
   // A process that names that user as the daemon's uid does connect.
-  const auto confiding = node(square.socket(), {},
-                              {"AGNOCAST_DAEMON_UID=" + std::to_string(hostile_uid)});
+  const auto confiding =
+      node(square.socket(), {}, {"AGNOCAST_DAEMON_UID=" + std::to_string(hostile_uid)});
   confiding->tell("create /confided");
   EXPECT_TRUE(eventually([&] { return attacker.word(bytes) > 0; }));
   attacker.end();
@@ -101,11 +100,11 @@ TEST(HostileServer, IsNotTakenForThePreviousDaemon) {
   AGNOCAST_NEEDS_TWO_USERS();
   const Square square;
   // Its lock and its doorbells, too, lie in a directory that everybody may write.
-  auto daemon = std::make_unique<DaemonProcess>(
-      DaemonOptions{.config = "[daemon]\nsocket_mode = \"0666\"\n"
-                              "[heap]\nwindow_bytes = \"64MiB\"\narena_bytes = \"4GiB\"\n"
-                              AGNOCAST_TEST_ARENA_BASE,
-                    .socket = square.socket()});
+  auto daemon = std::make_unique<DaemonProcess>(DaemonOptions{
+      .config =
+          "[daemon]\nsocket_mode = \"0666\"\n"
+          "[heap]\nwindow_bytes = \"64MiB\"\narena_bytes = \"4GiB\"\n" AGNOCAST_TEST_ARENA_BASE,
+      .socket = square.socket()});
   const auto victim = node(square.socket());
   ASSERT_EQ(victim->ask("create /before"), "ok");
   EXPECT_EQ(daemon->stop(), 0);
@@ -117,10 +116,11 @@ TEST(HostileServer, IsNotTakenForThePreviousDaemon) {
   EXPECT_EQ(attacker.word(bytes), 0u);
   attacker.end();
   // The right daemon again: the process rejoins by itself.
-  DaemonProcess next({.config = "[daemon]\nsocket_mode = \"0666\"\n"
-                                "[heap]\nwindow_bytes = \"64MiB\"\narena_bytes = \"4GiB\"\n"
-                                AGNOCAST_TEST_ARENA_BASE,
-                      .socket = square.socket()});
+  DaemonProcess next(
+      {.config =
+           "[daemon]\nsocket_mode = \"0666\"\n"
+           "[heap]\nwindow_bytes = \"64MiB\"\narena_bytes = \"4GiB\"\n" AGNOCAST_TEST_ARENA_BASE,
+       .socket = square.socket()});
   EXPECT_TRUE(eventually([&] { return victim->ask("create /after") == "ok"; }));
 }
 
@@ -139,8 +139,8 @@ TEST(HostileServer, CannotBeNamedByTheEnvironmentOfAProgramWithRaisedRights) {
   Attacker attacker([&](Attack& attack) { be_false_daemon(square.socket(), attack); });
   if (!attacker.wait_until_ready()) return attacker.end();
   const std::string user = std::to_string(hostile_uid);
-  const std::vector<std::string> as_attacker{"/usr/bin/setpriv", "--reuid=" + user,
-                                             "--regid=" + user, "--clear-groups", program, "0"};
+  const std::vector<std::string> as_attacker{
+      "/usr/bin/setpriv", "--reuid=" + user, "--regid=" + user, "--clear-groups", program, "0"};
   const auto victim =
       node(square.socket(), as_attacker,
            {"AGNOCAST_DAEMON_UID=" + user, "XDG_RUNTIME_DIR=" + square.path(), "ROS_DOMAIN_ID=0"});

@@ -49,8 +49,8 @@ inline constexpr const char* open_topic = "/open";
 struct StageOptions {
   std::optional<uid_t> daemon = {};  ///< none: root
   std::string quota = "held_messages = 400\n";
-  std::string more = {};  ///< further text of the configuration
-  std::string heap = {};  ///< further text of [heap]
+  std::string more = {};            ///< further text of the configuration
+  std::string heap = {};            ///< further text of [heap]
   bool without_passrights = false;  ///< as on a kernel before 6.16
 };
 

@@ -37,8 +37,8 @@ struct SubscriptionPlan {
 enum class QueueFault : std::uint8_t {
   none,
   one_number_for_two_wait_sets,  // two processes; the number has the doorbell of the first
-  looks_at_last_link,           // before it sleeps, the executor checks only its second link
-  links_without_waking,         // a link made while the executor sleeps does not wake it
+  looks_at_last_link,            // before it sleeps, the executor checks only its second link
+  links_without_waking,          // a link made while the executor sleeps does not wake it
 };
 
 struct QueuePlan {

@@ -69,24 +69,27 @@ TEST_P(ReuseMutants, AreNoticed) {
 }
 
 using Kind = Mutation::Kind;
-INSTANTIATE_TEST_SUITE_P(
-    Each, ReuseMutants,
-    testing::Values(
-        Mutation{steps::R1_tell, Kind::leave_out}, Mutation{steps::R2_let_go, Kind::leave_out},
-        Mutation{steps::R2_generation, Kind::force_true},
-        Mutation{steps::R2_generation, Kind::force_false},
-        Mutation{steps::R3_died, Kind::leave_out}, Mutation{steps::R4_reusable, Kind::force_true},
-        Mutation{steps::R4_reusable, Kind::force_false},
-        Mutation{steps::R5_again, Kind::force_true}, Mutation{steps::R5_again, Kind::force_false},
-        Mutation{steps::R6_link, Kind::leave_out}, Mutation{steps::R7_unlinked, Kind::leave_out},
-        Mutation{steps::R8_again, Kind::leave_out}, Mutation{steps::J6_generation, Kind::leave_out},
-        Mutation{steps::L1_release, Kind::leave_out},
-        Mutation{steps::U1_generation, Kind::leave_out},
-        Mutation{steps::U2_cursor, Kind::leave_out}),
-    [](const auto& mutant) {
-      return std::string(name_of(mutant.param.step)) + "_" +
-             std::to_string(static_cast<int>(mutant.param.kind));
-    });
+INSTANTIATE_TEST_SUITE_P(Each, ReuseMutants,
+                         testing::Values(Mutation{steps::R1_tell, Kind::leave_out},
+                                         Mutation{steps::R2_let_go, Kind::leave_out},
+                                         Mutation{steps::R2_generation, Kind::force_true},
+                                         Mutation{steps::R2_generation, Kind::force_false},
+                                         Mutation{steps::R3_died, Kind::leave_out},
+                                         Mutation{steps::R4_reusable, Kind::force_true},
+                                         Mutation{steps::R4_reusable, Kind::force_false},
+                                         Mutation{steps::R5_again, Kind::force_true},
+                                         Mutation{steps::R5_again, Kind::force_false},
+                                         Mutation{steps::R6_link, Kind::leave_out},
+                                         Mutation{steps::R7_unlinked, Kind::leave_out},
+                                         Mutation{steps::R8_again, Kind::leave_out},
+                                         Mutation{steps::J6_generation, Kind::leave_out},
+                                         Mutation{steps::L1_release, Kind::leave_out},
+                                         Mutation{steps::U1_generation, Kind::leave_out},
+                                         Mutation{steps::U2_cursor, Kind::leave_out}),
+                         [](const auto& mutant) {
+                           return std::string(name_of(mutant.param.step)) + "_" +
+                                  std::to_string(static_cast<int>(mutant.param.kind));
+                         });
 
 }  // namespace
 }  // namespace agnocast::model

@@ -24,8 +24,8 @@
 
 #include <base/sockets/packet_socket.hpp>
 #include <tests/recovery/sweep_parcel.hpp>
-#include <tests/support/processes/actor.hpp>
 #include <tests/support/crash/crash_point.hpp>
+#include <tests/support/processes/actor.hpp>
 
 #include <fcntl.h>
 #include <grp.h>

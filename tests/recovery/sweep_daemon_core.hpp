@@ -101,7 +101,8 @@ class Core final : private ClientChannel {
     asked.type = "tests/Type";
     asked.node = "/node";
     if (!again || !endpoint_manager_.answer_again(ClientIndex{client}, asked))
-      require(static_cast<bool>(endpoint_manager_.create(ClientIndex{client}, asked)), "a creation");
+      require(static_cast<bool>(endpoint_manager_.create(ClientIndex{client}, asked)),
+              "a creation");
     const auto ref = registry_.find_creation(ClientIndex{client}, kind, request);
     require(ref.has_value(), "an endpoint is not where its creation says");
     wire::Reference reference{};
@@ -149,7 +150,7 @@ class Core final : private ClientChannel {
     const PublisherRecord& record =
         registry_.publisher(TopicIndex{of.topic}, static_cast<std::uint32_t>(of.index));
     const region::PublisherWords<SharedMemory> words{regions_.region(ClientIndex{client}),
-                                                        record.extent};
+                                                     record.extent};
     const std::uint64_t sequence = abi::sequence_of(words.head().load()) + 1;
     words.intent_sequence().store(sequence);
     words.intent_slot().store(0);
@@ -277,7 +278,8 @@ inline std::string Core::state(Generations generations) const {
   };
   std::ostringstream text;
   const auto set = [&](const AnnounceSet& notified) {
-    for (std::uint32_t i = 0; i < core_client_count; ++i) text << (notified.contains(i) ? '1' : '0');
+    for (std::uint32_t i = 0; i < core_client_count; ++i)
+      text << (notified.contains(i) ? '1' : '0');
     text << " of " << shown(notified.generation());
   };
   const auto member = [&](std::uint64_t word) {

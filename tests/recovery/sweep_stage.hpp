@@ -6,15 +6,15 @@
 // No gtest expectations here, because several threads use stages: errors are returned as text.
 #pragma once
 
+#include <base/descriptors/pidfd.hpp>
 #include <base/memory/mapping.hpp>
 #include <base/sockets/packet_socket.hpp>
-#include <base/descriptors/pidfd.hpp>
 #include <ctl/snapshot/audit.hpp>
 #include <ctl/snapshot/system.hpp>
 #include <tests/support/crash/crash_point.hpp>
 #include <tests/support/processes/daemon_process.hpp>
-#include <tests/support/wire/listen_at.hpp>
 #include <tests/support/processes/steered_process.hpp>
+#include <tests/support/wire/listen_at.hpp>
 
 #include <fcntl.h>
 #include <poll.h>

@@ -1,7 +1,7 @@
 // SPDX-License-Identifier: Apache-2.0
 //
-// A registry with processes, publishers and subscriptions in it, and nothing else: no descriptor, no connection. For
-// decisions that only read the registry.
+// A registry with processes, publishers and subscriptions in it, and nothing else: no descriptor,
+// no connection. For decisions that only read the registry.
 #pragma once
 
 #include <agnocast/abi/wire.hpp>

@@ -24,7 +24,8 @@ class Rotation {
   bool takes(std::size_t index) const noexcept { return index % parts_ == part_; }
   std::string text() const {
     if (parts_ == 1) return "all";
-    return "part " + std::to_string(part_ + 1) + " of " + std::to_string(parts_) + " (all: scripts/test --full)";
+    return "part " + std::to_string(part_ + 1) + " of " + std::to_string(parts_) +
+           " (all: scripts/test --full)";
   }
 
  private:

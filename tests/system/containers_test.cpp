@@ -8,8 +8,8 @@
 // empty root, IPC, PID, UTS, network, once also user); /proc shows the kernel's mappings.
 
 #include <agnocast/error.hpp>
-#include <tests/support/processes/client_tool.hpp>
 #include <tests/support/machine/container.hpp>
+#include <tests/support/processes/client_tool.hpp>
 #include <tests/support/processes/ctl.hpp>
 #include <tests/support/processes/daemon_process.hpp>
 

@@ -309,8 +309,7 @@ TEST_F(Death, OfTheDaemonKeepsARevocationAndAStoppedProcessLearnsOfItWhenItGoesO
   EXPECT_EQ(second->ask("take"), "none");
   EXPECT_TRUE(second->eventually("active", "0 0"));
   EXPECT_EQ(second->ask("matched"), "0");
-  EXPECT_THAT(second->ask("sub /another 1 1"),
-              StartsWith("refused the session of this process"));
+  EXPECT_THAT(second->ask("sub /another 1 1"), StartsWith("refused the session of this process"));
   EXPECT_EQ(publisher->ask("publish 1"), "ok");
   EXPECT_EQ(busy->ask("expect 5 5"), "ok");
   EXPECT_EQ(busy->ask("lost"), "0");
@@ -347,8 +346,9 @@ TEST_F(Death, ARevokedPublisherReportsItAndItsCommittedMessagesAreDelivered) {
 }
 
 TEST_F(Death, OfManyPublishersOfAnUnreadSubscriptionAbandonsTheOldest) {
-  const DaemonOptions few{.config = "[limits]\npublishers_per_topic = 6\n"
-                                    "[quota]\npublishers_per_topic = \"unlimited\"\n",
+  const DaemonOptions few{.config =
+                              "[limits]\npublishers_per_topic = 6\n"
+                              "[quota]\npublishers_per_topic = \"unlimited\"\n",
                           .arguments = {"--log-level", "debug"}};
   daemon_.stop();
   DaemonProcess daemon(few);

@@ -16,9 +16,9 @@
 // A seed repeats what the processes intend, not the machine's interleaving.
 
 #include <base/descriptors/unique_fd.hpp>
+#include <tests/support/crash/step_names.hpp>
 #include <tests/support/processes/ctl.hpp>
 #include <tests/support/processes/daemon_process.hpp>
-#include <tests/support/crash/step_names.hpp>
 #include <tests/system/random.hpp>
 #include <tests/system/soak_client.hpp>
 

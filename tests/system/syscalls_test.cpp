@@ -2,17 +2,17 @@
 //
 // Goal: in the steady state publish, take, release, borrow and filling a message make no system
 // calls; a publish makes one per sleeping receiver for one and two of them, and three when there
-// are more. Method: a process of syscall_subject is traced (tests/support/machine/syscall_tracer.hpp) and
-// marks the counted sections. "Asleep" is made certain: a signal stops a receiver while its
-// callback thread is inside epoll_wait, so it stays armed until it is continued. Growth of the
-// heap is counted apart.
+// are more. Method: a process of syscall_subject is traced
+// (tests/support/machine/syscall_tracer.hpp) and marks the counted sections. "Asleep" is made
+// certain: a signal stops a receiver while its callback thread is inside epoll_wait, so it stays
+// armed until it is continued. Growth of the heap is counted apart.
 //
 // One call is allowed now and then: a futex, when the process's own control thread has the
 // publisher's private mutex during a reclamation scan.
 
+#include <tests/support/machine/syscall_tracer.hpp>
 #include <tests/support/processes/daemon_process.hpp>
 #include <tests/support/processes/steered_process.hpp>
-#include <tests/support/machine/syscall_tracer.hpp>
 
 #include <gmock/gmock.h>
 #include <gtest/gtest.h>
@@ -204,8 +204,8 @@ TEST_F(Syscalls, GrowthOfTheHeapMapsMemoryAndWakesTheControlThread) {
   std::vector<long> calls = grown[0];
   calls.insert(calls.end(), grown[1].begin(), grown[1].end());
   EXPECT_FALSE(calls.empty()) << "8 MB do not fit into the initially mapped memory";
-  const std::set<long> of_memory{SYS_mmap,      SYS_munmap, SYS_madvise, SYS_mprotect,
-                                 SYS_fallocate, SYS_futex,  SYS_fstat,   SYS_newfstatat,
+  const std::set<long> of_memory{SYS_mmap,      SYS_munmap,   SYS_madvise, SYS_mprotect,
+                                 SYS_fallocate, SYS_futex,    SYS_fstat,   SYS_newfstatat,
                                  SYS_ftruncate, SYS_prlimit64};
   std::size_t wakes = 0;
   for (const long call : calls) {

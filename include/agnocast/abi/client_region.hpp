@@ -41,15 +41,18 @@ static_assert(sizeof(QueueSlot) == 32 && offsetof(QueueSlot, address) == 8 &&
 //
 //    0  head      u64  sequence<<16 | slot of the newest message
 //                      [sync:publish] COMMIT: release at P5, acquire at T1
-//    8  persistent_id u64  0: not said yet; the same for the endpoints by which one publisher is in several
+//    8  persistent_id u64  0: not said yet; the same for the endpoints by which one publisher is in
+//    several
 //                      sessions of its process, one after the other
 //   16  inherited u64  sequence up to which messages were published in a previous session: history,
 //                      for those that ask for it; 0 = none
 //   24  published_bytes u64  of all messages together, what a reader may touch; for people
 //   64  intent         op, sequence, slot; read by the daemon after the owner's death
-//   88  counters       adopted messages and bytes, refused publishes by reason; for people. They share
+//   88  counters       adopted messages and bytes, refused publishes by reason; for people. They
+//   share
 //                      the intent's line, which no other process reads while the owner lives
-//  128  withdrawn[24] u64  two bits for each subscription of the topic: it is served no more, and why
+//  128  withdrawn[24] u64  two bits for each subscription of the topic: it is served no more, and
+//  why
 //                      [sync:hold] release at E1, seq_cst at T5
 //  320  order[R]  u64  sequence<<16 | slot, at sequence mod R
 //                      [sync:publish] release at P4, acquire at T2
@@ -71,7 +74,8 @@ struct PublisherEndpoint {
 };
 static_assert(subscription_count_max % withdrawals_per_word == 0);
 static_assert(sizeof(PublisherEndpoint) == 320 && offsetof(PublisherEndpoint, withdrawn) == 128);
-static_assert(offsetof(PublisherEndpoint, head) == 0 && offsetof(PublisherEndpoint, persistent_id) == 8 &&
+static_assert(offsetof(PublisherEndpoint, head) == 0 &&
+              offsetof(PublisherEndpoint, persistent_id) == 8 &&
               offsetof(PublisherEndpoint, inherited) == 16 &&
               offsetof(PublisherEndpoint, published_bytes) == 24 &&
               offsetof(PublisherEndpoint, intent_op) == 64 &&
@@ -109,7 +113,8 @@ static_assert(sizeof(LinkLine) == 64 && offsetof(LinkLine, cursor) == 8 &&
 //    0  lost         u64  messages that fell out of its depth, or were gone when it looked
 //    8  malformed    u64  of them, what no honest publisher writes
 //   16  unreachable  u64  of them, what lies where this process cannot map it
-//   24  persistent_id u64  not 0; the same for the endpoints by which one subscription is in several
+//   24  persistent_id u64  not 0; the same for the endpoints by which one subscription is in
+//   several
 //                         sessions of its process
 struct alignas(cache_line_bytes) SubscriptionCounters {
   SharedWord lost;

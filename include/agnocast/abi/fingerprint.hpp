@@ -77,7 +77,8 @@ constexpr std::uint64_t fingerprint() noexcept {
           offsetof(PublisherEndpoint, withdrawn));
   sum.add(subscription_counters_offset(5), sizeof(SubscriptionCounters),
           offsetof(SubscriptionCounters, lost), offsetof(SubscriptionCounters, malformed),
-          offsetof(SubscriptionCounters, unreachable), offsetof(SubscriptionCounters, persistent_id));
+          offsetof(SubscriptionCounters, unreachable),
+          offsetof(SubscriptionCounters, persistent_id));
   sum.add(sizeof(LinkLine), offsetof(LinkLine, publisher_generation), offsetof(LinkLine, cursor),
           offsetof(LinkLine, hold));
   sum.add(sizeof(ExecutorLine), offsetof(ExecutorLine, armed));
@@ -161,8 +162,7 @@ constexpr std::uint64_t fingerprint() noexcept {
           offsetof(wire::Announcement, from_start), offsetof(wire::Announcement, window_count),
           offsetof(wire::Announcement, doorbell_count), offsetof(wire::Announcement, uid),
           offsetof(wire::Announcement, same_user), offsetof(wire::Announcement, reserved),
-          offsetof(wire::Announcement, quota),
-          offsetof(wire::Announcement, window));
+          offsetof(wire::Announcement, quota), offsetof(wire::Announcement, window));
   sum.add(sizeof(wire::Orphaned), offsetof(wire::Orphaned, header), offsetof(wire::Orphaned, topic),
           offsetof(wire::Orphaned, reserved), offsetof(wire::Orphaned, index),
           offsetof(wire::Orphaned, generation), offsetof(wire::Orphaned, final_head));
@@ -249,10 +249,9 @@ constexpr std::uint64_t fingerprint() noexcept {
           offsetof(wire::DumpProcess, gid), offsetof(wire::DumpProcess, state),
           offsetof(wire::DumpProcess, domain), offsetof(wire::DumpProcess, age_ns),
           offsetof(wire::DumpProcess, executors), offsetof(wire::DumpProcess, silent_executors),
-          offsetof(wire::DumpProcess, window_count),
-          offsetof(wire::DumpProcess, region_count), offsetof(wire::DumpProcess, window),
-          offsetof(wire::DumpProcess, blocked_bytes), offsetof(wire::DumpProcess, name),
-          offsetof(wire::DumpProcess, blocked_by));
+          offsetof(wire::DumpProcess, window_count), offsetof(wire::DumpProcess, region_count),
+          offsetof(wire::DumpProcess, window), offsetof(wire::DumpProcess, blocked_bytes),
+          offsetof(wire::DumpProcess, name), offsetof(wire::DumpProcess, blocked_by));
   sum.add(sizeof(wire::DumpTopic), offsetof(wire::DumpTopic, header),
           offsetof(wire::DumpTopic, topic), offsetof(wire::DumpTopic, reserved),
           offsetof(wire::DumpTopic, generation), offsetof(wire::DumpTopic, domain),
@@ -299,8 +298,8 @@ constexpr std::uint64_t fingerprint() noexcept {
           Opcode::done, Opcode::refused, Opcode::announce, Opcode::window_announced, Opcode::forget,
           Opcode::orphaned, Opcode::kick, Opcode::notice);
   sum.add(Opcode::rejoin, Opcode::rejoined, Opcode::own, Opcode::region, Opcode::revoked,
-          Opcode::revoke, Opcode::blocked, Opcode::bring_window, Opcode::withdrawn, Opcode::move_heap,
-          Opcode::read_journal, Opcode::journal_record, Opcode::journal_end);
+          Opcode::revoke, Opcode::blocked, Opcode::bring_window, Opcode::withdrawn,
+          Opcode::move_heap, Opcode::read_journal, Opcode::journal_record, Opcode::journal_end);
   sum.add(Opcode::observe, Opcode::dump, Opcode::observed, Opcode::dump_daemon,
           Opcode::dump_process, Opcode::dump_topic, Opcode::dump_endpoint, Opcode::dump_user,
           Opcode::dump_end, Opcode::dump_refusal, Opcode::set_log_level, Opcode::log_level_is,

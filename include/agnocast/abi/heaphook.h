@@ -10,7 +10,8 @@
  * has the drawing, the rules of fork and the limits.
  *
  * Find the hook with dlsym(RTLD_DEFAULT, "agnocast_heaphook"); NULL means that the process has no
- * hook. Compare `abi_version` before anything else: the layout below belongs to exactly one version.
+ * hook. Compare `abi_version` before anything else: the layout below belongs to exactly one
+ * version.
  *
  * C, so that every language can use it. No function throws, logs, ends the process or blocks on
  * another process.
@@ -41,28 +42,28 @@ extern "C" {
 /** Results of attach and add_window. If a system call failed, errno holds its error on return. */
 enum agnocast_heaphook_status {
   AGNOCAST_HEAPHOOK_OK = 0,
-  AGNOCAST_HEAPHOOK_SECURE = 1,      /**< The process runs with AT_SECURE (setuid etc.): inert for
-                                          good. */
-  AGNOCAST_HEAPHOOK_FORKED = 2,      /**< Forked child of an attached process: usable only after
-                                          exec. */
-  AGNOCAST_HEAPHOOK_STATE = 3,       /**< Second attach, or add_window without a successful
-                                          attach. */
-  AGNOCAST_HEAPHOOK_INVALID = 4,     /**< An argument is outside its domain; nothing was
-                                          changed. */
-  AGNOCAST_HEAPHOOK_OCCUPIED = 5,    /**< Another mapping is inside the window (a library, a
-                                          JIT). */
-  AGNOCAST_HEAPHOOK_LOCK_LIMIT = 6,  /**< Raise RLIMIT_MEMLOCK: mlockall(MCL_FUTURE) is in
-                                          force. */
-  AGNOCAST_HEAPHOOK_FULL = 7,        /**< AGNOCAST_HEAPHOOK_WINDOWS_MAX windows are in use. */
-  AGNOCAST_HEAPHOOK_OS = 8,          /**< A system call failed for another reason: see errno. */
-  AGNOCAST_HEAPHOOK_INTERNAL = 9     /**< The allocator did not start: a defect, or no memory at
-                                          all. */
+  AGNOCAST_HEAPHOOK_SECURE = 1,     /**< The process runs with AT_SECURE (setuid etc.): inert for
+                                         good. */
+  AGNOCAST_HEAPHOOK_FORKED = 2,     /**< Forked child of an attached process: usable only after
+                                         exec. */
+  AGNOCAST_HEAPHOOK_STATE = 3,      /**< Second attach, or add_window without a successful
+                                         attach. */
+  AGNOCAST_HEAPHOOK_INVALID = 4,    /**< An argument is outside its domain; nothing was
+                                         changed. */
+  AGNOCAST_HEAPHOOK_OCCUPIED = 5,   /**< Another mapping is inside the window (a library, a
+                                         JIT). */
+  AGNOCAST_HEAPHOOK_LOCK_LIMIT = 6, /**< Raise RLIMIT_MEMLOCK: mlockall(MCL_FUTURE) is in
+                                         force. */
+  AGNOCAST_HEAPHOOK_FULL = 7,       /**< AGNOCAST_HEAPHOOK_WINDOWS_MAX windows are in use. */
+  AGNOCAST_HEAPHOOK_OS = 8,         /**< A system call failed for another reason: see errno. */
+  AGNOCAST_HEAPHOOK_INTERNAL = 9    /**< The allocator did not start: a defect, or no memory at
+                                         all. */
 };
 
 /** Which allocations come from the windows after attach. */
 enum agnocast_heaphook_scope {
-  AGNOCAST_HEAPHOOK_SCOPE_LOAN = 0,  /**< Those of threads between enter and leave. */
-  AGNOCAST_HEAPHOOK_SCOPE_ALL = 1    /**< All, except of threads between pause and resume. */
+  AGNOCAST_HEAPHOOK_SCOPE_LOAN = 0, /**< Those of threads between enter and leave. */
+  AGNOCAST_HEAPHOOK_SCOPE_ALL = 1   /**< All, except of threads between pause and resume. */
 };
 
 /** Flag of a window: the caller has mapped all of [base, base + length) PROT_NONE, and the hook
@@ -78,14 +79,14 @@ enum agnocast_heaphook_scope {
 /** One window. The caller keeps both descriptors and may close them: the hook duplicates them
  *  (close-on-exec). */
 struct agnocast_heaphook_window {
-  void* base;         /**< Fixed address, multiple of 2 MiB. */
-  size_t length;      /**< Bytes, multiple of 2 MiB, not 0. The memfd is at least as large and
-                           reads as zero. */
-  int write_fd;       /**< O_RDWR descriptor of the memfd, mapped MAP_SHARED. */
-  int read_fd;        /**< O_RDONLY descriptor of the same memfd: forked children map it
-                           privately. */
-  uint32_t flags;     /**< 0 or AGNOCAST_HEAPHOOK_WINDOW_RESERVED. */
-  uint32_t reserved;  /**< 0. */
+  void* base;        /**< Fixed address, multiple of 2 MiB. */
+  size_t length;     /**< Bytes, multiple of 2 MiB, not 0. The memfd is at least as large and
+                          reads as zero. */
+  int write_fd;      /**< O_RDWR descriptor of the memfd, mapped MAP_SHARED. */
+  int read_fd;       /**< O_RDONLY descriptor of the same memfd: forked children map it
+                          privately. */
+  uint32_t flags;    /**< 0 or AGNOCAST_HEAPHOOK_WINDOW_RESERVED. */
+  uint32_t reserved; /**< 0. */
 };
 
 /** Publishes a larger frontier to readers, with release order. The hook calls it with the number
@@ -95,36 +96,36 @@ struct agnocast_heaphook_window {
 typedef void (*agnocast_heaphook_grown)(void* context, uint32_t window, uint64_t frontier_bytes);
 
 struct agnocast_heaphook_options {
-  uint32_t scope;                 /**< enum agnocast_heaphook_scope. */
-  uint32_t reserved;              /**< 0. */
-  agnocast_heaphook_grown grown;  /**< Required. */
-  void* context;                  /**< Passed to grown. */
+  uint32_t scope;                /**< enum agnocast_heaphook_scope. */
+  uint32_t reserved;             /**< 0. */
+  agnocast_heaphook_grown grown; /**< Required. */
+  void* context;                 /**< Passed to grown. */
 };
 
 /** A snapshot; other threads may change values between the reads of two fields. Bytes unless
  *  named otherwise. */
 struct agnocast_heaphook_usage {
-  uint32_t window_count;             /**< 0 while inert. */
-  uint32_t next_window_wanted;       /**< 1 if one more window is allowed, and 75 % of the last
-                                          one is used or a request did not fit: call
-                                          add_window. */
-  uint64_t length_bytes;             /**< Sum over the windows. */
-  uint64_t used_bytes;               /**< High-water mark of the allocator. */
-  uint64_t frontier_bytes;           /**< Mapped; used_bytes <= frontier_bytes <= length_bytes. */
-  uint64_t live_bytes;               /**< In allocated blocks, rounded up to size classes. */
-  uint64_t refused_bytes_max;        /**< Largest request that found no room since the last
-                                          add_window. */
-  uint64_t refused_count;            /**< Attempts in shared scope without room, except during
-                                          purge and for more than the last window's length;
-                                          operator new makes two. */
-  uint64_t mapping_refused_count;    /**< Failed growths, and failed mappings of a forked child:
-                                          lock limit, address taken, descriptor closed by the
-                                          program. */
-  uint64_t punch_count;              /**< Ranges returned to the kernel. Grows inside purge
-                                          only. */
+  uint32_t window_count;          /**< 0 while inert. */
+  uint32_t next_window_wanted;    /**< 1 if one more window is allowed, and 75 % of the last
+                                       one is used or a request did not fit: call
+                                       add_window. */
+  uint64_t length_bytes;          /**< Sum over the windows. */
+  uint64_t used_bytes;            /**< High-water mark of the allocator. */
+  uint64_t frontier_bytes;        /**< Mapped; used_bytes <= frontier_bytes <= length_bytes. */
+  uint64_t live_bytes;            /**< In allocated blocks, rounded up to size classes. */
+  uint64_t refused_bytes_max;     /**< Largest request that found no room since the last
+                                       add_window. */
+  uint64_t refused_count;         /**< Attempts in shared scope without room, except during
+                                       purge and for more than the last window's length;
+                                       operator new makes two. */
+  uint64_t mapping_refused_count; /**< Failed growths, and failed mappings of a forked child:
+                                       lock limit, address taken, descriptor closed by the
+                                       program. */
+  uint64_t punch_count;           /**< Ranges returned to the kernel. Grows inside purge
+                                       only. */
   uint64_t punched_bytes;
-  uint64_t internal_error_count;     /**< If not 0, report it. The caller should poison the
-                                          endpoint. */
+  uint64_t internal_error_count; /**< If not 0, report it. The caller should poison the
+                                      endpoint. */
 };
 
 /** Throws a C++ exception. Must not return. */
@@ -133,14 +134,15 @@ typedef void (*agnocast_heaphook_no_room)(void);
 /** The functions of the hook. Thread-safe unless stated otherwise. None allocates from the
  *  windows. */
 struct agnocast_heaphook_table {
-  uint32_t abi_version;  /**< AGNOCAST_HEAPHOOK_ABI_VERSION of the hook. */
-  uint32_t size_bytes;   /**< sizeof(struct agnocast_heaphook_table) of the hook. */
+  uint32_t abi_version; /**< AGNOCAST_HEAPHOOK_ABI_VERSION of the hook. */
+  uint32_t size_bytes;  /**< sizeof(struct agnocast_heaphook_table) of the hook. */
 
   /** Activates the hook: maps the first piece of the first window, calls grown for it, starts the
    *  allocator (about 0.4 ms, some 16 MiB of private addresses of which little is touched) and
    *  registers fork handlers. Once per process; INVALID, OCCUPIED, LOCK_LIMIT and OS leave no
    *  mapping or descriptor, and the caller may try again. One caller at a time. */
-  int (*attach)(const struct agnocast_heaphook_window* window, const struct agnocast_heaphook_options* options);
+  int (*attach)(const struct agnocast_heaphook_window* window,
+                const struct agnocast_heaphook_options* options);
 
   /** Adds a window; its number is the previous window_count. One caller at a time. Errors as
    *  attach, and FULL. */
@@ -212,7 +214,8 @@ struct agnocast_heaphook_table {
 };
 
 /** Returns the table; static, the same for the life of the process. */
-__attribute__((visibility("default"))) const struct agnocast_heaphook_table* agnocast_heaphook(void);
+__attribute__((visibility("default"))) const struct agnocast_heaphook_table* agnocast_heaphook(
+    void);
 
 #ifdef __cplusplus
 }

@@ -79,13 +79,13 @@ struct AskAccess {
 };
 struct AccessIs {
   Header header;
-  Kind kind;           // publisher: for publishing; subscription: for subscribing
-  std::uint32_t line;  // of the deciding rule in the configuration; 0: no rule applies
+  Kind kind;                 // publisher: for publishing; subscription: for subscribing
+  std::uint32_t line;        // of the deciding rule in the configuration; 0: no rule applies
   std::uint32_t everybody;   // 1: every user that may connect
   std::uint32_t rule_count;  // of the whole configuration
   Name pattern;              // of the rule
-  char principals
-      [512];  // allowed users and window sets, as written, separated by commas; "..." at the end: more
+  char principals[512];  // allowed users and window sets, as written, separated by commas; "..." at
+                         // the end: more
 };
 enum class JournalState : std::uint32_t {
   applied = 1,
@@ -123,8 +123,8 @@ static_assert(sizeof(JournalRecord) <= packet_bytes_max);
 struct DaemonCounters {
   std::uint64_t clients_registered;
   std::uint64_t clients_died;
-  std::uint64_t clients_unmapped;   // alive, without a trace of their regions
-  std::uint64_t clients_revoked;  // alive, session ended from outside
+  std::uint64_t clients_unmapped;  // alive, without a trace of their regions
+  std::uint64_t clients_revoked;   // alive, session ended from outside
   std::uint64_t clients_rejoined;
   std::uint64_t intents_rolled_back;
   std::uint64_t intents_rolled_forward;
@@ -157,9 +157,9 @@ struct UserShare {
   std::uint64_t heap_bytes;
   std::uint64_t held_messages;
   std::uint64_t topics;
-  std::uint64_t queued_bytes;      // queued by the daemon for clients that do not read
-  std::uint64_t queued_seconds;    // age of that queue
-  std::uint64_t dumps_per_second;  // long answers to observers
+  std::uint64_t queued_bytes;             // queued by the daemon for clients that do not read
+  std::uint64_t queued_seconds;           // age of that queue
+  std::uint64_t dumps_per_second;         // long answers to observers
   std::uint64_t publishers_per_topic;     // in use: of the topic where it has most
   std::uint64_t subscriptions_per_topic;  // likewise
 };
@@ -202,8 +202,8 @@ struct DumpProcess {
   std::uint32_t gid;
   ProcessState state;
   std::uint64_t domain;
-  std::uint64_t age_ns;     // since its hello
-  std::uint64_t executors;  // one bit each
+  std::uint64_t age_ns;            // since its hello
+  std::uint64_t executors;         // one bit each
   std::uint64_t silent_executors;  // mute: no publisher can ring them by datagram, as far as known
   std::uint32_t window_count;
   std::uint32_t region_count;  // descriptors sent with this body
@@ -228,17 +228,17 @@ struct DumpEndpoint {
   std::uint32_t topic;
   std::uint64_t index;
   std::uint64_t generation;
-  std::uint64_t board_word;  // generation and state as the board must have them; free: only its owner
-                         // still has it
+  std::uint64_t board_word;  // generation and state as the board must have them; free: only its
+                             // owner still has it
   std::uint64_t client;
   std::uint64_t client_generation;
   std::uint64_t qos;  // abi::Qos, packed
   std::uint64_t extent;
-  std::uint64_t slot_count;      // publisher
-  std::uint64_t first_sequence;  // publisher
-  std::uint64_t quota;           // subscription
+  std::uint64_t slot_count;       // publisher
+  std::uint64_t first_sequence;   // publisher
+  std::uint64_t quota;            // subscription
   std::uint64_t quota_of_others;  // subscription: of publishers of other users
-  std::uint64_t executor;        // subscription
+  std::uint64_t executor;         // subscription
   Name node;
 };
 struct DumpUser {

@@ -50,7 +50,9 @@ enum class BoardState : std::uint8_t {
 constexpr std::uint64_t pack_board_word(std::uint64_t generation, BoardState state) noexcept {
   return generation << 16 | static_cast<std::uint64_t>(state);
 }
-constexpr std::uint64_t generation_of(std::uint64_t board_word) noexcept { return board_word >> 16; }
+constexpr std::uint64_t generation_of(std::uint64_t board_word) noexcept {
+  return board_word >> 16;
+}
 constexpr BoardState state_of(std::uint64_t board_word) noexcept {
   return static_cast<BoardState>(board_word & 0xff);
 }

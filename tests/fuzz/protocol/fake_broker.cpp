@@ -100,7 +100,8 @@ void FakeBroker::serve(Process& from, std::span<const std::byte> packet, const E
   } else if (const auto* const leave = std::get_if<LeaveRequest>(&request)) {
     oracle_.leave_served(from, *leave, endpoint_manager_.leave(*from.client, *leave).has_value());
   } else if (const auto* const drained = std::get_if<DrainedRequest>(&request)) {
-    oracle_.drained_served(from, *drained, endpoint_manager_.drained(*from.client, *drained).has_value());
+    oracle_.drained_served(from, *drained,
+                           endpoint_manager_.drained(*from.client, *drained).has_value());
   } else if (const auto* const unlinked = std::get_if<wire::Unlinked>(&request)) {
     if (endpoint_manager_.unlinked(*from.client, *unlinked)) oracle_.unlinked(from, *unlinked);
   }
@@ -231,7 +232,8 @@ void FakeBroker::revoke(const wire::Revoke& request) {
   process->session.reset();
   oracle_.revoked(*process);
   obstacles_.forget(client);
-  Reaping reaping(client, journal::DeathReason::revoked, registry_, regions_, doorbells_, endpoint_manager_);
+  Reaping reaping(client, journal::DeathReason::revoked, registry_, regions_, doorbells_,
+                  endpoint_manager_);
   while (!reaping.go_on(UINT64_MAX)) {
   }
   AGNOCAST_CHECK(registry_.is_revoked(client));
@@ -249,7 +251,8 @@ void FakeBroker::die(Process& process) {
     return;
   }
   obstacles_.forget(client);
-  Reaping reaping(client, journal::DeathReason::died, registry_, regions_, doorbells_, endpoint_manager_);
+  Reaping reaping(client, journal::DeathReason::died, registry_, regions_, doorbells_,
+                  endpoint_manager_);
   while (!reaping.go_on(UINT64_MAX)) {
   }
 }

@@ -104,7 +104,7 @@ void Oracle::hear_announcement(Process& to, const wire::Announcement& body, std:
   const bool publisher = body.kind == Kind::publisher;
   AGNOCAST_CHECK(fd_count == 1 + (publisher ? body.window_count : body.doorbell_count));
   const Notified notified{number, body.generation, body.client, extent_of(body.kind, body.extent),
-                  abi::unpack_qos(body.qos)};
+                          abi::unpack_qos(body.qos)};
   Notified& place = to.notified[{body.kind, body.topic, body.index}];
   AGNOCAST_CHECK(place.generation == 0 || place.generation == body.generation);
   place = notified;
@@ -214,7 +214,8 @@ void Oracle::create_served(Process& who, const CreateRequest& request, bool was_
   for (const Process& process : processes_) {
     if (!process.client) continue;
     const auto same = process.notified.find({request.kind, created_.topic, created_.index});
-    if (same != process.notified.end()) AGNOCAST_CHECK(same->second.generation == created_.generation);
+    if (same != process.notified.end())
+      AGNOCAST_CHECK(same->second.generation == created_.generation);
     for (const auto& [subject, notified] : process.notified) {
       if (notified.generation != created_.generation && notified.owner == number(*who.client))
         AGNOCAST_CHECK(!notified.extent.meets(extent));

@@ -62,7 +62,7 @@ struct Process {
   std::uint64_t generation = 0;
   std::uint32_t uid = 0;
   std::map<Announced, Notified> notified;
-  std::map<std::uint64_t, Notified> regions;                // by client
+  std::map<std::uint64_t, Notified> regions;            // by client
   std::map<std::uint64_t, std::vector<Range>> windows;  // by client
   std::vector<Endpoint> own;
   std::vector<Range> heap;          // its own windows

@@ -90,8 +90,8 @@ TEST_F(AnnounceMany, TopicsAreFoundAndNothingIsSubscribedTo) {
     const double used = cpu_ms();
     std::this_thread::sleep_for(std::chrono::seconds(10));
     std::cout << "announce = " << (announce ? "true" : "false") << ": " << took.count()
-              << " ms until all are known, " << private_kib() << " KiB private memory, "
-              << used << " ms of the processor, " << bytes / 1024 << " KiB over lo; in the 10 s after that "
+              << " ms until all are known, " << private_kib() << " KiB private memory, " << used
+              << " ms of the processor, " << bytes / 1024 << " KiB over lo; in the 10 s after that "
               << cpu_ms() - used << " ms, " << (loopback_bytes() - bytes_before - bytes) / 1024
               << " KiB\n";
     EXPECT_EQ(known(), announce ? topics : 0u);

@@ -51,7 +51,8 @@ TEST_F(Bounds, LeaveHalfOfATopicsPlacesToThePublishersOfThisHost) {
     writers.push_back(&other_.writes(dds_topic(), dds_type_name<String>(), keep_last(1)));
   const auto source_count = [&] {
     const std::string now = status();
-    const std::size_t begin = now.find("\"remote_publishers\":["), end = now.find("\"local_readers\":[");
+    const std::size_t begin = now.find("\"remote_publishers\":["),
+                      end = now.find("\"local_readers\":[");
     return begin == now.npos ? 0 : count_of(now.substr(begin, end - begin), "\"topic\"");
   };
   ASSERT_TRUE(other_.eventually([&] {
@@ -134,7 +135,9 @@ TEST_F(Bounds, OfTimeApplyToWaitingMessagesOfADeadWriter) {
       other_.participant().create_writer(dds_topic(), dds_type_name<String>(), keep_all).value();
   ASSERT_TRUE(other_.eventually([&] { return writer->matched() == 1; }));
   for (int i = 1; i <= 50; ++i) ASSERT_TRUE(Other::write(*writer, String(), i));
-  const auto has_remote_publisher = [] { return status().find("\"remote_publishers\":[]") == std::string::npos; };
+  const auto has_remote_publisher = [] {
+    return status().find("\"remote_publishers\":[]") == std::string::npos;
+  };
   ASSERT_TRUE(other_.eventually(has_remote_publisher));
   writer.reset();
   EXPECT_TRUE(other_.eventually([&] { return !has_remote_publisher(); }));

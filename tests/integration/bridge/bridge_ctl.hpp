@@ -9,12 +9,12 @@
 #include <bridge/dds/participant.hpp>
 #include <bridge/program/status_socket.hpp>
 #include <tests/integration/bridge/dds_domain.hpp>
+#include <tests/support/json_judge.hpp>
+#include <tests/support/machine/temporary_directory.hpp>
 #include <tests/support/processes/ctl.hpp>
 #include <tests/support/processes/daemon_process.hpp>
-#include <tests/support/json_judge.hpp>
 #include <tests/support/processes/plain_node.hpp>
 #include <tests/support/processes/steered_process.hpp>
-#include <tests/support/machine/temporary_directory.hpp>
 
 #include <example_interfaces/srv/add_two_ints.hpp>
 #include <std_msgs/msg/string.hpp>

@@ -203,7 +203,7 @@ TEST_F(BridgeCtl, ShowsTheCurrentHistoryAndNodesOfEndpoints) {
   const auto nodes = [&] {
     const auto all = bridges();
     return all.empty() || all[0]["dds_readers"].empty() ? nlohmann::json()
-                                                   : all[0]["dds_readers"][0]["nodes"];
+                                                        : all[0]["dds_readers"][0]["nodes"];
   };
   ASSERT_TRUE(eventually([&] {
     const auto all = bridges();
@@ -220,7 +220,8 @@ TEST_F(BridgeCtl, ShowsTheCurrentHistoryAndNodesOfEndpoints) {
   })) << nodes();
   first.reset();
   EXPECT_TRUE(eventually([&] { return nodes() == nlohmann::json({"/ns/other"}); })) << nodes();
-  EXPECT_EQ(bridges()[0]["dds_readers"][0]["guid"], now["dds_readers"][0]["guid"]) << "it is the same one";
+  EXPECT_EQ(bridges()[0]["dds_readers"][0]["guid"], now["dds_readers"][0]["guid"])
+      << "it is the same one";
 }
 
 TEST_F(BridgeCtl, ShowsTheBridgesOfAllDomainsAndReportsThatThereIsNone) {

@@ -8,9 +8,9 @@
 #include <bridge/dds/participant.hpp>
 #include <tests/integration/bridge/dds_domain.hpp>
 #include <tests/support/machine/doctored.hpp>
+#include <tests/support/machine/temporary_directory.hpp>
 #include <tests/support/processes/plain_node.hpp>
 #include <tests/support/processes/steered_process.hpp>
-#include <tests/support/machine/temporary_directory.hpp>
 
 #include <std_msgs/msg/string.hpp>
 
@@ -178,9 +178,9 @@ TEST_F(DoctorBridge, NamesATypeThatABridgeDoesNotFind) {
   const auto running = bridge(domain->id(), {},
                               {"/usr/bin/env", "-u", "AMENT_PREFIX_PATH", "-u", "LD_LIBRARY_PATH"});
   ASSERT_TRUE(soon([&] { return !found().empty(); }));
-  EXPECT_THAT(found(),
-              testing::ElementsAre("bridge-type: " + topic() + ": the bridge of domain " +
-                                   std::to_string(domain->id()) + " cannot find std_msgs/msg/String"));
+  EXPECT_THAT(found(), testing::ElementsAre("bridge-type: " + topic() + ": the bridge of domain " +
+                                            std::to_string(domain->id()) +
+                                            " cannot find std_msgs/msg/String"));
   EXPECT_THAT(findings_.result.out,
               HasSubstr("no libstd_msgs__rosidl_typesupport_introspection_cpp.so"));
   const Findings without = doctor_.look({"AMENT_PREFIX_PATH"});

@@ -201,9 +201,8 @@ class ShortLived : public BridgeTest {
 
 TEST_F(ShortLived, WhileItPlans) {
   auto other_subscription = create_subscription<String>(PlainNode(), topic() + "_other", 1);
-  ASSERT_TRUE(other_.eventually([&] {
-    return other_.remote_count(dds_topic() + "_other", Remote::Kind::reader) == 1;
-  }));
+  ASSERT_TRUE(other_.eventually(
+      [&] { return other_.remote_count(dds_topic() + "_other", Remote::Kind::reader) == 1; }));
   // The plan for this one waits for agnocastd.
   const pid_t waits_for = daemon->kill_worker(SIGSTOP);
   other_.writes(dds_topic() + "_other", test::dds_type_name<String>(), {});
@@ -216,9 +215,8 @@ TEST_F(ShortLived, WhileItPlans) {
 TEST_F(ShortLived, WhileAgnocastdIsAway) {
   ASSERT_EQ(::kill(daemon->supervisor_pid(), SIGSTOP), 0);
   const pid_t old = daemon->kill_worker();
-  EXPECT_TRUE(other_.eventually([&] {
-    return status().find("\"has_daemon\":false") != std::string::npos;
-  }));
+  EXPECT_TRUE(other_.eventually(
+      [&] { return status().find("\"has_daemon\":false") != std::string::npos; }));
   lives_and_goes();
   ASSERT_EQ(::kill(daemon->supervisor_pid(), SIGCONT), 0);
   ASSERT_TRUE(daemon->wait_for_next(old));

@@ -222,8 +222,9 @@ class Peer {
       if (bytes.size() >= 8) std::memcpy(&length, bytes.data() + 4, 4);
       const bool is_whole = length >= 1 && length <= bytes.size() - 8;
       ++strings;
-      strange += !is_whole || !std::all_of(bytes.begin() + 8, bytes.begin() + 8 + length - 1,
-                                           [&](std::byte byte) { return byte == std::byte(letter); });
+      strange +=
+          !is_whole || !std::all_of(bytes.begin() + 8, bytes.begin() + 8 + length - 1,
+                                    [&](std::byte byte) { return byte == std::byte(letter); });
     }
     return std::to_string(strings) + ' ' + std::to_string(strange);
   }

@@ -69,9 +69,8 @@ TEST_F(Flat, TenThousandEndpointsOfBothSidesComeAndGoAndLeaveNothing) {
     }));
     publishers.clear();
     subscriptions.clear();
-    ASSERT_TRUE(other_.eventually([&] {
-      return count(Remote::Kind::writer) == 0 && count(Remote::Kind::reader) == 1;
-    }));
+    ASSERT_TRUE(other_.eventually(
+        [&] { return count(Remote::Kind::writer) == 0 && count(Remote::Kind::reader) == 1; }));
   };
   for (std::size_t i = 0; i < warm_rounds; ++i) one_round();
   const Held before = held_by(bridge_->pid());

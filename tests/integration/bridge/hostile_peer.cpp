@@ -125,8 +125,7 @@ class Attacker {
     const auto writer = participant_->create_writer(topic, type, qos).value();
     wait_for(*writer);
     std::size_t count = 0;
-    for (const Bytes& bytes : malformed())
-      count += send(*writer, bytes).has_value();
+    for (const Bytes& bytes : malformed()) count += send(*writer, bytes).has_value();
     linger();
     qos.reliable = false;
     const auto careless = participant_->create_writer(topic, type, qos).value();
@@ -189,11 +188,11 @@ class Attacker {
     DdsQos qos;
     qos.transient_local = true;
     qos.depth = 1'000;
-    const auto writer = participant_
-                            ->create_writer("ros_discovery_info",
-                                            "rmw_dds_common::msg::dds_::ParticipantEntitiesInfo_",
-                                            qos)
-                            .value();
+    const auto writer =
+        participant_
+            ->create_writer("ros_discovery_info",
+                            "rmw_dds_common::msg::dds_::ParticipantEntitiesInfo_", qos)
+            .value();
     wait_for(*writer);
     const auto head = [&](std::uint32_t nodes) {
       Cdr cdr;
@@ -230,8 +229,7 @@ class Attacker {
     qos.depth = 2'000;
     qos.user_data = "clientid=nobody;";
     const auto writer =
-        participant_
-            ->create_writer(service_topic("rq", service, "Request"), request_type, qos)
+        participant_->create_writer(service_topic("rq", service, "Request"), request_type, qos)
             .value();
     wait_for(*writer);
     std::size_t sent = 0;
@@ -250,10 +248,10 @@ class Attacker {
     DdsQos qos;
     qos.depth = 1'000;
     qos.user_data = "serviceid=hostile;";
-    auto reader = participant_
-                      ->create_reader(service_topic("rq", service, "Request"), request_type, qos,
-                                      keep_bytes)
-                      .value();
+    auto reader =
+        participant_
+            ->create_reader(service_topic("rq", service, "Request"), request_type, qos, keep_bytes)
+            .value();
     auto writer =
         participant_->create_writer(service_topic("rr", service, "Reply"), response_type, qos)
             .value();
@@ -272,8 +270,8 @@ class Attacker {
         const auto answer = [&](std::uint64_t to, std::uint64_t which, std::uint64_t sum) {
           (void)send(*writer, Cdr().u64(to).u64(which).u64(sum));
         };
-        answer(client + 1, number, 1);       // another client
-        answer(client, number + 1'000, 2);   // no client has asked this
+        answer(client + 1, number, 1);           // another client
+        answer(client, number + 1'000, 2);       // no client has asked this
         (void)send(*writer, Cdr().u64(client));  // truncated
         answer(client, number, a + b);
         answer(client, number, 3);  // again
@@ -299,8 +297,8 @@ class Attacker {
       if (i % 3 != 0 && packet.size() >= 24) {
         std::memcpy(packet.data(), "RTPS\2\1\1\20", 8);
         // An existing submessage kind, with a length that is nearly right.
-        constexpr std::uint8_t kinds[] = {0x01, 0x06, 0x07, 0x08, 0x09, 0x0c, 0x0d,
-                                          0x0e, 0x12, 0x13, 0x15, 0x16};
+        constexpr std::uint8_t kinds[] = {0x01, 0x06, 0x07, 0x08, 0x09, 0x0c,
+                                          0x0d, 0x0e, 0x12, 0x13, 0x15, 0x16};
         packet[20] = kinds[random() % sizeof kinds];
         packet[21] |= 1;
         const std::size_t length = packet.size() - 24 + (i % 7 == 0 ? random() % 9 : 0);

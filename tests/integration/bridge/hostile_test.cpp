@@ -196,7 +196,8 @@ TEST_F(HostileDds, OneParticipantLeavesPlacesOfATopicToOthers) {
       count += remote_publisher["topic"] == topic();
     return count;
   };
-  ASSERT_TRUE(other_.eventually([&] { return remote_publishers() == bridge::remote_publishers_per_topic_max; }));
+  ASSERT_TRUE(other_.eventually(
+      [&] { return remote_publishers() == bridge::remote_publishers_per_topic_max; }));
   DdsWriter& writer = other_.writes(dds_topic(), string_type, keep_last(10));
   String message;
   message.data = "honest";
@@ -234,18 +235,19 @@ TEST_F(HostileDds, AHistoryTakesNoMoreOfTheHeapThanItsShare) {
   const auto subscription =
       create_subscription<String>(PlainNode(), topic(), QoS(1).transient_local());
   // 400 MB, which the writer claims to keep.
-  EXPECT_EQ(ask("history " + dds_topic() + " " + string_type +
-                " reliable,transient,1000 2000000 200"),
-            "sent 200");
-  EXPECT_TRUE(other_.eventually([&] { return refused(Limit::history_bytes_of_remote_publisher) > 0; }));
+  EXPECT_EQ(
+      ask("history " + dds_topic() + " " + string_type + " reliable,transient,1000 2000000 200"),
+      "sent 200");
+  EXPECT_TRUE(
+      other_.eventually([&] { return refused(Limit::history_bytes_of_remote_publisher) > 0; }));
   EXPECT_TRUE(is_still_bridging());
   EXPECT_TRUE(take_soon(subscription)) << "the newest messages still arrive";
 }
 
 TEST_F(HostileDds, LiesAboutNodesCostABoundedGraphAndOnlyTheirOwnNames) {
   // An honest writer's node is known from its participant's announcement.
-  const auto honest = bridge::RosGraph::create(other_.participant(), bridge::RosGraph::Speak::iron)
-                          .value();
+  const auto honest =
+      bridge::RosGraph::create(other_.participant(), bridge::RosGraph::Speak::iron).value();
   ASSERT_TRUE(honest->set_nodes({{"/", "honest", {}, {writer_->guid()}}}));
   const std::string sent = ask("nodes");
   ASSERT_TRUE(sent.starts_with("sent ")) << sent;
@@ -253,12 +255,14 @@ TEST_F(HostileDds, LiesAboutNodesCostABoundedGraphAndOnlyTheirOwnNames) {
   EXPECT_TRUE(other_.eventually([&] {
     const Json now = status();
     return now.is_object() && now["discovery_info_refused"] == std::stoul(sent.substr(5)) - 1;
-  })) << status()["discovery_info_refused"] << " of " << sent;
+  })) << status()["discovery_info_refused"]
+      << " of " << sent;
   EXPECT_TRUE(is_still_bridging());
   EXPECT_TRUE(other_.eventually([&] {
     const Json now = status();
     for (const Json& remote_publisher : now.is_object() ? now["remote_publishers"] : Json::array())
-      if (remote_publisher["topic"] == beside() + "_in" && remote_publisher["node"] == "/honest") return true;
+      if (remote_publisher["topic"] == beside() + "_in" && remote_publisher["node"] == "/honest")
+        return true;
     return false;
   }));
   EXPECT_LT(peak_bytes(), 400 * mebibyte);
@@ -282,12 +286,12 @@ TEST_F(HostileDds, WrongTypesUnderRightNamesAreReportedAndRightOnesGoOn) {
 }
 
 TEST_F(HostileDds, RequestsOfOneClientLeavePlacesToOthers) {
-  const auto service = create_service<AddTwoInts>(
-      PlainNode(), topic(),
-      [](const ipc_shared_ptr<const AddTwoInts::Request>& request,
-         const ipc_shared_ptr<AddTwoInts::Response>& response) {
-        response->sum = request->a + request->b;
-      });
+  const auto service =
+      create_service<AddTwoInts>(PlainNode(), topic(),
+                                 [](const ipc_shared_ptr<const AddTwoInts::Request>& request,
+                                    const ipc_shared_ptr<AddTwoInts::Response>& response) {
+                                   response->sum = request->a + request->b;
+                                 });
   // 500 MB, of a client without a reader for responses.
   peer_->tell("ask " + topic() + " 5000 100000");
   for (int i = 0; i < 10; ++i) EXPECT_TRUE(is_still_bridging()) << i;

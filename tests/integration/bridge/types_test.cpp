@@ -6,9 +6,9 @@
 // bridge.
 
 #include <tests/integration/bridge/bridge_side.hpp>
-#include <tests/support/processes/plain_node.hpp>
-#include <tests/support/messages/random_message.hpp>
 #include <tests/support/machine/temporary_directory.hpp>
+#include <tests/support/messages/random_message.hpp>
+#include <tests/support/processes/plain_node.hpp>
 #include <tests/unit/bridge/golden_sample.hpp>
 
 #include <agnocast/agnocast.hpp>

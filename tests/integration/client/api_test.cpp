@@ -6,8 +6,8 @@
 // private directory. client_test.cpp and the tests of the examples cover several processes.
 
 #include <agnocast/agnocast.hpp>
-#include <tests/support/processes/daemon_process.hpp>
 #include <tests/support/messages/error_of.hpp>
+#include <tests/support/processes/daemon_process.hpp>
 #include <tests/support/processes/suite_daemon.hpp>
 
 #include <sensor_msgs/msg/point_cloud2.hpp>

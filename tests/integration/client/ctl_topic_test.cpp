@@ -7,13 +7,13 @@
 
 #include <agnocast/agnocast.hpp>
 #include <agnocast/generic.hpp>
+#include <tests/support/machine/temporary_directory.hpp>
+#include <tests/support/messages/random_message.hpp>
 #include <tests/support/processes/ctl.hpp>
 #include <tests/support/processes/daemon_process.hpp>
 #include <tests/support/processes/plain_node.hpp>
-#include <tests/support/messages/random_message.hpp>
 #include <tests/support/processes/steered_process.hpp>
 #include <tests/support/processes/suite_daemon.hpp>
-#include <tests/support/machine/temporary_directory.hpp>
 
 #include <gmock/gmock.h>
 #include <sensor_msgs/msg/point_cloud2.hpp>

@@ -8,8 +8,8 @@
 #include <agnocast/agnocast.hpp>
 #include <tests/integration/client/second_process.hpp>
 #include <tests/support/processes/daemon_process.hpp>
-#include <tests/support/wire/foreign_socket.hpp>
 #include <tests/support/processes/suite_daemon.hpp>
+#include <tests/support/wire/foreign_socket.hpp>
 
 #include <gmock/gmock.h>
 

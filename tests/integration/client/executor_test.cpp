@@ -8,9 +8,9 @@
 
 #include <agnocast/agnocast.hpp>
 #include <tests/integration/client/second_process.hpp>
+#include <tests/support/messages/error_of.hpp>
 #include <tests/support/processes/child.hpp>
 #include <tests/support/processes/daemon_process.hpp>
-#include <tests/support/messages/error_of.hpp>
 #include <tests/support/processes/suite_daemon.hpp>
 
 #include <poll.h>

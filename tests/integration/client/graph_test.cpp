@@ -6,8 +6,8 @@
 
 #include <agnocast/graph.hpp>
 #include <tests/integration/ctl/ctl_node.hpp>
-#include <tests/support/processes/daemon_process.hpp>
 #include <tests/support/node_process.hpp>
+#include <tests/support/processes/daemon_process.hpp>
 #include <tests/support/wire/wire_dump.hpp>
 
 #include <gmock/gmock.h>

@@ -63,10 +63,11 @@ int use() {
   if (result.code != Errc::heap_exhausted && result.code != Errc::window_exhausted)
     return failed("publish without room", sentence_of(result.code));
 
-  auto service = try_create_service<Repeat>(
-      PlainNode(), "/repeat",
-      [](const ipc_shared_ptr<const Repeat::Request>& request,
-         const ipc_shared_ptr<Repeat::Response>& response) { Repeat::answer(*request, *response); });
+  auto service = try_create_service<Repeat>(PlainNode(), "/repeat",
+                                            [](const ipc_shared_ptr<const Repeat::Request>& request,
+                                               const ipc_shared_ptr<Repeat::Response>& response) {
+                                              Repeat::answer(*request, *response);
+                                            });
   auto client = try_create_client<Repeat>(PlainNode(), "/repeat");
   if (!service || !client || !(*client)->wait_for_service(std::chrono::seconds(10)))
     return failed("service");
@@ -86,12 +87,13 @@ int use() {
   (void)create_publisher<Numbers>(PlainNode(), "/a", QoS(1));
   (void)create_subscription<Numbers>(PlainNode(), "/a", QoS(1));
   (void)create_client<Repeat>(PlainNode(), "/a")->async_send_request({});
-  (void)create_service<Repeat>(PlainNode(), "/a",
-                               [](const ipc_shared_ptr<const Repeat::Request>&,
-                                  const ipc_shared_ptr<Repeat::Response>&) {});
+  (void)create_service<Repeat>(
+      PlainNode(), "/a",
+      [](const ipc_shared_ptr<const Repeat::Request>&, const ipc_shared_ptr<Repeat::Response>&) {});
   const auto publisher = create_generic_publisher(PlainNode(), "/a", "a/msg/A", QoS(1));
-  (void)create_generic_subscription(PlainNode(), "/a", "a/msg/A", QoS(1),
-                                    [](GenericMessage message) { (void)try_copy_checked(message); });
+  (void)create_generic_subscription(
+      PlainNode(), "/a", "a/msg/A", QoS(1),
+      [](GenericMessage message) { (void)try_copy_checked(message); });
   (void)create_generic_client(PlainNode(), "/a", "a/srv/A");
   SharedVector<int>(1).resize(2);
 }

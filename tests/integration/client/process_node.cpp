@@ -61,7 +61,8 @@ std::atomic<int> refusals{0};
 }  // namespace
 
 /// The library's calls come here as well.
-extern "C" [[gnu::visibility("default")]] int connect(int fd, const sockaddr* address, socklen_t bytes) {
+extern "C" [[gnu::visibility("default")]] int connect(int fd, const sockaddr* address,
+                                                      socklen_t bytes) {
   const long status = ::syscall(SYS_connect, fd, address, bytes);
   if (status == 0) return 0;
   const int error = errno;
@@ -181,12 +182,10 @@ struct Endpoints {
       std::exchange(found->second, nullptr)();
   }
   void make() {
-    const auto closure =
-        std::make_shared<AtEnd>([this] { run("closure"); });
-    publisher = first.create_publisher<Ping>(
-        "ping", QoS(1), agnocast::PublisherOptions().matched_callback([this](agnocast::MatchedInfo&) {
-          run("event");
-        }));
+    const auto closure = std::make_shared<AtEnd>([this] { run("closure"); });
+    publisher = first.create_publisher<Ping>("ping", QoS(1),
+                                             agnocast::PublisherOptions().matched_callback(
+                                                 [this](agnocast::MatchedInfo&) { run("event"); }));
     subscription = first.create_subscription<Ping>(
         "ping", QoS(10), [this, closure](const Message&) { run("callback"); });
     service = second.create_service<Repeat>(
@@ -196,10 +195,9 @@ struct Endpoints {
   }
   void publish() { (void)publisher->publish(publisher->borrow_loaned_message()); }
   void ask() {
-    (void)client->async_send_request(client->borrow_loaned_request(),
-                                     [this](agnocast::Client<Repeat>::SharedFuture) {
-                                       run("response");
-                                     });
+    (void)client->async_send_request(
+        client->borrow_loaned_request(),
+        [this](agnocast::Client<Repeat>::SharedFuture) { run("response"); });
   }
   /// Triggers all places.
   void use() {
@@ -280,7 +278,8 @@ int asleep() {
       std::string name;
       std::getline(std::ifstream(task.path() / "comm"), name);
       if (name.rfind("agnocast-", 0) != 0) continue;
-      const auto mask = std::strtoull(of_status(task.path() / "status", "SigBlk").c_str(), nullptr, 16);
+      const auto mask =
+          std::strtoull(of_status(task.path() / "status", "SigBlk").c_str(), nullptr, 16);
       bool& seen = blocks[name];
       seen = seen || (mask >> (SIGTERM - 1) & 1) != 0;
     }
@@ -460,9 +459,9 @@ struct OwnFile {
   bool is_untouched() const {
     struct stat now {};
     char text[16] = "";
-    return ::fstat(number, &now) == 0 && now.st_ino == status.st_ino && now.st_dev == status.st_dev &&
-           now.st_size == 9 && ::pread(number, text, sizeof text, 0) == 9 &&
-           std::string(text, 9) == "untouched";
+    return ::fstat(number, &now) == 0 && now.st_ino == status.st_ino &&
+           now.st_dev == status.st_dev && now.st_size == 9 &&
+           ::pread(number, text, sizeof text, 0) == 9 && std::string(text, 9) == "untouched";
   }
   int number = -1;
   struct stat status {};

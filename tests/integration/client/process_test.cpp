@@ -80,7 +80,8 @@ TEST_F(Process, IsEndedByASignalThatACallbackRaises) {
 }
 
 TEST_F(Process, IsNotInterruptedInSleepingThreadsOfTheLibrary) {
-  EXPECT_THAT(run("asleep").said, ElementsAre("agnocast-call yes agnocast-ctl yes agnocast-srv yes "));
+  EXPECT_THAT(run("asleep").said,
+              ElementsAre("agnocast-call yes agnocast-ctl yes agnocast-srv yes "));
 }
 
 // --- ends of threads
@@ -93,8 +94,8 @@ TEST_F(Process, EndsWithItsMainThreadIfThatIsTheLast) {
 
 TEST_F(Process, LivesAsLongAsAThreadOfTheUser) {
   const End end = run("main_ends", "worker");
-  EXPECT_THAT(end.said, ElementsAre("main ends", "the callbacks go on",
-                                    "exit handlers, 0000000000000200"));
+  EXPECT_THAT(end.said,
+              ElementsAre("main ends", "the callbacks go on", "exit handlers, 0000000000000200"));
   EXPECT_EQ(end.status, 0);
 }
 
@@ -150,8 +151,8 @@ class Closes : public Process, public testing::WithParamInterface<const char*> {
 
 TEST_P(Closes, TheLibrarysDescriptorsAndKeepsItsOwn) {
   const End end = run("closes", GetParam());
-  EXPECT_THAT(end.said, ElementsAre("os_failure", "callbacks go on", "os_failure",
-                                    "files are untouched"));
+  EXPECT_THAT(end.said,
+              ElementsAre("os_failure", "callbacks go on", "os_failure", "files are untouched"));
   EXPECT_EQ(end.status, 0);
 }
 INSTANTIATE_TEST_SUITE_P(Process, Closes, testing::Values("low", "same"),

@@ -6,8 +6,8 @@
 // sides; a stopped process (SIGSTOP) is away for as long as the test wants.
 
 #include <agnocast/error.hpp>
-#include <tests/support/processes/client_tool.hpp>
 #include <tests/support/crash/crash_control.hpp>
+#include <tests/support/processes/client_tool.hpp>
 #include <tests/support/processes/daemon_process.hpp>
 #include <tests/support/wire/foreign_socket.hpp>
 #include <tests/support/wire/wire_dump.hpp>

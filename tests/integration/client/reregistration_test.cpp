@@ -311,7 +311,8 @@ TEST_F(Reregistration, AnotherLayoutLeavesAnOrphanedSession) {
   ASSERT_TRUE(meet(subscriber, "sub /t 100", publisher, "pub /t 10"));
   end();
   begin({.program = AGNOCAST_TEST_OTHER_LAYOUT});
-  const std::string orphaned = "orphaned " + std::to_string(static_cast<int>(Errc::layout_mismatch));
+  const std::string orphaned =
+      "orphaned " + std::to_string(static_cast<int>(Errc::layout_mismatch));
   ASSERT_TRUE(publisher.eventually("state", orphaned));
   ASSERT_TRUE(subscriber.eventually("state", orphaned));
   ASSERT_EQ(publisher.ask("publish 3 10"), "ok");
@@ -372,7 +373,8 @@ TEST_F(Reregistration, ADamagedStoreLeavesAnOrphanedSessionUntilAnotherDaemonBeg
     ClientTool publisher(socket()), subscriber(socket());
     ASSERT_TRUE(meet(subscriber, "sub /t 100", publisher, "pub /t 10"));
     end();
-    const std::string orphaned = "orphaned " + std::to_string(static_cast<int>(Errc::store_damaged));
+    const std::string orphaned =
+        "orphaned " + std::to_string(static_cast<int>(Errc::store_damaged));
     {
       const Refusing refusing(socket(), to_rejoin, Errc::store_damaged);
       ASSERT_TRUE(publisher.eventually("state", orphaned));

@@ -5,9 +5,9 @@
 // promtool and the parser of Prometheus' Python library.
 
 #include <tests/integration/ctl/ctl_node.hpp>
+#include <tests/support/machine/temporary_directory.hpp>
 #include <tests/support/processes/ctl.hpp>
 #include <tests/support/processes/daemon_process.hpp>
-#include <tests/support/machine/temporary_directory.hpp>
 
 #include <gmock/gmock.h>
 #include <signal.h>

@@ -96,7 +96,8 @@ TEST(CtlVerify, NamesEveryBrokenWordAndWhereItIs) {
                      {b.region.base(), s.extent, p.index});
     });
   }
-  ASSERT_EQ(run_ctl(daemon.socket_path(), {"verify"}).status, 0) << "the processes are honest before";
+  ASSERT_EQ(run_ctl(daemon.socket_path(), {"verify"}).status, 0)
+      << "the processes are honest before";
   for (const auto& one : destroy) one();
   auto& header = *reinterpret_cast<abi::ClientRegionHeader*>(b.region.base());
   header.generation.store(12345);
@@ -154,8 +155,7 @@ TEST(CtlVerify, ChecksTheQueuesOfDeadPublishers) {
     dying.open_window();
     const auto p = dying.publisher("/topic");
     dying.commit(p, 3);
-    region::PublisherWords<M>{dying.region.base(), p.extent}.slot_id(1).store(p.first_sequence +
-                                                                                 1);
+    region::PublisherWords<M>{dying.region.base(), p.extent}.slot_id(1).store(p.first_sequence + 1);
     ::raise(SIGKILL);
   }
   ::waitpid(pid, nullptr, 0);

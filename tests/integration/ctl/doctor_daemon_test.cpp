@@ -5,9 +5,9 @@
 // host's settings.
 
 #include <tests/integration/ctl/ctl_node.hpp>
-#include <tests/support/processes/child.hpp>
-#include <tests/support/memory/descriptors.hpp>
 #include <tests/support/machine/doctored.hpp>
+#include <tests/support/memory/descriptors.hpp>
+#include <tests/support/processes/child.hpp>
 
 #include <gmock/gmock.h>
 #include <sys/resource.h>

@@ -76,7 +76,8 @@ TEST(DaemonLimits, CountsEndpointsExecutorsAndHeldMessagesOfAUser) {
 
 // The memory of an endpoint stays with its process after the endpoint has ended.
 TEST(DaemonLimits, CountsMemoryThatAUsersProcessesKeepForEndedEndpoints) {
-  DaemonProcess daemon({.config = std::string(small_heap) + "[quota]\npublishers = 3\nsubscriptions = 1\n"});
+  DaemonProcess daemon(
+      {.config = std::string(small_heap) + "[quota]\npublishers = 3\nsubscriptions = 1\n"});
   std::vector<std::unique_ptr<WireClient>> processes;
   Incoming refused;
   while (processes.size() < 20 && refused.bytes.empty()) {
@@ -90,14 +91,16 @@ TEST(DaemonLimits, CountsMemoryThatAUsersProcessesKeepForEndedEndpoints) {
       const auto publisher = made.as<wire::EndpointCreated>();
       for (const Opcode end : {Opcode::leave, Opcode::drained})
         EXPECT_EQ(processes.back()
-                      ->reference(end, wire::Kind::publisher, publisher.topic, publisher.index, publisher.generation)
+                      ->reference(end, wire::Kind::publisher, publisher.topic, publisher.index,
+                                  publisher.generation)
                       .opcode(),
                   Opcode::done);
     }
   }
   ASSERT_FALSE(refused.bytes.empty()) << "the daemon does not count them";
   expect_quota(refused, "for endpoints that they have and have had");
-  EXPECT_GT(processes.size(), 4u) << "endpoints that may exist at once have room, in whatever processes";
+  EXPECT_GT(processes.size(), 4u)
+      << "endpoints that may exist at once have room, in whatever processes";
   processes.erase(processes.begin(), processes.begin() + 2);
   EXPECT_TRUE(eventually([&] {
     return processes.back()->create_publisher("/a").opcode() == Opcode::endpoint_created;
@@ -378,7 +381,8 @@ TEST(DaemonLimits, BoundsTheTopicsOfAUser) {
   const Incoming third = b->create_publisher("/c");
   EXPECT_EQ(third.refused_code(), Errc::quota_exceeded);
   EXPECT_EQ(third.refused_text(), "[quota] topics is 2, this user has 2 and asks for 1 more");
-  EXPECT_EQ(b->create_publisher("/a").opcode(), Opcode::endpoint_created) << "it already has that topic";
+  EXPECT_EQ(b->create_publisher("/a").opcode(), Opcode::endpoint_created)
+      << "it already has that topic";
 }
 
 TEST(DaemonLimits, ReportsAnArenaThatAnUnlimitedUserHasUsedUp) {

@@ -9,8 +9,8 @@
 // repair.
 
 #include <tests/integration/daemon/raw_node.hpp>
-#include <tests/support/processes/ctl.hpp>
 #include <tests/support/memory/failing_memory.hpp>
+#include <tests/support/processes/ctl.hpp>
 
 #include <agnocast/abi/observe.hpp>
 
@@ -44,8 +44,8 @@ class ShortOfMemory : public testing::TestWithParam<bool> {
   FailingMemory* make() const {
     const UniqueFd file(::open(path_.c_str(), O_RDWR | O_CREAT | O_CLOEXEC, 0600));
     EXPECT_EQ(::ftruncate(file.get(), sizeof(FailingMemory)), 0);
-    void* const at = ::mmap(nullptr, sizeof(FailingMemory), PROT_READ | PROT_WRITE, MAP_SHARED,
-                            file.get(), 0);
+    void* const at =
+        ::mmap(nullptr, sizeof(FailingMemory), PROT_READ | PROT_WRITE, MAP_SHARED, file.get(), 0);
     EXPECT_NE(at, MAP_FAILED);
     return static_cast<FailingMemory*>(at);
   }
@@ -57,8 +57,7 @@ class ShortOfMemory : public testing::TestWithParam<bool> {
     EXPECT_EQ(a.wire.open_window(0).opcode(), Opcode::window_opened);
     const auto publisher = a.publisher(topic);
     const auto subscription = b.subscription(topic);
-    EXPECT_EQ(b.wire.expect<wire::Announcement>(Opcode::announce).generation,
-              publisher.generation);
+    EXPECT_EQ(b.wire.expect<wire::Announcement>(Opcode::announce).generation, publisher.generation);
     EXPECT_EQ(a.wire.expect<wire::Announcement>(Opcode::announce).generation,
               subscription.generation);
   }
@@ -107,9 +106,8 @@ class ShortOfMemory : public testing::TestWithParam<bool> {
     EXPECT_EQ(daemon_.pid(), pid);
     const std::size_t before = daemon_.log().size();
     ASSERT_TRUE(daemon_.wait_for_next(daemon_.kill_worker()));
-    ASSERT_TRUE(eventually([&] {
-      return daemon_.log().substr(before).find("resumed") != std::string::npos;
-    }));
+    ASSERT_TRUE(eventually(
+        [&] { return daemon_.log().substr(before).find("resumed") != std::string::npos; }));
     EXPECT_NE(daemon_.log().substr(before).find("board_words_repaired=0"), std::string::npos)
         << daemon_.log().substr(before);
     probe();
@@ -164,7 +162,8 @@ TEST_P(ShortOfMemory, PublishersForOthers) {
         EXPECT_EQ(node.wire.open_window(0).opcode(), Opcode::window_opened);
       },
       [](RawNode& node) {
-        return node.wire.try_ask(Opcode::create_publisher, WireClient::endpoint("/sweep", reliable));
+        return node.wire.try_ask(Opcode::create_publisher,
+                                 WireClient::endpoint("/sweep", reliable));
       });
 }
 
@@ -273,9 +272,8 @@ TEST(DaemonMemory, RequestsAreRefusedWhileTheSystemGivesNone) {
   }
   EXPECT_TRUE(refused);
   ASSERT_EQ(::prlimit(pid, RLIMIT_DATA, &before, nullptr), 0);
-  EXPECT_TRUE(eventually([&] {
-    return node.wire.create_publisher("/after").opcode() == Opcode::endpoint_created;
-  }));
+  EXPECT_TRUE(eventually(
+      [&] { return node.wire.create_publisher("/after").opcode() == Opcode::endpoint_created; }));
   EXPECT_EQ(daemon.pid(), pid);
   const CtlResult verified = run_ctl(daemon.socket_path(), {"verify"});
   EXPECT_EQ(verified.status, 0) << verified.out << verified.err;

@@ -137,7 +137,8 @@ TEST(DaemonObserver, GetsTheWholeStateOfOneMoment) {
   EXPECT_EQ(all.topics[0].layout_hash, 1u);
   ASSERT_EQ(all.endpoints.size(), 2u);
   EXPECT_EQ(all.endpoints[0].kind, Kind::publisher);
-  EXPECT_EQ(all.endpoints[0].board_word, abi::pack_board_word(p.generation, abi::BoardState::active));
+  EXPECT_EQ(all.endpoints[0].board_word,
+            abi::pack_board_word(p.generation, abi::BoardState::active));
   EXPECT_EQ(all.endpoints[0].extent, p.extent);
   EXPECT_EQ(all.endpoints[0].first_sequence, p.first_sequence);
   EXPECT_STREQ(all.endpoints[0].node.text, "node");

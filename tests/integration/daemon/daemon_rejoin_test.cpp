@@ -541,10 +541,10 @@ TEST(DaemonRejoin, ARepeatedRequestIsCarriedOutOnce) {
   EXPECT_EQ(node.wire.ask_again(Opcode::leave, reference(Kind::publisher, theirs), 1003).opcode(),
             Opcode::done)
       << "no endpoint of others is left here";
-  EXPECT_EQ(abi::state_of(region::TopicWords<SharedMemory>{node.board.base(),
-                                                              abi::topic_offset(theirs.topic)}
-                              .publisher(theirs.index, offsetof(abi::PublisherEntry, word))
-                              .load()),
+  EXPECT_EQ(abi::state_of(
+                region::TopicWords<SharedMemory>{node.board.base(), abi::topic_offset(theirs.topic)}
+                    .publisher(theirs.index, offsetof(abi::PublisherEntry, word))
+                    .load()),
             abi::BoardState::active);
 }
 

@@ -6,9 +6,9 @@
 
 #include <daemon/state/steps.hpp>
 #include <tests/integration/daemon/daemon_restart.hpp>
-#include <tests/support/processes/child.hpp>
 #include <tests/support/crash/crash_control.hpp>
 #include <tests/support/machine/temporary_directory.hpp>
+#include <tests/support/processes/child.hpp>
 #include <tests/support/wire/wire_client.hpp>
 #include <tests/support/wire/wire_dump.hpp>
 

@@ -63,7 +63,8 @@ TEST(DaemonRestart, KeepsNoMoreThanItsLimitOfOpenFilesCanHandOn) {
       for (std::uint64_t w = 0; refused == Errc::ok && w < abi::window_count_max; ++w)
         refused = clients.back()->open_window(w).refused_code();
     }
-    EXPECT_EQ(refused, Errc::quota_exceeded) << "one user's share of the descriptors that can be handed on";
+    EXPECT_EQ(refused, Errc::quota_exceeded)
+        << "one user's share of the descriptors that can be handed on";
     std::vector<Mapping> regions;
     for (const Incoming& welcome : welcomes) {
       if (welcome.opcode() == wire::Opcode::welcome)
@@ -147,9 +148,10 @@ TEST(DaemonRestart, DeathsOfReadyDaemonsDoNotLengthenThePause) {
 
 // A configuration like the usual one.
 DaemonOptions watched(const std::string& seconds) {
-  return {.config = "[daemon]\nsocket_mode = \"0666\"\nwatchdog_seconds = " + seconds +
-                    "\n[heap]\nwindow_bytes = \"64MiB\"\narena_bytes = \"64GiB\"\n"
-                    AGNOCAST_TEST_ARENA_BASE};
+  return {
+      .config =
+          "[daemon]\nsocket_mode = \"0666\"\nwatchdog_seconds = " + seconds +
+          "\n[heap]\nwindow_bytes = \"64MiB\"\narena_bytes = \"64GiB\"\n" AGNOCAST_TEST_ARENA_BASE};
 }
 
 // A stopped worker answers nothing, not even signals.

@@ -198,7 +198,8 @@ TEST(DaemonStart, UsesAndChangesNoFileOfAnotherUser) {
   std::filesystem::create_directory(directory / "kept");
   write_file(directory / "kept/file", "");
   ASSERT_EQ(::symlink("kept", doorbells.c_str()), 0);
-  EXPECT_EQ(refusal(), "agnocastd: cannot use " + doorbells + ": it is not a directory of this user");
+  EXPECT_EQ(refusal(),
+            "agnocastd: cannot use " + doorbells + ": it is not a directory of this user");
   EXPECT_TRUE(exists(directory / "kept/file"));
   ASSERT_EQ(::unlink(doorbells.c_str()), 0);
 

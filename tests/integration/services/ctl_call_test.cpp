@@ -5,11 +5,11 @@
 // Method: typed services in this process, the real daemon, agnocast-ctl as a program of its own.
 
 #include <agnocast/agnocast.hpp>
+#include <tests/support/machine/temporary_directory.hpp>
 #include <tests/support/processes/ctl.hpp>
 #include <tests/support/processes/daemon_process.hpp>
 #include <tests/support/processes/steered_process.hpp>
 #include <tests/support/processes/suite_daemon.hpp>
-#include <tests/support/machine/temporary_directory.hpp>
 
 #include <example_interfaces/srv/add_two_ints.hpp>
 #include <std_srvs/srv/set_bool.hpp>

@@ -5,9 +5,9 @@
 #pragma once
 
 #include <agnocast/abi/limits.hpp>
+#include <base/descriptors/unique_fd.hpp>
 #include <base/memory/mapping.hpp>
 #include <base/step.hpp>
-#include <base/descriptors/unique_fd.hpp>
 
 #include <fcntl.h>
 #include <gtest/gtest.h>

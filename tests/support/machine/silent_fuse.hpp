@@ -42,8 +42,8 @@ class SilentFuse {
         device_(::open("/dev/fuse", O_RDWR | O_CLOEXEC)) {
     if (!device_) return;
     std::array<char, 128> options{};
-    std::snprintf(options.data(), options.size(), "fd=%d,rootmode=%o,user_id=0,group_id=0,allow_other",
-                  device_.get(), kind_);
+    std::snprintf(options.data(), options.size(),
+                  "fd=%d,rootmode=%o,user_id=0,group_id=0,allow_other", device_.get(), kind_);
     made_ = ::mount("silent", path_.c_str(), "fuse", MS_NOSUID | MS_NODEV, options.data()) == 0;
     if (made_) server_ = std::thread([this] { serve(); });
   }

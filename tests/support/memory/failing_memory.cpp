@@ -62,9 +62,10 @@ void fail_if_told(std::size_t size) {
 
 void* allocate(std::size_t size, std::size_t alignment) {
   fail_if_told(size);
-  void* const block = alignment == 0 ? std::malloc(size == 0 ? 1 : size)
-                                     : std::aligned_alloc(alignment, (size + alignment - 1) /
-                                                                         alignment * alignment);
+  void* const block =
+      alignment == 0
+          ? std::malloc(size == 0 ? 1 : size)
+          : std::aligned_alloc(alignment, (size + alignment - 1) / alignment * alignment);
   if (block == nullptr) throw std::bad_alloc();
   return block;
 }

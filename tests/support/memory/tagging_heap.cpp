@@ -2,11 +2,11 @@
 
 #include "tests/support/memory/tagging_heap.hpp"
 
+#include <sys/mman.h>
 #include <cstdio>
 #include <cstdlib>
 #include <limits>
 #include <new>
-#include <sys/mman.h>
 
 namespace agnocast::test {
 namespace {
@@ -40,7 +40,9 @@ void* place(std::uintptr_t address, Origin origin, void* block) {
   return first;
 }
 
-std::uintptr_t round_up(std::uintptr_t value, std::size_t alignment) { return (value + alignment - 1) & ~(alignment - 1); }
+std::uintptr_t round_up(std::uintptr_t value, std::size_t alignment) {
+  return (value + alignment - 1) & ~(alignment - 1);
+}
 
 bool wants_shared() {
   if (heap.depth == 0) return false;
@@ -52,7 +54,8 @@ void* allocate(std::size_t bytes, std::size_t alignment) {
   ++heap.counters.allocations;
   if (wants_shared()) {
     if (heap.arena == 0) {
-      void* memory = mmap(nullptr, arena_bytes, PROT_READ | PROT_WRITE, MAP_PRIVATE | MAP_ANONYMOUS | MAP_NORESERVE, -1, 0);
+      void* memory = mmap(nullptr, arena_bytes, PROT_READ | PROT_WRITE,
+                          MAP_PRIVATE | MAP_ANONYMOUS | MAP_NORESERVE, -1, 0);
       if (memory == MAP_FAILED) std::abort();
       heap.arena = reinterpret_cast<std::uintptr_t>(memory);
     }
@@ -69,7 +72,8 @@ void* allocate(std::size_t bytes, std::size_t alignment) {
   void* block = std::malloc(bytes + sizeof(Header) + alignment);
   if (block == nullptr) throw std::bad_alloc();
   ++heap.counters.live;
-  return place(round_up(reinterpret_cast<std::uintptr_t>(block) + sizeof(Header), alignment), Origin::libc, block);
+  return place(round_up(reinterpret_cast<std::uintptr_t>(block) + sizeof(Header), alignment),
+               Origin::libc, block);
 }
 
 void release(void* first) {
@@ -129,8 +133,12 @@ using agnocast::test::release;
 
 void* operator new(std::size_t bytes) { return allocate(bytes, 1); }
 void* operator new[](std::size_t bytes) { return allocate(bytes, 1); }
-void* operator new(std::size_t bytes, std::align_val_t alignment) { return allocate(bytes, static_cast<std::size_t>(alignment)); }
-void* operator new[](std::size_t bytes, std::align_val_t alignment) { return allocate(bytes, static_cast<std::size_t>(alignment)); }
+void* operator new(std::size_t bytes, std::align_val_t alignment) {
+  return allocate(bytes, static_cast<std::size_t>(alignment));
+}
+void* operator new[](std::size_t bytes, std::align_val_t alignment) {
+  return allocate(bytes, static_cast<std::size_t>(alignment));
+}
 void operator delete(void* first) noexcept { release(first); }
 void operator delete[](void* first) noexcept { release(first); }
 void operator delete(void* first, std::size_t) noexcept { release(first); }

@@ -39,10 +39,8 @@ class DeafPeer {
  private:
   sockaddr* name() { return reinterpret_cast<sockaddr*>(&address_); }
   const sockaddr* name() const { return reinterpret_cast<const sockaddr*>(&address_); }
-  sockaddr_in address_{.sin_family = AF_INET,
-                       .sin_port = 0,
-                       .sin_addr = {htonl(INADDR_LOOPBACK)},
-                       .sin_zero = {}};
+  sockaddr_in address_{
+      .sin_family = AF_INET, .sin_port = 0, .sin_addr = {htonl(INADDR_LOOPBACK)}, .sin_zero = {}};
   UniqueFd listener_{::socket(AF_INET, SOCK_STREAM | SOCK_CLOEXEC, 0)};
 };
 

@@ -68,9 +68,8 @@ TEST(DaemonSocket, IsNotNamedByAVariableThatAProgramWithRaisedRightsReads) {
         const std::string what = found[1];
         const bool is_harmless =
             what == "name" || what == "supervisor_variable" ||  // supervisor to child
-            std::any_of(harmless.begin(), harmless.end(), [&](const std::string& name) {
-              return what == '"' + name + '"';
-            });
+            std::any_of(harmless.begin(), harmless.end(),
+                        [&](const std::string& name) { return what == '"' + name + '"'; });
         EXPECT_TRUE(is_harmless) << entry.path() << ": " << line;
         EXPECT_TRUE(what != "name" || entry.path().filename() == "supervisor.cpp") << line;
       }

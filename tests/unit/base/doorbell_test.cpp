@@ -7,10 +7,10 @@
 #include <base/descriptors/doorbell.hpp>
 #include <base/sockets/packet_socket.hpp>
 
+#include "tests/support/machine/temporary_directory.hpp"
+#include "tests/support/memory/descriptors.hpp"
 #include "tests/support/processes/child.hpp"
 #include "tests/support/wire/deaf_peer.hpp"
-#include "tests/support/memory/descriptors.hpp"
-#include "tests/support/machine/temporary_directory.hpp"
 
 #include <gmock/gmock.h>
 

@@ -7,10 +7,10 @@
 #include <base/sockets/packet_socket.hpp>
 #include <base/sockets/unix_address.hpp>
 
-#include "tests/support/processes/child.hpp"
-#include "tests/support/memory/descriptors.hpp"
-#include "tests/support/wire/listen_at.hpp"
 #include "tests/support/machine/temporary_directory.hpp"
+#include "tests/support/memory/descriptors.hpp"
+#include "tests/support/processes/child.hpp"
+#include "tests/support/wire/listen_at.hpp"
 
 #include <gmock/gmock.h>
 

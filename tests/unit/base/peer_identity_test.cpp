@@ -7,11 +7,11 @@
 #include <base/sockets/packet_socket.hpp>
 #include <base/sockets/peer_identity.hpp>
 
-#include "tests/support/processes/child.hpp"
-#include "tests/support/memory/descriptors.hpp"
-#include "tests/support/wire/listen_at.hpp"
 #include "tests/support/machine/seccomp_filter.hpp"
 #include "tests/support/machine/temporary_directory.hpp"
+#include "tests/support/memory/descriptors.hpp"
+#include "tests/support/processes/child.hpp"
+#include "tests/support/wire/listen_at.hpp"
 
 #include <gmock/gmock.h>
 

@@ -5,8 +5,8 @@
 
 #include <base/descriptors/pidfd.hpp>
 
-#include "tests/support/processes/child.hpp"
 #include "tests/support/memory/descriptors.hpp"
+#include "tests/support/processes/child.hpp"
 
 #include <gtest/gtest.h>
 

@@ -17,11 +17,12 @@ namespace {
 
 constexpr std::uint64_t page = 4096, pages = 16;
 
-class Populate : public testing::TestWithParam<Result<void> (*)(std::byte*, std::uint64_t) noexcept> {
+class Populate
+    : public testing::TestWithParam<Result<void> (*)(std::byte*, std::uint64_t) noexcept> {
  protected:
-  UniqueFd file_ = std::move(make_memfd("agnocast-test", pages * page, Length::may_grow).value());
-  Mapping mapping_ = std::move(
-      Mapping::map(file_.get(), 2 * pages * page, Mapping::Access::read_write).value());
+  UniqueFd file_ = std::move(make_memfd("agnocast-test", pages* page, Length::may_grow).value());
+  Mapping mapping_ =
+      std::move(Mapping::map(file_.get(), 2 * pages * page, Mapping::Access::read_write).value());
 
   std::uint64_t bytes_of_memory() const {
     struct stat file {};

@@ -180,9 +180,10 @@ TEST(BridgeLimits, AreAllInTheDocument) {
   const std::string document = text_of(AGNOCAST_SOURCE_DIR "/docs/bridge.md");
   for (const LimitRow& row : limit_table) {
     const std::string most = row.most >= mebibyte ? std::to_string(row.most / mebibyte) + " MiB"
-                             : row.most >= 1000 ? std::to_string(row.most / 1000) + "," +
-                                   std::to_string(1000 + row.most % 1000).substr(1)
-                                                : std::to_string(row.most);
+                             : row.most >= 1000
+                                 ? std::to_string(row.most / 1000) + "," +
+                                       std::to_string(1000 + row.most % 1000).substr(1)
+                                 : std::to_string(row.most);
     EXPECT_THAT(document, HasSubstr("| `" + std::string(row.name) + "` | " + most + " |"));
     EXPECT_EQ(most_of(row.limit), row.most);
   }

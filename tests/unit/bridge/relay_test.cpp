@@ -40,10 +40,11 @@ struct RawBits {
 };
 static_assert(sizeof(RawBits) == sizeof(std::vector<bool>));
 
-const test::Schema schema{{"relay/msg/Text", {{"data", "string"}}},
-                          {"relay/msg/Data", {{"data", "uint8[]"}, {"labels", "relay/msg/Label[]"}}},
-                          {"relay/msg/Label", {{"text", "string"}, {"size", "uint32"}}},
-                          {"relay/msg/Bits", {{"values", "bool[]"}}}};
+const test::Schema schema{
+    {"relay/msg/Text", {{"data", "string"}}},
+    {"relay/msg/Data", {{"data", "uint8[]"}, {"labels", "relay/msg/Label[]"}}},
+    {"relay/msg/Label", {{"text", "string"}, {"size", "uint32"}}},
+    {"relay/msg/Bits", {{"values", "bool[]"}}}};
 
 class Relay : public testing::Test {
  protected:
@@ -153,7 +154,8 @@ TEST_F(Relay, DoesNoMoreWorkThanTheWindowSizeJustifies) {
   std::byte* const elements = window_ + 4096;
   for (std::size_t i = 0; i < count; ++i) {
     const RawString label{window_ + window_bytes / 2, 1000, {}};
-    std::memcpy(elements + i * of_label.size_of_ + of_label.members_[0].offset_, &label, sizeof label);
+    std::memcpy(elements + i * of_label.size_of_ + of_label.members_[0].offset_, &label,
+                sizeof label);
   }
   const auto set_labels = [&](std::size_t some) {
     const RawVector all{elements, elements + some * of_label.size_of_, nullptr};
@@ -165,7 +167,8 @@ TEST_F(Relay, DoesNoMoreWorkThanTheWindowSizeJustifies) {
   EXPECT_TRUE(passes()) << "a thousand times a thousand is less than the window";
   for (std::size_t i = 0; i < count; ++i) {
     const RawString label{window_ + window_bytes / 2, window_bytes / 2, {}};
-    std::memcpy(elements + i * of_label.size_of_ + of_label.members_[0].offset_, &label, sizeof label);
+    std::memcpy(elements + i * of_label.size_of_ + of_label.members_[0].offset_, &label,
+                sizeof label);
   }
   EXPECT_FALSE(passes());
 }

@@ -72,14 +72,14 @@ class Routes : public testing::Test {
     return remote(Remote::Kind::writer, dds_topic, reliable, transient_local, depth);
   }
   Plan plan() {
-    return plan_of({0, locals_, &remotes_, rules_,
-                    [this](const std::string& type) {
-                      ++asked_;
-                      return type == string_type ? std::nullopt
-                                                 : std::optional<std::string>("not found");
-                    },
-                    otherwise_, [this](const Guid& guid) { return has_remote_publisher_.contains(guid); },
-                    announce_});
+    return plan_of(
+        {0, locals_, &remotes_, rules_,
+         [this](const std::string& type) {
+           ++asked_;
+           return type == string_type ? std::nullopt : std::optional<std::string>("not found");
+         },
+         otherwise_, [this](const Guid& guid) { return has_remote_publisher_.contains(guid); },
+         announce_});
   }
 
   std::vector<EndpointInfo> locals_;
@@ -105,7 +105,8 @@ TEST_F(Routes, BeyondAParticipantsShareGiveWayToOtherParticipants) {
     return guid;
   };
   // All of its writers already have remote publishers.
-  for (std::size_t i = 0; i < remote_publishers_per_topic_max + 10; ++i) has_remote_publisher_.insert(owned_by(1));
+  for (std::size_t i = 0; i < remote_publishers_per_topic_max + 10; ++i)
+    has_remote_publisher_.insert(owned_by(1));
   const auto count_of = [&](std::uint8_t participant) {
     std::size_t count = 0;
     for (const auto& [guid, remote_publisher] : plan().remote_publishers)
@@ -133,7 +134,9 @@ TEST_F(Routes, AnnounceUnreadPublishersThatAReaderWouldGet) {
   local(EndpointKind::publisher, "/unknown", QoS(1), "talker");
   locals_.back().type = "some_msgs/msg/Unknown";
   rules_ = {{.topic = "/secret", .direction = Direction::none, .line = 1},
-            {.topic = "/cut", .direction = Direction::both, .line = 2,
+            {.topic = "/cut",
+             .direction = Direction::both,
+             .line = 2,
              .to_dds = {.reliable = false, .transient_local = {}, .depth = 3}}};
   const Plan made = plan();
   ASSERT_THAT(made.announced, SizeIs(3)) << "the unread one, the one with too weak QoS, /cut";
@@ -202,7 +205,8 @@ TEST_F(Routes, MirrorEachPublisherInTheNameOfItsNode) {
   EXPECT_EQ(all.dds_writers.at(second).local_reader.of.qos_class, (QosClass{false, false}));
   EXPECT_EQ(all.dds_writers.at(third).local_reader.of.qos_class, (QosClass{true, true}));
   EXPECT_THAT(all.local_readers,
-              ElementsAre(local_reader({false, false}, 3), local_reader({true, false}, 7), local_reader({true, true}, 5)));
+              ElementsAre(local_reader({false, false}, 3), local_reader({true, false}, 7),
+                          local_reader({true, true}, 5)));
   EXPECT_THAT(all.unbridged, IsEmpty());
 }
 
@@ -222,7 +226,8 @@ TEST_F(Routes, KeepALocalReadersDepthWhenOtherPublishersCome) {
   const auto deep = publisher("/chatter", QoS(900));
   const auto all_of_it = publisher("/chatter", QoS(1).keep_all(7));
   const Plan all = plan();
-  EXPECT_EQ(all.dds_writers.at(first).local_reader, before.local_reader) << "other publishers must not change the depth";
+  EXPECT_EQ(all.dds_writers.at(first).local_reader, before.local_reader)
+      << "other publishers must not change the depth";
   EXPECT_EQ(all.dds_writers.at(deep).local_reader, local_reader({true, false}, 900));
   EXPECT_EQ(all.dds_writers.at(all_of_it).local_reader, local_reader({true, false}, 7, true));
   EXPECT_THAT(all.local_readers, SizeIs(3));
@@ -240,7 +245,8 @@ TEST_F(Routes, HaveDdsReadersOfFewDepths) {
 TEST_F(Routes, GiveDdsWritersHalfOfATopicsPlacesAndLetThemKeepThese) {
   subscription("/chatter");
   std::set<Guid> all;
-  for (std::size_t i = 0; i < remote_publishers_per_topic_max; ++i) all.insert(writer("rt/chatter"));
+  for (std::size_t i = 0; i < remote_publishers_per_topic_max; ++i)
+    all.insert(writer("rt/chatter"));
   EXPECT_THAT(plan().remote_publishers, SizeIs(remote_publishers_per_topic_max));
   EXPECT_THAT(plan().unbridged, IsEmpty());
   has_remote_publisher_ = all;
@@ -253,7 +259,8 @@ TEST_F(Routes, GiveDdsWritersHalfOfATopicsPlacesAndLetThemKeepThese) {
   remotes_[early.guid] = early;
   const Plan full = plan();
   ASSERT_THAT(full.remote_publishers, SizeIs(remote_publishers_per_topic_max));
-  for (const auto& [guid, remote_publisher] : full.remote_publishers) EXPECT_TRUE(all.contains(guid));
+  for (const auto& [guid, remote_publisher] : full.remote_publishers)
+    EXPECT_TRUE(all.contains(guid));
   ASSERT_THAT(full.unbridged, SizeIs(1));
   EXPECT_EQ(full.unbridged[0].why, WhyNot::too_many);
   EXPECT_THAT(full.unbridged[0].detail, HasSubstr("301 of 428"));
@@ -544,7 +551,8 @@ TEST_F(Routes, CarryEveryMessageOnceInAnySituation) {
             continue;
           // Its messages come only through the local reader of its QoS, to its own DDS writer.
           ASSERT_TRUE(now.dds_writers.contains(endpoint.generation));
-          const ReaderKey local_reader{{{endpoint.topic, endpoint.type}, own}, endpoint.qos.depth(), false};
+          const ReaderKey local_reader{
+              {{endpoint.topic, endpoint.type}, own}, endpoint.qos.depth(), false};
           EXPECT_EQ(now.dds_writers.at(endpoint.generation).local_reader, local_reader);
           EXPECT_TRUE(now.local_readers.contains(local_reader));
         }
@@ -563,16 +571,20 @@ TEST_F(Routes, CarryEveryMessageOnceInAnySituation) {
       }
     }
     // Every part of the plan serves some endpoint.
-    for (const auto& [generation, dds_writer] : now.dds_writers) EXPECT_TRUE(now.local_readers.contains(dds_writer.local_reader));
+    for (const auto& [generation, dds_writer] : now.dds_writers)
+      EXPECT_TRUE(now.local_readers.contains(dds_writer.local_reader));
     for (const ReaderKey& local_reader : now.local_readers)
-      EXPECT_TRUE(std::any_of(now.dds_writers.begin(), now.dds_writers.end(),
-                              [&](const auto& dds_writer) { return dds_writer.second.local_reader == local_reader; }));
+      EXPECT_TRUE(std::any_of(
+          now.dds_writers.begin(), now.dds_writers.end(),
+          [&](const auto& dds_writer) { return dds_writer.second.local_reader == local_reader; }));
     for (const auto& [key, dds_reader] : now.dds_readers) {
       EXPECT_FALSE(dds_reader.nodes.empty());
       const bool is_written =
-          std::any_of(now.remote_publishers.begin(), now.remote_publishers.end(), [&](const auto& remote_publisher) {
-            return remote_publisher.second.key == key.key && remote_publisher.second.dds_reader == key.qos_class;
-          });
+          std::any_of(now.remote_publishers.begin(), now.remote_publishers.end(),
+                      [&](const auto& remote_publisher) {
+                        return remote_publisher.second.key == key.key &&
+                               remote_publisher.second.dds_reader == key.qos_class;
+                      });
       const bool is_wanted = std::any_of(locals_.begin(), locals_.end(), [&](const auto& local) {
         return local.kind == EndpointKind::subscription && local.topic == key.key.topic &&
                QosClass{local.qos.is_reliable(), local.qos.is_transient_local()} == key.qos_class;

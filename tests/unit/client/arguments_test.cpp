@@ -62,12 +62,35 @@ TEST(Arguments, FromLaunchFilesAreAccepted) {
 }
 
 TEST(Arguments, WithoutEffectAreListedWithTheirValues) {
-  const auto parsed = parse_arguments(
-      {"program", "-p", "own:=1", "--ros-args", "-p", "rate:=10", "--param", "a:=b", "-r", "a:=b",
-       "--params-file", "/f.yaml", "-e", "/enclave", "--enclave", "/e", "--log-level", "info",
-       "--log-config-file", "/l", "--enable-rosout-logs", "--disable-rosout-logs",
-       "--enable-stdout-logs", "--disable-stdout-logs", "--enable-external-lib-logs",
-       "--disable-external-lib-logs", "--", "--log-level", "own"});
+  const auto parsed = parse_arguments({"program",
+                                       "-p",
+                                       "own:=1",
+                                       "--ros-args",
+                                       "-p",
+                                       "rate:=10",
+                                       "--param",
+                                       "a:=b",
+                                       "-r",
+                                       "a:=b",
+                                       "--params-file",
+                                       "/f.yaml",
+                                       "-e",
+                                       "/enclave",
+                                       "--enclave",
+                                       "/e",
+                                       "--log-level",
+                                       "info",
+                                       "--log-config-file",
+                                       "/l",
+                                       "--enable-rosout-logs",
+                                       "--disable-rosout-logs",
+                                       "--enable-stdout-logs",
+                                       "--disable-stdout-logs",
+                                       "--enable-external-lib-logs",
+                                       "--disable-external-lib-logs",
+                                       "--",
+                                       "--log-level",
+                                       "own"});
   ASSERT_TRUE(parsed) << text_of(parsed.error());
   EXPECT_THAT(parsed->ignored,
               ElementsAre("-p rate:=10", "--param a:=b", "--params-file /f.yaml", "-e /enclave",

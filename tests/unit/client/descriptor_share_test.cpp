@@ -4,9 +4,9 @@
 // and go; no peer gets the last few descriptor numbers. Method: the share of this process, under
 // limits that the test sets.
 
+#include <base/descriptors/unique_fd.hpp>
 #include <base/memory/map_count.hpp>
 #include <base/memory/memfd.hpp>
-#include <base/descriptors/unique_fd.hpp>
 #include <client/endpoint/peer.hpp>
 #include <client/shares/descriptor_share.hpp>
 

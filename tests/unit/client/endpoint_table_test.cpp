@@ -1,7 +1,7 @@
 // SPDX-License-Identifier: Apache-2.0
 //
-// Goal: endpoints are found by place and generation, and those that are over are taken out before anybody is told.
-// Method: endpoints over memory of this process, where nobody else is.
+// Goal: endpoints are found by place and generation, and those that are over are taken out before
+// anybody is told. Method: endpoints over memory of this process, where nobody else is.
 
 #include <client/endpoint/endpoint_table.hpp>
 

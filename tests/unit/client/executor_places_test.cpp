@@ -1,7 +1,8 @@
 // SPDX-License-Identifier: Apache-2.0
 //
-// Goal: a wait set gets one place in a session, places and numbers are used again, and none is lost. Method: wait sets of
-// this process, a page as the client region, and a daemon that is a function.
+// Goal: a wait set gets one place in a session, places and numbers are used again, and none is
+// lost. Method: wait sets of this process, a page as the client region, and a daemon that is a
+// function.
 
 #include <client/session/executor_places.hpp>
 

@@ -8,9 +8,9 @@
 
 #include <agnocast/generic.hpp>
 #include <every_message.hpp>
-#include <tests/support/processes/child.hpp>
-#include <tests/support/messages/random_message.hpp>
 #include <tests/support/machine/temporary_directory.hpp>
+#include <tests/support/messages/random_message.hpp>
+#include <tests/support/processes/child.hpp>
 
 #include <gmock/gmock.h>
 

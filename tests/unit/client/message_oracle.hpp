@@ -38,7 +38,9 @@ class Oracle {
 
  private:
   using Path = std::string;
-  static Path join(const Path& outer, const char* name) { return outer.empty() ? name : outer + "." + name; }
+  static Path join(const Path& outer, const char* name) {
+    return outer.empty() ? name : outer + "." + name;
+  }
 
   void allocation(const void* first, std::uint64_t bytes, const Path& path) {
     if (origin_of(first) != Origin::shared) found_.push_back({path, bytes});
@@ -47,9 +49,12 @@ class Oracle {
   template <class C>
   void see(const std::basic_string<C>& text, const Path& path) {
     // Capacity, not address: text longer than an empty string's capacity lies outside the object.
-    if (text.capacity() > std::basic_string<C>().capacity()) allocation(text.data(), (text.size() + 1) * sizeof(C), path);
+    if (text.capacity() > std::basic_string<C>().capacity())
+      allocation(text.data(), (text.size() + 1) * sizeof(C), path);
   }
-  void see(const std::vector<bool>& bits, const Path& path) { bool_words(&bits, bits.size(), path); }
+  void see(const std::vector<bool>& bits, const Path& path) {
+    bool_words(&bits, bits.size(), path);
+  }
   template <std::size_t N>
   void see(const rosidl_runtime_cpp::BoundedVector<bool, N>& bits, const Path& path) {
     bool_words(&bits, bits.size(), path);
@@ -78,17 +83,23 @@ class Oracle {
   template <class S>
   void each(const S& elements, const Path& path) {
     if constexpr (std::is_class_v<std::decay_t<decltype(elements[0])>>) {
-      for (std::size_t i = 0; i < elements.size(); ++i) see(elements[i], path + "[" + std::to_string(i) + "]");
+      for (std::size_t i = 0; i < elements.size(); ++i)
+        see(elements[i], path + "[" + std::to_string(i) + "]");
     }
   }
   template <class T>
-  std::enable_if_t<rosidl_generator_traits::is_message<T>::value> see(const T& message, const Path& path) {
+  std::enable_if_t<rosidl_generator_traits::is_message<T>::value> see(const T& message,
+                                                                      const Path& path) {
     members(message, path);
   }
 
-  void members(const std_msgs::msg::Header& m, const Path& p) { see(m.frame_id, join(p, "frame_id")); }
+  void members(const std_msgs::msg::Header& m, const Path& p) {
+    see(m.frame_id, join(p, "frame_id"));
+  }
   void members(const std_msgs::msg::String& m, const Path& p) { see(m.data, join(p, "data")); }
-  void members(const sensor_msgs::msg::PointField& m, const Path& p) { see(m.name, join(p, "name")); }
+  void members(const sensor_msgs::msg::PointField& m, const Path& p) {
+    see(m.name, join(p, "name"));
+  }
   void members(const sensor_msgs::msg::PointCloud2& m, const Path& p) {
     see(m.header, join(p, "header"));
     see(m.fields, join(p, "fields"));
@@ -106,7 +117,9 @@ class Oracle {
     see(m.trunk, join(p, "trunk"));
     see(m.boughs, join(p, "boughs"));
   }
-  void members(const agnocast_test_msgs::msg::Forest& m, const Path& p) { see(m.trees, join(p, "trees")); }
+  void members(const agnocast_test_msgs::msg::Forest& m, const Path& p) {
+    see(m.trees, join(p, "trees"));
+  }
   void members(const agnocast_test_msgs::msg::Empty&, const Path&) {}
   void members(const agnocast_test_msgs::msg::Flat&, const Path&) {}
   void members(const agnocast_test_msgs::msg::Inner& m, const Path& p) {

@@ -115,8 +115,8 @@ TEST_F(PeerHeapTest, NothingBehindTheEndOfTheFileIsOpenedWhateverTheOwnerWrites)
   EXPECT_EQ(place_of(0, 3 * abi::page_bytes), Place::outside) << "only whole pages are opened";
   ASSERT_TRUE(lengthen(owner, window_bytes));
   EXPECT_EQ(place_of(0, window_bytes - 64), Place::readable);
-  const auto* const last = reinterpret_cast<const volatile unsigned char*>(base_of(0)) +
-                           (window_bytes - 1);
+  const auto* const last =
+      reinterpret_cast<const volatile unsigned char*>(base_of(0)) + (window_bytes - 1);
   const unsigned value = *last;
   EXPECT_EQ(value, 0u) << "open memory can be read";
 }

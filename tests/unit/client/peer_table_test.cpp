@@ -1,8 +1,9 @@
 // SPDX-License-Identifier: Apache-2.0
 //
-// Goal: a process is mapped with the first endpoint that is announced of it, stays as long as anybody uses it, and is
-// unmapped before the daemon could be told; whatever the daemon announces, nothing lies outside the arena. Method: this
-// test is the daemon, with memfds as regions and windows.
+// Goal: a process is mapped with the first endpoint that is announced of it, stays as long as
+// anybody uses it, and is unmapped before the daemon could be told; whatever the daemon announces,
+// nothing lies outside the arena. Method: this test is the daemon, with memfds as regions and
+// windows.
 
 #include <client/endpoint/peer_table.hpp>
 

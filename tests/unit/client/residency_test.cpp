@@ -2,9 +2,9 @@
 //
 // Goal: publish sends no message with a byte that readers cannot see, names the foreign memory,
 // and repairs it. Method: this program's operator new plays the heap hook
-// (tests/support/memory/tagging_heap.hpp). Messages are built with each single allocation in turn outside
-// the arena, then with random ones; an oracle that knows the origin of each allocation gives the
-// expected result. --seed=N repeats one random run, --runs=N makes more of them.
+// (tests/support/memory/tagging_heap.hpp). Messages are built with each single allocation in turn
+// outside the arena, then with random ones; an oracle that knows the origin of each allocation
+// gives the expected result. --seed=N repeats one random run, --runs=N makes more of them.
 
 #include "tests/unit/client/random_filler.hpp"
 #include "tests/unit/client/residency_messages.hpp"

@@ -1,9 +1,10 @@
 // SPDX-License-Identifier: Apache-2.0
 //
-// Goal: the control thread looks, and asks again, as often as scan_timer.hpp and reannouncement.hpp say.
+// Goal: the control thread looks, and asks again, as often as scan_timer.hpp and reannouncement.hpp
+// say.
 
-#include <client/session/scan_timer.hpp>
 #include <client/session/reannouncement.hpp>
+#include <client/session/scan_timer.hpp>
 
 #include <gtest/gtest.h>
 

@@ -1,7 +1,7 @@
 // SPDX-License-Identifier: Apache-2.0
 //
-// Goal: the drawing and the table of truths in session_state.hpp are what the class does. Method: every phase with
-// every step, and the ways that sessions go.
+// Goal: the drawing and the table of truths in session_state.hpp are what the class does. Method:
+// every phase with every step, and the ways that sessions go.
 
 #include <client/session/session_state.hpp>
 

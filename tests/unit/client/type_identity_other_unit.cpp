@@ -19,7 +19,8 @@ Hashes hashes_of_other_unit() {
   const auto pose = agnocast::message_type_of<Pose>();
   return {pose->layout_hash(), agnocast::message_type_of<Named>()->layout_hash(),
           agnocast::message_type_of<sensor_msgs::msg::PointCloud2>()->layout_hash(),
-          agnocast::message_type_of<agnocast_test_msgs::msg::Everything>()->layout_hash(), std::string(pose->name())};
+          agnocast::message_type_of<agnocast_test_msgs::msg::Everything>()->layout_hash(),
+          std::string(pose->name())};
 }
 
 }  // namespace identity_test

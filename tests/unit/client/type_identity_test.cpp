@@ -122,14 +122,18 @@ rosidl_message_type_support_t support_of_image() {
   members[1].get_const_function = [](const void* member, size_t i) {
     return static_cast<const void*>(&bytes_at<Image>(member)[i]);
   };
-  members[1].resize_function = [](void* member, size_t size) { bytes_at<Image>(member).resize(size); };
+  members[1].resize_function = [](void* member, size_t size) {
+    bytes_at<Image>(member).resize(size);
+  };
   static MessageMembers table{};
   table.message_namespace_ = "buffer_test::msg";
   table.message_name_ = "Image";
   table.member_count_ = 2;
   table.size_of_ = sizeof(Image);
   table.members_ = members;
-  table.init_function = [](void* memory, rosidl_runtime_cpp::MessageInitialization) { new (memory) Image; };
+  table.init_function = [](void* memory, rosidl_runtime_cpp::MessageInitialization) {
+    new (memory) Image;
+  };
   table.fini_function = [](void* memory) { static_cast<Image*>(memory)->~Image(); };
   rosidl_message_type_support_t support{};
   support.data = &table;
@@ -200,9 +204,10 @@ TEST(TypeIdentity, NamesAreThoseOfRos) {
 }
 
 TEST(TypeIdentity, DiffersBetweenTypesAndIsComparedWithTheName) {
-  const std::set<std::uint64_t> hashes{hash_of<sensor_msgs::msg::PointCloud2>(), hash_of<sensor_msgs::msg::Image>(),
-                                       hash_of<agnocast_test_msgs::msg::Everything>(), hash_of<identity_test::Pose>(),
-                                       hash_of<agnocast_test_msgs::msg::Empty>(), hash_of<identity_test::Named>()};
+  const std::set<std::uint64_t> hashes{
+      hash_of<sensor_msgs::msg::PointCloud2>(),       hash_of<sensor_msgs::msg::Image>(),
+      hash_of<agnocast_test_msgs::msg::Everything>(), hash_of<identity_test::Pose>(),
+      hash_of<agnocast_test_msgs::msg::Empty>(),      hash_of<identity_test::Named>()};
   EXPECT_EQ(hashes.size(), 6U);
   EXPECT_EQ((TypeIdentity{"a", 1}), (TypeIdentity{"a", 1}));
   EXPECT_NE((TypeIdentity{"a", 1}), (TypeIdentity{"b", 1}));
@@ -210,8 +215,9 @@ TEST(TypeIdentity, DiffersBetweenTypesAndIsComparedWithTheName) {
 }
 
 identity_test::Hashes hashes_of_this_unit() {
-  return {hash_of<identity_test::Pose>(), hash_of<identity_test::Named>(), hash_of<sensor_msgs::msg::PointCloud2>(),
-          hash_of<agnocast_test_msgs::msg::Everything>(), std::string(message_type_of<identity_test::Pose>()->name())};
+  return {hash_of<identity_test::Pose>(), hash_of<identity_test::Named>(),
+          hash_of<sensor_msgs::msg::PointCloud2>(), hash_of<agnocast_test_msgs::msg::Everything>(),
+          std::string(message_type_of<identity_test::Pose>()->name())};
 }
 
 TEST(TypeIdentity, IsEqualInAUnitWithAnotherLanguageVersionAndOptimisation) {
@@ -229,7 +235,8 @@ TEST(TypeIdentity, IsEqualInAnotherProcess) {
   std::FILE* child = popen("/proc/$PPID/exe --print-hashes", "r");
   ASSERT_NE(child, nullptr);
   identity_test::Hashes there{};
-  const int read = std::fscanf(child, "hashes %lx %lx %lx %lx", &there.pose, &there.named, &there.cloud, &there.everything);
+  const int read = std::fscanf(child, "hashes %lx %lx %lx %lx", &there.pose, &there.named,
+                               &there.cloud, &there.everything);
   EXPECT_EQ(pclose(child), 0);
   ASSERT_EQ(read, 4);
   const identity_test::Hashes here = hashes_of_this_unit();
@@ -270,20 +277,23 @@ class Tables {
   agnocast::detail::MessageTable message{"a::msg", "B", 256, 6};
   agnocast::detail::MessageTable nested{"c::msg", "D", 16, 2};
   // Two doubles, nested once directly and once as a sequence.
-  std::vector<Field> nested_fields{
-      {"p", Element::primitive, Array::none, ros::ROS_TYPE_DOUBLE, false, 8, 0, 0, 0, nullptr, nullptr, nullptr, nullptr},
-      {"q", Element::primitive, Array::none, ros::ROS_TYPE_DOUBLE, false, 8, 8, 0, 0, nullptr, nullptr, nullptr, nullptr}};
+  std::vector<Field> nested_fields{{"p", Element::primitive, Array::none, ros::ROS_TYPE_DOUBLE,
+                                    false, 8, 0, 0, 0, nullptr, nullptr, nullptr, nullptr},
+                                   {"q", Element::primitive, Array::none, ros::ROS_TYPE_DOUBLE,
+                                    false, 8, 8, 0, 0, nullptr, nullptr, nullptr, nullptr}};
   std::vector<Field> sample_fields{
-      {"plain", Element::message, Array::none, 0, false, 0, 0, 0, 0, &nested_fields, nullptr, nullptr, nullptr},
-      {"text", Element::string, Array::none, ros::ROS_TYPE_STRING, false, sizeof(std::string), 16, 0, 20, nullptr, nullptr,
+      {"plain", Element::message, Array::none, 0, false, 0, 0, 0, 0, &nested_fields, nullptr,
        nullptr, nullptr},
-      {"array", Element::primitive, Array::fixed, ros::ROS_TYPE_UINT8, false, 1, 48, 5, 0, nullptr, nullptr, nullptr,
-       nullptr},
-      {"sequence", Element::message, Array::unbounded, 0, false, 0, 64, 0, 0, &nested_fields, &size, &get<16>, &resize<16>},
-      {"bounded", Element::primitive, Array::bounded, ros::ROS_TYPE_INT32, false, 4, 88, 7, 0, nullptr, &size, &get<4>,
-       &resize<4>},
-      {"number", Element::primitive, Array::none, ros::ROS_TYPE_INT32, false, 4, 112, 0, 0, nullptr, nullptr, nullptr,
-       nullptr}};
+      {"text", Element::string, Array::none, ros::ROS_TYPE_STRING, false, sizeof(std::string), 16,
+       0, 20, nullptr, nullptr, nullptr, nullptr},
+      {"array", Element::primitive, Array::fixed, ros::ROS_TYPE_UINT8, false, 1, 48, 5, 0, nullptr,
+       nullptr, nullptr, nullptr},
+      {"sequence", Element::message, Array::unbounded, 0, false, 0, 64, 0, 0, &nested_fields, &size,
+       &get<16>, &resize<16>},
+      {"bounded", Element::primitive, Array::bounded, ros::ROS_TYPE_INT32, false, 4, 88, 7, 0,
+       nullptr, &size, &get<4>, &resize<4>},
+      {"number", Element::primitive, Array::none, ros::ROS_TYPE_INT32, false, 4, 112, 0, 0, nullptr,
+       nullptr, nullptr, nullptr}};
   std::vector<Field> fields = std::vector<Field>(6);
 
  private:
@@ -321,7 +331,8 @@ TEST(TypeIdentity, EveryChangeOfTheTableChangesTheHash) {
       {"message alignment", [](Tables& t) { t.alignment = 16; }},
       {"member left out", [](Tables& t) { t.message.field_count = 5; }},
       {"member name", [](Tables& t) { t.fields[5].name = "count"; }},
-      {"member type of the same size", [](Tables& t) { t.fields[5].primitive_id = ros::ROS_TYPE_UINT32; }},
+      {"member type of the same size",
+       [](Tables& t) { t.fields[5].primitive_id = ros::ROS_TYPE_UINT32; }},
       {"member type of another size", [](Tables& t) { t.fields[5].element_bytes = 8; }},
       {"member offset", [](Tables& t) { t.fields[5].offset = 116; }},
       {"members swapped", [](Tables& t) { std::swap(t.fields[1], t.fields[5]); }},
@@ -334,7 +345,8 @@ TEST(TypeIdentity, EveryChangeOfTheTableChangesTheHash) {
       {"bounded to unbounded", [](Tables& t) { t.fields[4].array = Array::unbounded; }},
       {"nested name", [](Tables& t) { t.nested.message_name = "E"; }},
       {"nested member name", [](Tables& t) { t.nested_fields[1].name = "r"; }},
-      {"nested member type", [](Tables& t) { t.nested_fields[1].primitive_id = ros::ROS_TYPE_INT64; }},
+      {"nested member type",
+       [](Tables& t) { t.nested_fields[1].primitive_id = ros::ROS_TYPE_INT64; }},
       {"nested member left out", [](Tables& t) { t.nested.field_count = 1; }},
   };
   std::set<std::uint64_t> hashes;
@@ -377,7 +389,8 @@ void expect_refused(const Result<MessageType>& type, const char* why) {
 
 TEST(TypeRefusal, ASequenceThatIsAPolymorphicBufferIsRefusedWithASentence) {
   expect_refused(message_type_of<buffer_test::PimplImage>(), "rosidl::Buffer");
-  expect_refused(message_type_of<buffer_test::InlineImage>(), "virtual functions belong to one process");
+  expect_refused(message_type_of<buffer_test::InlineImage>(),
+                 "virtual functions belong to one process");
 }
 
 // Members of newer releases.
@@ -398,7 +411,8 @@ TEST(TypeRefusal, AStandardLibraryOtherThanTheLibrarysIsRefused) {
   tables.build ^= 1;
   expect_refused(tables.describe(), "different standard libraries");
   const agnocast::detail::PlainType plain{"a", 1, 16, 8, true, nullptr};
-  expect_refused(agnocast::detail::make_plain_type(plain, agnocast::detail::build_hash ^ 1), "different standard libraries");
+  expect_refused(agnocast::detail::make_plain_type(plain, agnocast::detail::build_hash ^ 1),
+                 "different standard libraries");
 }
 
 TEST(TypeRefusal, TablesThatContradictThemselvesAreRefused) {
@@ -429,7 +443,8 @@ TEST(TypeRefusal, TablesThatContradictThemselvesAreRefused) {
       static_cast<void**>(member)[2] = nullptr;
     };
   });
-  refused("not a std::vector", [](Tables& t) { t.fields[3].size = [](const void*) { return std::size_t{3}; }; });
+  refused("not a std::vector",
+          [](Tables& t) { t.fields[3].size = [](const void*) { return std::size_t{3}; }; });
   refused("not a std::vector", [](Tables& t) {
     t.fields[3].get = [](const void* member, std::size_t i) {
       return static_cast<const void*>(*static_cast<const std::byte* const*>(member) + 8 * i);
@@ -454,8 +469,9 @@ TEST(TypeRefusal, ATypeThatContainsItselfOrIsEndlesslyWideIsRefused) {
   Tables wide;
   wide.nested.message_bytes = 1;
   wide.nested.field_count = 70000;
-  wide.nested_fields.assign(70000, Tables::Field{"w", Tables::Element::primitive, Tables::Array::none, ros::ROS_TYPE_UINT8,
-                                                 false, 1, 0, 0, 0, nullptr, nullptr, nullptr, nullptr});
+  wide.nested_fields.assign(70000, Tables::Field{"w", Tables::Element::primitive,
+                                                 Tables::Array::none, ros::ROS_TYPE_UINT8, false, 1,
+                                                 0, 0, 0, nullptr, nullptr, nullptr, nullptr});
   wide.message.field_count = 1;
   expect_refused(wide.describe(), "too many members");
 }
@@ -464,8 +480,11 @@ TEST(TypeRefusal, ExceptionsOfADefaultConstructorBecomeErrors) {
   const auto describe = [](void (*construct)(const void*, void*)) {
     static const std::vector<Tables::Field> none;
     const agnocast::detail::TableReader reader{
-        [](const void*) { return agnocast::detail::MessageTable{"a::msg", "B", 8, 0}; },
-        [](const void*, std::size_t) { return Tables::Field{}; }, construct, [](const void*, void*) {}};
+        [](const void*) {
+          return agnocast::detail::MessageTable{"a::msg", "B", 8, 0};
+        },
+        [](const void*, std::size_t) { return Tables::Field{}; }, construct,
+        [](const void*, void*) {}};
     return agnocast::detail::make_described_type(reader, &none, 8, agnocast::detail::build_hash);
   };
   EXPECT_TRUE(describe([](const void*, void*) {}).has_value());
@@ -500,8 +519,10 @@ TEST(MessageRules, PointerMembersOfAggregatesAreSeen) {
 }
 
 TEST(MessageRules, SpellingsThatDifferBetweenCompilersAreNotStable) {
-  for (const char* stable : {"Pose", "a::b::Pose_2"}) EXPECT_TRUE(agnocast::detail::is_stable_spelling(stable)) << stable;
-  for (const char* unstable : {"", "std::array<int, 3>", "{anonymous}::Pose", "(anonymous namespace)::Pose", "main()::Pose"}) {
+  for (const char* stable : {"Pose", "a::b::Pose_2"})
+    EXPECT_TRUE(agnocast::detail::is_stable_spelling(stable)) << stable;
+  for (const char* unstable : {"", "std::array<int, 3>", "{anonymous}::Pose",
+                               "(anonymous namespace)::Pose", "main()::Pose"}) {
     EXPECT_FALSE(agnocast::detail::is_stable_spelling(unstable)) << unstable;
   }
 }
@@ -511,7 +532,8 @@ TEST(MessageRules, SpellingsThatDifferBetweenCompilersAreNotStable) {
 int main(int argc, char** argv) {
   if (argc == 2 && std::string_view(argv[1]) == "--print-hashes") {
     const identity_test::Hashes hashes = hashes_of_this_unit();
-    std::printf("hashes %lx %lx %lx %lx\n", hashes.pose, hashes.named, hashes.cloud, hashes.everything);
+    std::printf("hashes %lx %lx %lx %lx\n", hashes.pose, hashes.named, hashes.cloud,
+                hashes.everything);
     return 0;
   }
   testing::InitGoogleMock(&argc, argv);

@@ -62,11 +62,10 @@ TEST(DoctorDoor, NamesExactlyOneReasonInEverySituation) {
   for (const Kind kind : {Kind::nothing, Kind::socket, Kind::other}) {
     for (const char* const closed : {"", "/closed"}) {
       for (const int error : {0, ECONNREFUSED, EACCES, EPROTOTYPE, ETIMEDOUT, EIO}) {
-        for (const Errc code :
-             {Errc::daemon_not_running, Errc::permission_denied, Errc::layout_mismatch,
-              Errc::store_damaged, Errc::quota_exceeded, Errc::protocol_violation,
-              Errc::descriptors_withheld, Errc::daemon_untrusted, Errc::os_failure,
-              Errc::internal}) {
+        for (const Errc code : {Errc::daemon_not_running, Errc::permission_denied,
+                                Errc::layout_mismatch, Errc::store_damaged, Errc::quota_exceeded,
+                                Errc::protocol_violation, Errc::descriptors_withheld,
+                                Errc::daemon_untrusted, Errc::os_failure, Errc::internal}) {
           for (const unsigned bits : {0u, 1u, 2u, 3u, 4u, 5u, 6u, 7u}) {
             // No answer comes where there is no socket, or where the path is closed.
             const bool can_answer = kind == Kind::socket && *closed == '\0';

@@ -1,8 +1,8 @@
 // SPDX-License-Identifier: Apache-2.0
 //
-// Goal: a rule about a topic is true of the memory behind it: who may not subscribe to a topic of a process is given
-// nothing of that process.
-// Method: rules as values, a registry and nothing else; each request is asked for as a process would.
+// Goal: a rule about a topic is true of the memory behind it: who may not subscribe to a topic of a
+// process is given nothing of that process. Method: rules as values, a registry and nothing else;
+// each request is asked for as a process would.
 
 #include <daemon/admission/access_control.hpp>
 #include <tests/support/registry_scene.hpp>

@@ -1,8 +1,8 @@
 // SPDX-License-Identifier: Apache-2.0
 //
-// Goal: one user has what its quotas allow and nothing more, a refusal names the quota and what it is, and no user's
-// quota depends on what another one has.
-// Method: the daemon's core with small quotas; each request is asked for before it is carried out.
+// Goal: one user has what its quotas allow and nothing more, a refusal names the quota and what it
+// is, and no user's quota depends on what another one has. Method: the daemon's core with small
+// quotas; each request is asked for before it is carried out.
 
 #include <daemon/admission/admission.hpp>
 #include <tests/support/processes/daemon_core.hpp>
@@ -49,7 +49,8 @@ class AdmissionTest : public testing::Test {
           [](std::string_view) { return true; },
           [] { return std::uint64_t{0}; }};
   AccessControl access{config.access, core.registry, log};
-  Admission admission{config, arena, plan, core.registry, core.endpoint_manager, core.store, access};
+  Admission admission{config,     arena, plan, core.registry, core.endpoint_manager,
+                      core.store, access};
 };
 
 TEST_F(AdmissionTest, CountsProcessesOfEachUserAlone) {

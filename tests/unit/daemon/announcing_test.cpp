@@ -1,8 +1,8 @@
 // SPDX-License-Identifier: Apache-2.0
 //
-// Goal: a process hears of exactly the endpoints that concern it, behind the record of that, when one is created and
-// when it comes back.
-// Method: a registry and nothing else; the effects say who is told of what.
+// Goal: a process hears of exactly the endpoints that concern it, behind the record of that, when
+// one is created and when it comes back. Method: a registry and nothing else; the effects say who
+// is told of what.
 
 #include <daemon/lifecycle/announcing.hpp>
 #include <tests/support/registry_scene.hpp>

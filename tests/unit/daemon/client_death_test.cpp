@@ -1,8 +1,8 @@
 // SPDX-License-Identifier: Apache-2.0
 //
-// Goal: a dead client goes through its states in one order, each step is said once, and what others do between two
-// steps is theirs.
-// Method: a registry and nothing else; each step is carried out on the registry as the reaper does it.
+// Goal: a dead client goes through its states in one order, each step is said once, and what others
+// do between two steps is theirs. Method: a registry and nothing else; each step is carried out on
+// the registry as the reaper does it.
 
 #include <daemon/death/client_death.hpp>
 #include <tests/support/registry_scene.hpp>
@@ -62,7 +62,8 @@ TEST_F(ClientDeathTest, GoesThroughTheStatesInOrder) {
   EXPECT_EQ(death.state(), DeathState::forgotten);
   EXPECT_EQ(registry.client(client).state, ClientState::forgotten);
   EXPECT_FALSE(registry.notified_of(known).contains(number(client)));
-  // Two subscriptions, one publisher, the region; three topics with one endpoint or two each; the end.
+  // Two subscriptions, one publisher, the region; three topics with one endpoint or two each; the
+  // end.
   const std::size_t close = DeathStep(death::Close{}).index(),
                     orphan = DeathStep(death::Orphan{}).index(),
                     unmap = DeathStep(death::Unmap{}).index(),
@@ -79,7 +80,8 @@ TEST_F(ClientDeathTest, DoesNotRepeatWhatAnEarlierDaemonHasDone) {
   registry.client_died(client, journal::DeathReason::died);
   {
     ClientDeath first(client, registry);
-    for (int i = 0; i < 3; ++i) carry_out(client, *first.next());  // both subscriptions, the publisher
+    for (int i = 0; i < 3; ++i)
+      carry_out(client, *first.next());  // both subscriptions, the publisher
   }
   ClientDeath again(client, registry);
   const auto step = again.next();
@@ -89,7 +91,8 @@ TEST_F(ClientDeathTest, DoesNotRepeatWhatAnEarlierDaemonHasDone) {
 
 TEST_F(ClientDeathTest, LeavesAPlaceThatIsAnothersByNow) {
   const ClientIndex client = scene.process(), other = scene.process();
-  const EndpointRef first = scene.subscription(client, "/a"), second = scene.subscription(client, "/b");
+  const EndpointRef first = scene.subscription(client, "/a"),
+                    second = scene.subscription(client, "/b");
   registry.client_died(client, journal::DeathReason::died);
   ClientDeath death(client, registry);
   carry_out(client, *death.next());

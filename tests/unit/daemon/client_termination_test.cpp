@@ -1,8 +1,8 @@
 // SPDX-License-Identifier: Apache-2.0
 //
-// Goal: the end of a connection ends nobody's session; the end of a process does, once; a process that was revoked
-// has its place until it ends.
-// Method: the daemon's core with peers that have no socket, and a log that is read.
+// Goal: the end of a connection ends nobody's session; the end of a process does, once; a process
+// that was revoked has its place until it ends. Method: the daemon's core with peers that have no
+// socket, and a log that is read.
 
 #include <daemon/death/client_termination.hpp>
 #include <tests/support/processes/daemon_core.hpp>
@@ -57,8 +57,9 @@ class ClientTerminationTest : public testing::Test {
           Log::Format::people,
           [this](std::string_view line) { return lines.append(line), true; },
           [] { return std::uint64_t{0}; }};
-  ClientTermination termination{connections,     dispatcher, core.registry, core.store, obstacles,
-                                core.endpoint_manager, reaping,    region_look,   log};
+  ClientTermination termination{connections, dispatcher,  core.registry,
+                                core.store,  obstacles,   core.endpoint_manager,
+                                reaping,     region_look, log};
 };
 
 TEST_F(ClientTerminationTest, AStrangersConnectionLeavesNothing) {
@@ -120,7 +121,8 @@ TEST_F(ClientTerminationTest, WhatIsKnownToBeInTheWayOfAClientGoesWithIt) {
   Peer& peer = member();
   const ClientIndex client = *peer.session.client();
   ASSERT_TRUE(obstacles.add(client, alice, std::uint64_t{1} << 45, 4096, "a library"));
-  termination.reap(client, journal::DeathReason::died, "ended while the daemon was away", UINT64_MAX);
+  termination.reap(client, journal::DeathReason::died, "ended while the daemon was away",
+                   UINT64_MAX);
   EXPECT_TRUE(obstacles.of(client).empty());
 }
 

@@ -6,8 +6,8 @@
 
 #include <daemon/config/config.hpp>
 
-#include "tests/support/processes/child.hpp"
 #include "tests/support/machine/temporary_directory.hpp"
+#include "tests/support/processes/child.hpp"
 
 #include <gmock/gmock.h>
 
@@ -243,7 +243,8 @@ TEST(Config, MistakesAreReportedWithPositionAndRemedy) {
        "f.toml:2:23: limits.slots_per_publisher: slots_per_publisher (1000) has no room beside a "
        "history of depth_max (1000); make slots_per_publisher larger than depth_max"},
       {"[limits]\nslots_per_publisher = 1500\n",
-       "f.toml:2:23: limits.slots_per_publisher: slots_per_publisher (1500) has no room for a message "
+       "f.toml:2:23: limits.slots_per_publisher: slots_per_publisher (1500) has no room for a "
+       "message "
        "of each of subscriptions_per_topic (768) beside a history of depth_max (1000); make it at "
        "least 1803, or one of the others less"},
       {"[heap]\nwindow_bytes = \"1GiB\"\narena_bytes = \"512MiB\"\n",

@@ -1,8 +1,8 @@
 // SPDX-License-Identifier: Apache-2.0
 //
-// Goal: effects are carried out in their order; a decision that is an effect sees what the effects before it have
-// done, and its answer comes before the effects behind it.
-// Method: the runner over a registry, with connections that only count; what happened is read from the tables.
+// Goal: effects are carried out in their order; a decision that is an effect sees what the effects
+// before it have done, and its answer comes before the effects behind it. Method: the runner over a
+// registry, with connections that only count; what happened is read from the tables.
 
 #include <daemon/lifecycle/effect_runner.hpp>
 #include <tests/support/processes/daemon_core.hpp>

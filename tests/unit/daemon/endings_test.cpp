@@ -1,8 +1,9 @@
 // SPDX-License-Identifier: Apache-2.0
 //
-// Goal: the end of an endpoint rings and tells exactly the processes that it concerns, in the order that a death of
-// the daemon needs, and a place is free only when nobody has it any more.
-// Method: a registry and nothing else; what is decided is compared with what was there. Decisions write no record.
+// Goal: the end of an endpoint rings and tells exactly the processes that it concerns, in the order
+// that a death of the daemon needs, and a place is free only when nobody has it any more. Method: a
+// registry and nothing else; what is decided is compared with what was there. Decisions write no
+// record.
 
 #include <daemon/lifecycle/endings.hpp>
 #include <tests/support/registry_scene.hpp>

@@ -1,8 +1,8 @@
 // SPDX-License-Identifier: Apache-2.0
 //
-// Goal: a process ends and acknowledges only what is its own to end and to acknowledge, each once, and is answered
-// again when its answer was lost.
-// Method: a registry and the book of one connection; each statement is made as a process could make it.
+// Goal: a process ends and acknowledges only what is its own to end and to acknowledge, each once,
+// and is answered again when its answer was lost. Method: a registry and the book of one
+// connection; each statement is made as a process could make it.
 
 #include <daemon/lifecycle/leaving.hpp>
 #include <daemon/lifecycle/references.hpp>

@@ -3,11 +3,11 @@
 // Goal: one event is one true line whatever clients write into it, and floods are counted instead
 // of written. Method: a sink that keeps lines and a clock that the test moves.
 
-#include <base/text/log.hpp>
 #include <base/descriptors/unique_fd.hpp>
+#include <base/text/log.hpp>
 #include <daemon/process/log_events.hpp>
-#include <tests/support/processes/child.hpp>
 #include <tests/support/machine/temporary_directory.hpp>
+#include <tests/support/processes/child.hpp>
 
 #include <gmock/gmock.h>
 

@@ -74,7 +74,8 @@ TEST_F(ReaperTest, LooksOnlyInTopicsOfTheProcess) {
   create(a, Kind::publisher, "/here");
   create(b, Kind::subscription, "/here");
   const auto steps_of = [&](ClientIndex client) {
-    Reaping reaping(client, journal::DeathReason::died, registry, regions, doorbells, endpoint_manager);
+    Reaping reaping(client, journal::DeathReason::died, registry, regions, doorbells,
+                    endpoint_manager);
     int steps = 1;
     while (!reaping.go_on(0)) ++steps;
     return steps;

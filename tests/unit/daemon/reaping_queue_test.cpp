@@ -1,8 +1,8 @@
 // SPDX-License-Identifier: Apache-2.0
 //
-// Goal: ends of processes that take many steps share the loop's turns, and whoever waits for an end is called once,
-// when all of it is done.
-// Method: registry, endpoint manager and regions as the daemon has them; a budget of nothing, so each turn is one step.
+// Goal: ends of processes that take many steps share the loop's turns, and whoever waits for an end
+// is called once, when all of it is done. Method: registry, endpoint manager and regions as the
+// daemon has them; a budget of nothing, so each turn is one step.
 
 #include <daemon/death/reaping_queue.hpp>
 #include <tests/support/processes/daemon_core.hpp>
@@ -20,7 +20,8 @@ class ReapingQueueTest : public testing::Test {
   ClientIndex process_with(int endpoints) {
     const ClientIndex client = core.process(1);
     for (int i = 0; i < endpoints; ++i)
-      core.create(client, Kind::publisher, "/" + std::to_string(number(client)) + "/" + std::to_string(i));
+      core.create(client, Kind::publisher,
+                  "/" + std::to_string(number(client)) + "/" + std::to_string(i));
     return client;
   }
   void begin(ClientIndex client, std::uint64_t budget_ns = 0) {
@@ -77,7 +78,8 @@ TEST_F(ReapingQueueTest, GivesEachEndItsTurn) {
   const ClientIndex much = process_with(300), little = process_with(1);
   begin(much);
   begin(little);
-  // One turn does at least one step and at most what fits into its budget: a turn each is enough for the little one.
+  // One turn does at least one step and at most what fits into its budget: a turn each is enough
+  // for the little one.
   for (int turns = 0; ended.empty() && turns < 100; ++turns) queue.go_on();
   ASSERT_FALSE(ended.empty());
   while (!queue.is_empty()) queue.go_on();

@@ -157,7 +157,8 @@ TEST(Requests, AllowsEachRoleOnlyItsRequests) {
     EXPECT_EQ(rejected(decoded(dump, {}, role)).code, Errc::protocol_violation);
   for (const Role role : {Role::observer, Role::unknown})
     EXPECT_EQ(rejected(decoded(window, {}, role)).code, Errc::protocol_violation);
-  EXPECT_EQ(rejected(decoded(window, {}, Role::observer)).text, "an observer takes part in nothing");
+  EXPECT_EQ(rejected(decoded(window, {}, Role::observer)).text,
+            "an observer takes part in nothing");
 }
 
 TEST(Requests, RefusesUnterminatedNames) {

@@ -28,8 +28,10 @@ TEST(CollisionsNotified, IsNewsOncePerPairAndAfterEachChange) {
   EXPECT_TRUE(notified.tell(publisher, subscription(1), what));
   EXPECT_FALSE(notified.tell(publisher, subscription(0), what));
   for (const CollisionsNotified::Collision& other :
-       {CollisionsNotified::Collision{11, 20, 0, true}, CollisionsNotified::Collision{11, 21, 0, true},
-        CollisionsNotified::Collision{11, 21, 1, true}, CollisionsNotified::Collision{11, 21, 1, false}}) {
+       {CollisionsNotified::Collision{11, 20, 0, true},
+        CollisionsNotified::Collision{11, 21, 0, true},
+        CollisionsNotified::Collision{11, 21, 1, true},
+        CollisionsNotified::Collision{11, 21, 1, false}}) {
     EXPECT_TRUE(notified.tell(publisher, subscription(0), other));
     EXPECT_FALSE(notified.tell(publisher, subscription(0), other));
   }

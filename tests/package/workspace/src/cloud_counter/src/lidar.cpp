@@ -8,8 +8,10 @@
 int main(int argc, char** argv) try {
   const auto count = static_cast<std::uint32_t>(argc > 1 ? std::atoi(argv[1]) : 1);
   agnocast::Node node("lidar");
-  auto clouds = agnocast::create_publisher<Cloud>(node, "cloud_count", agnocast::QoS(1).transient_local());
-  auto names = agnocast::create_publisher<Name>(node, "cloud_name", agnocast::QoS(1).transient_local());
+  auto clouds =
+      agnocast::create_publisher<Cloud>(node, "cloud_count", agnocast::QoS(1).transient_local());
+  auto names =
+      agnocast::create_publisher<Name>(node, "cloud_name", agnocast::QoS(1).transient_local());
   unsigned long long adopted = 0;
   for (std::uint32_t number = 1; number <= count; ++number) {
     auto cloud = clouds->borrow_loaned_message();
