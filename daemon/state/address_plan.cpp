@@ -15,7 +15,7 @@ constexpr std::uint64_t gib = std::uint64_t{1} << 30;
 constexpr std::uint64_t default_base = 0x2000'0000'0000;
 constexpr std::uint64_t default_bytes = 8192 * gib;
 constexpr std::uint64_t default_window_bytes = 16 * gib;
-// Below it a window would not hold a handful of camera images.
+// A smaller window would hold only a handful of camera images.
 constexpr std::uint64_t least_window_bytes = gib / 16;
 
 constexpr std::uint64_t round_down(std::uint64_t value, std::uint64_t unit) noexcept {
@@ -29,16 +29,16 @@ std::optional<Arena> plan_arena(const ArenaWish& wish, unsigned address_bits,
   if (address_bits < 32 || address_bits > 56) return std::nullopt;
   const std::uint64_t space = std::uint64_t{1} << address_bits;
   Arena arena;
-  // With 47 bits the default fits: 32 + 8 of 128 TiB. Otherwise a quarter of the way up, a
-  // sixteenth long.
+  // With 47 bits the default fits: 32 + 8 of 128 TiB. Otherwise the arena begins at a quarter of
+  // the address space and takes a sixteenth of it.
   const bool wide = space >= 4 * default_base;
   arena.base = wish.base != 0 ? wish.base : wide ? default_base : space / 4;
   arena.bytes = wish.bytes != 0 ? wish.bytes : wide ? default_bytes : space / 16;
   if (wish.window_bytes != 0) {
     arena.window_bytes = wish.window_bytes;
   } else {
-    // A quarter of the memory is more than one process should hold; and at least 64 processes must
-    // find a window.
+    // One process should not hold more than a quarter of the memory, and at least 64 processes
+    // must find a window.
     arena.window_bytes = std::min({default_window_bytes, memory_bytes / 4, arena.bytes / 64});
     arena.window_bytes =
         std::max(round_down(arena.window_bytes, least_window_bytes), least_window_bytes);
@@ -58,7 +58,7 @@ std::optional<std::uint64_t> AddressPlan::lowest_free(std::uint64_t begin,
   return begin;
 }
 
-// From one edge of an obstacle to the next all windows weigh the same.
+// All windows between two neighbouring edges of obstacles have the same weight.
 std::optional<AddressPlan::Choice> AddressPlan::best(std::span<const Obstacle> obstacles) const {
   struct Change {
     std::uint64_t weight = 0;
@@ -81,7 +81,7 @@ std::optional<AddressPlan::Choice> AddressPlan::best(std::span<const Obstacle> o
       edges[last].less += obstacle.weight;
     }
   }
-  std::optional<Choice> low, high;  // before start_, and from there on
+  std::optional<Choice> low, high;  // low: before start_; high: from start_ on
   std::uint64_t weight = 0;
   std::int64_t forbidding = 0;
   for (auto edge = edges.begin(); edge->first < count_; ++edge) {

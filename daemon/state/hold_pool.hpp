@@ -2,17 +2,17 @@
 //
 // HoldPool: how many messages of a publisher the subscriptions of other users may hold. Pure.
 //
-// A publisher goes on as long as it has a slot. Of its slots it needs itself the longest history
-// that anybody may ask for, and what is in hand; the rest is what subscriptions hold:
+// A publisher can publish as long as it has a free slot. It needs slots for the longest history
+// that a subscription may ask for and for the messages in hand; subscriptions hold the rest:
 //
 //   |<---------------------------- slots_per_publisher (2048) ----------------------------->|
 //   |  history and in hand (1035)  |  one for each subscription (768)  |  pool (245)        |
 //
-// Every subscription may hold one message, so nobody can be kept from reading. More than one comes
-// from the pool, of which a user may have half of what other users have left: who comes later finds
-// something, too. All three are constants of the configuration, so the sum holds for every
-// publisher, whoever's it is and whenever it comes. Subscriptions of the publisher's own user are
-// not limited here: what they hold beyond the share of others is a matter of that user.
+// Every subscription may hold one message, so no user can keep another from reading. Further
+// messages come from the pool. A user may have half of what other users have left in it, so later
+// users find something too. All three parts are constants of the configuration, so the sum holds
+// for every publisher of any user. Subscriptions of the publisher's own user are not limited here:
+// a user may exhaust its own publishers.
 #pragma once
 
 #include <agnocast/abi/limits.hpp>
@@ -24,16 +24,16 @@ namespace agnocast::daemon {
 
 // One for the message being published and one for the one being borrowed.
 inline constexpr std::uint64_t slots_in_hand = 2;
-// What a publisher needs beside a history of some depth: a keep-all one has one message more.
+// Slots that a publisher needs beside a history of some depth; keep-all needs one more.
 inline constexpr std::uint64_t slots_beside_history =
     1 + abi::deferred_scan_count_max + slots_in_hand;
 
 class HoldPool {
  public:
-  /// `used` of the subscriptions there are: what they may hold beyond the one.
+  /// Messages of the pool that existing subscriptions may hold, beyond the one that each has.
   struct Use {
-    std::uint64_t user = 0;    // of the user who asks
-    std::uint64_t others = 0;  // of everybody else
+    std::uint64_t user = 0;    // by the user that asks
+    std::uint64_t others = 0;  // by all other users
   };
 
   constexpr HoldPool(std::uint64_t slots, std::uint64_t depth_max,
@@ -44,10 +44,10 @@ class HoldPool {
 
   constexpr std::uint64_t size() const noexcept { return size_; }
 
-  /// The largest quota that one more subscription can have.
+  /// Returns the largest quota that one more subscription can have.
   constexpr std::uint64_t at_most(const Use& use) const noexcept { return 1 + left(use); }
-  /// The quota of one that asks for `asked` or less, without a reason for this number: an eighth of
-  /// what is left, so that a user has something for some dozens of them.
+  /// Returns the quota of a subscription that asks for at most `asked` and gives no reason for it:
+  /// an eighth of what is left, so that a user can have some dozens of them.
   constexpr std::uint64_t part(const Use& use, std::uint64_t asked) const noexcept {
     return std::min(asked, 1 + (left(use) + 7) / 8);
   }

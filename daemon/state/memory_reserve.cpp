@@ -16,7 +16,7 @@ thread_local constinit bool MemoryReserve::is_installed_ = false;
 
 namespace {
 
-// Of the thread that has installed it.
+// The reserve of the thread that has installed it.
 constinit std::array<void*, MemoryReserve::piece_count> pieces{};
 constinit std::size_t kept = 0;
 
@@ -33,14 +33,14 @@ bool MemoryReserve::refill() noexcept {
   while (kept < piece_count) {
     void* const piece = std::malloc(piece_bytes);
     if (piece == nullptr) return false;
-    // Addresses alone are no reserve.
+    // Touches the pages: addresses without memory are no reserve.
     std::memset(piece, 1, piece_bytes);
     pieces[kept++] = piece;
   }
   return true;
 }
 
-// operator new asks again when this returns.
+// operator new tries again when this returns.
 void MemoryReserve::on_failure() {
   if (!is_installed_ || may_fail_) throw std::bad_alloc();
   AGNOCAST_CHECK(kept > 0);

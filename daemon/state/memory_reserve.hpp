@@ -1,23 +1,23 @@
 // SPDX-License-Identifier: Apache-2.0
 //
-// MemoryReserve: what the daemon's loop still has when the system gives it no memory any more.
+// MemoryReserve: memory that the daemon's loop still has when the system gives it no more.
 //
-// A request that needs memory which is not there is to be refused, and what was begun is to be
-// brought to its end: once a change is in the redo log, tables, board and what is derived from them
-// have to say the same. So allocations of the loop are of two kinds:
+// The daemon refuses a request that needs memory which is not there, and must complete what it has
+// begun: once a change is in the redo log, the tables, the board and the derived data have to
+// agree. So the loop has two kinds of allocations:
 //
 //   usual                    a failure takes a piece out of the reserve and goes on
-//   inside MayFail           a failure is std::bad_alloc, for whoever made the MayFail to catch
+//   inside MayFail           a failure throws std::bad_alloc; the creator of the MayFail catches it
 //   … after no_return()      usual again, up to the end of the outermost MayFail
 //
-// Registry::change() is a point of no return, and so is whatever else cannot be undone by leaving
-// it. The reserve is filled up before each request and each connection; while that fails, they are
-// refused before they are looked at, so each begins with all of it. What one event can allocate
-// without end is a MayFail of its own: packets (their reader loses its connection) and dumps
-// (likewise). When the reserve is used up all the same, the daemon aborts and is started again, as
-// after any death.
+// Registry::change() is a point of no return, and so is every other step that an exception cannot
+// undo. The daemon fills the reserve before each request and each connection; while that fails, it
+// refuses them unread, so each begins with a full reserve. Data of one event that can grow without
+// bound has a MayFail of its own: packets (the client that reads them loses its connection) and
+// dumps (likewise). If the reserve is used up all the same, the daemon aborts and is started
+// again, as after any death.
 //
-// Of one thread: allocations of others fail as they always do.
+// The reserve belongs to one thread: allocations of other threads fail as usual.
 #pragma once
 
 #include <cstddef>
@@ -30,15 +30,15 @@ inline constexpr std::string_view no_memory_text = "agnocastd has no memory left
 
 class MemoryReserve {
  public:
-  // Several times what the longest change takes: an endpoint that 1,022 others are told of.
+  // Several times what the longest change takes: an endpoint that is announced to 1,022 others.
   static constexpr std::size_t piece_count = 64, piece_bytes = 64 * 1024;
 
-  /// From now on, for the calling thread. Fills the reserve. Once.
+  /// Installs the reserve for the calling thread and fills it. Call once.
   static void install() noexcept;
-  /// Puts back what was taken. False: it is not whole. True where none is installed.
+  /// Fills the reserve again. Returns false when it is not full, true when none is installed.
   [[nodiscard]] static bool refill() noexcept;
 
-  /// As long as it exists an allocation of this thread may fail.
+  /// While it exists, an allocation of this thread may fail.
   class MayFail {
    public:
     MayFail() noexcept : before_(std::exchange(may_fail_, true)) {}
@@ -49,7 +49,7 @@ class MemoryReserve {
    private:
     bool before_;
   };
-  /// Inside a MayFail: not here.
+  /// While it exists inside a MayFail, allocations use the reserve again.
   class MustNotFail {
    public:
     MustNotFail() noexcept : before_(std::exchange(may_fail_, false)) {}

@@ -14,7 +14,7 @@ Obstacles::Range Obstacles::windows_of(std::uint64_t base, std::uint64_t bytes) 
           (begin + bytes + arena_.window_bytes - 1) / arena_.window_bytes};
 }
 
-// All windows that count for this user, and these, at most half of the arena?
+// Returns whether this user's counting windows, with these, are at most half of the arena.
 bool Obstacles::may_count(const std::map<Range, std::uint64_t>& counted, const Range& range) const {
   if (counted.count(range) != 0) return true;
   if (counted.size() >= ranges_per_user_max) return false;
@@ -57,7 +57,7 @@ void Obstacles::forget(ClientIndex client) {
   if (found == processes_.end()) return;
   for (const Claim& claim : found->second.claims) {
     if (!claim.counts) continue;
-    // Of a user whose claims all hold for their own processes alone there is none.
+    // A user whose claims hold only for their own processes has no entry.
     const auto user = counted_.find(found->second.uid);
     AGNOCAST_CHECK(user != counted_.end());
     const auto range = user->second.find(windows_of(claim.base, claim.bytes));

@@ -1,7 +1,7 @@
 // SPDX-License-Identifier: Apache-2.0
 //
-// Registry, operations: what there is room for, and which record says that it is wanted. What a
-// record does to tables and board: registry_apply.cpp; the beginning of a life: registry_open.cpp.
+// Registry, operations: whether there is room, and which record is committed. registry_apply.cpp
+// applies records to tables and board; registry_open.cpp starts a daemon's life.
 
 #include <daemon/state/registry.hpp>
 #include <daemon/state/registry_counters.hpp>
@@ -17,8 +17,9 @@
 namespace agnocast::daemon {
 namespace {
 
-// What every publisher gets: until its control thread has mapped a new subscription, it keeps all
-// messages for it, so a busy process needs a reserve. Up to here hold bits cost nothing more.
+// Every publisher gets at least these: it keeps all messages for a new subscription until its
+// control thread has mapped that one, so a busy process needs a reserve. Up to here hold bits cost
+// nothing more.
 constexpr std::uint64_t slots_at_least = abi::near_slot_count;
 
 constexpr std::uint64_t round_up(std::uint64_t value, std::uint64_t unit) noexcept {
@@ -96,7 +97,7 @@ Usage& Usage::operator-=(const Usage& less) noexcept {
   return *this;
 }
 
-// Whatever it was before; so it may be called again when a change is completed.
+// Replaces the previous count, so open() may call it again when it completes a change.
 void Registry::count_client(ClientIndex index) {
   const ClientRecord& record = client(index);
   View& view = views_[number(index)];
@@ -107,7 +108,7 @@ void Registry::count_client(ClientIndex index) {
   if (record.state == ClientState::free) return;
   view.own.clients = 1;
   view.own.executors = static_cast<std::uint64_t>(std::popcount(record.executors));
-  // open() completes a change before it looks whether the tables are whole.
+  // open() completes a change before it checks the tables.
   view.own.windows = std::min<std::uint64_t>(record.window_count, abi::window_count_max);
   for (std::uint64_t w = 0; w < view.own.windows; ++w)
     view.own.heap_bytes += record.window[w].bytes;
@@ -164,7 +165,7 @@ void Registry::add_to(AnnounceSet& set, TopicIndex topic, std::uint64_t client) 
 
 void Registry::take_from(AnnounceSet& set, TopicIndex topic, std::uint64_t client) {
   if (!set.contains(client)) return;
-  // A change that open() completes comes before what is derived.
+  // open() completes a change before it derives these.
   auto& knows = views_[client].knows;
   if (const auto known = knows.find(number(topic)); known != knows.end() && --known->second == 0)
     knows.erase(known);
@@ -201,7 +202,7 @@ Result<ClientPlan> Registry::plan_client() const {
   while (index < client_high() && tables_.client[index].state != ClientState::free) ++index;
   if (index >= capacity_.clients) return full("clients", capacity_.clients);
   if (tables_.client[index].state != ClientState::free)
-    return fail(Errc::store_damaged, "a place of a process that was never used");
+    return fail(Errc::store_damaged, "an unused place for a process is not free");
   AGNOCAST_CHECK(views_[index].endpoints.empty());
   return ClientPlan{static_cast<ClientIndex>(index), next_generation()};
 }
@@ -290,7 +291,7 @@ void Registry::open_executor(ClientIndex index, std::uint32_t executor) {
 
 void Registry::client_died(ClientIndex index, DeathReason reason) {
   AGNOCAST_CHECK(is_alive(index) || is_revoked(index));
-  // It was counted when it was revoked.
+  // A revoked process was counted when it was revoked.
   const std::uint64_t more = is_revoked(index) ? 0 : 1;
   change(Type::client_dead,
          {number(index), client(index).generation, static_cast<std::uint64_t>(reason),
@@ -356,9 +357,9 @@ void Registry::free_topic(TopicIndex index) {
 
 // --- endpoints
 
-// N >= max(K, deepest window) + every hold quota + what deferred scans leave + what is in hand:
-// then no reader can make the publisher run out (docs/protocol.md, slots). Whole words of hold
-// bits.
+// N >= max(K, deepest window) + every hold quota + messages left by deferred scans + messages in
+// hand: then no reader can exhaust the publisher's slots (docs/protocol.md, slots). Rounded up to
+// whole words of hold bits.
 std::uint64_t Registry::slots_needed(TopicIndex topic, const PublisherRecord& publisher,
                                      const SubscriptionRecord* joining) const {
   const abi::Qos offered = abi::unpack_qos(publisher.qos);
@@ -380,8 +381,8 @@ std::uint64_t Registry::slots_needed(TopicIndex topic, const PublisherRecord& pu
 }
 
 namespace {
-// A place that has no bit and is not free, or that somebody has not let go of, is damage that
-// open() does not look for: such a place is not given out.
+// A place without a bit that is not free, or that some process has not acknowledged, is damage
+// that open() does not check: such a place is not given out.
 template <class Record>
 bool is_vacant(const Record& record) noexcept {
   return record.state == EndpointState::free && record.notified.reusable();
@@ -398,7 +399,7 @@ Result<PublisherPlan> Registry::plan_publisher(ClientIndex client, TopicIndex to
   if (plan.index >= capacity_.publishers_per_topic)
     return full("publishers_per_topic", capacity_.publishers_per_topic);
   if (!is_vacant(publisher(topic, plan.index)))
-    return fail(Errc::store_damaged, "a place of the topic that was never used");
+    return fail(Errc::store_damaged, "an unused place of the topic is not free");
   const auto extent = lowest_extent(client, abi::publisher_extent_bytes);
   if (!extent)
     return fail(Errc::limit_reached, "the region of the process has no room for another endpoint");
@@ -435,7 +436,7 @@ Result<SubscriptionPlan> Registry::plan_subscription(ClientIndex client, TopicIn
   if (plan.index >= capacity_.subscriptions_per_topic)
     return full("subscriptions_per_topic", capacity_.subscriptions_per_topic);
   if (!is_vacant(subscription(topic, plan.index)))
-    return fail(Errc::store_damaged, "a place of the topic that was never used");
+    return fail(Errc::store_damaged, "an unused place of the topic is not free");
   const auto extent = lowest_extent(client, abi::subscription_extent_bytes);
   if (!extent)
     return fail(Errc::limit_reached, "the region of the process has no room for another endpoint");
@@ -478,7 +479,7 @@ void Registry::add_subscription(ClientIndex client, TopicIndex topic, const abi:
 HoldPool::Use Registry::pool_use(std::uint32_t uid, TopicIndex topic) const {
   HoldPool::Use use;
   for_each_subscription(topic, [&](std::uint32_t, const SubscriptionRecord& record) {
-    // Of one that is over nothing is held: it is not looked at any more.
+    // A subscription that is over holds nothing: publishers no longer look at it.
     if (!counts_as_endpoint(record.state)) return;
     (uid_of(record.client) == uid ? use.user : use.others) +=
         std::max<std::uint64_t>(record.quota_of_others, 1) - 1;

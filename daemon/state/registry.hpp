@@ -1,18 +1,18 @@
 // SPDX-License-Identifier: Apache-2.0
 //
-// Registry: what exists and who knows of it. Pure state, no descriptor in it, no packet.
+// Registry: what exists and which processes know of it. Pure state: no descriptors, no packets.
 //
-// Every change goes one way: a record is committed to the redo log, apply() carries it out on the
-// tables and on the board, the log notes that it is applied. apply() is idempotent, so a daemon
-// that died in between does it again when it starts. A creation has two halves: plan_*() says what
-// it would be (index, generation, extent), the shell makes the memory ready, add_*() makes it so;
-// between the two nothing else may change.
+// Every change takes one way: the registry commits a record to the redo log, apply() carries it
+// out on the tables and the board, and the log notes that it is applied. apply() is idempotent, so
+// the next daemon repeats it if this one died in between. A creation has two halves: plan_*()
+// chooses index, generation and extent, the caller prepares the memory, add_*() commits the
+// creation. Nothing else may change between the two.
 //
-// The rules about *when* something may change lie in endings.cpp, leaving.cpp and reaper.cpp; here
-// are the facts that they ask for. What is kept beside the tables (names to topics, endpoints and
-// extents of a process) is derived from them and made anew by open().
+// endings.cpp, leaving.cpp and reaper.cpp decide *when* something may change; the registry has the
+// facts that they ask for. Indexes beside the tables (names to topics, endpoints and extents of a
+// process) are derived from them; open() rebuilds them.
 //
-// Callers pass indexes that they have checked: an index out of range is a mistake of ours.
+// Callers pass checked indexes: one out of range is a bug of the daemon.
 #pragma once
 
 #include <agnocast/abi/words.hpp>
@@ -36,7 +36,7 @@ namespace agnocast::daemon {
 
 using Kind = abi::wire::Kind;
 
-/// A place for an endpoint; with the record's generation it names one.
+/// A place for an endpoint; together with the generation it identifies one endpoint.
 struct EndpointRef {
   Kind kind = Kind::publisher;
   TopicIndex topic{};
@@ -52,13 +52,13 @@ struct NewClient {
   std::string_view name;
 };
 
-/// The place that a process would get.
+/// The place that a new process would get.
 struct ClientPlan {
   ClientIndex index{};
   std::uint64_t generation = 0;
 };
 
-/// What holds for a whole incarnation.
+/// Values that hold for a whole incarnation.
 struct Format {
   std::uint64_t arena_base = 0;
   std::uint64_t arena_bytes = 0;
@@ -82,26 +82,26 @@ struct PublisherPlan {
   std::uint64_t first_sequence = 0;
 };
 
-/// A publisher that must be able to keep more messages before a deeper subscription may join.
+/// A publisher that needs more slots before a deeper subscription may join.
 struct SlotRaise {
   std::uint32_t index = 0;
   std::uint64_t slot_count = 0;
 };
 
-/// What a subscription may hold of each publisher.
+/// Messages that a subscription may hold of each publisher.
 struct HoldQuota {
-  std::uint64_t own = 0;     // of publishers of its user
-  std::uint64_t others = 0;  // of those of other users
+  std::uint64_t own = 0;     // of publishers of its own user
+  std::uint64_t others = 0;  // of publishers of other users
 };
 
 struct SubscriptionPlan {
   std::uint32_t index = 0;
   std::uint64_t generation = 0;
   std::uint64_t extent = 0;
-  std::vector<SlotRaise> raises;  // to be made ready and done first
+  std::vector<SlotRaise> raises;  // to prepare and commit first
 };
 
-/// How much of the tables may be used; at most what they have room for.
+/// Limits on the use of the tables; at most the capacity of the tables.
 struct Capacity {
   std::uint32_t clients = abi::client_count_max;
   std::uint32_t topics = abi::topic_count_max;
@@ -111,7 +111,8 @@ struct Capacity {
   std::uint32_t depth_max = abi::depth_max;
 };
 
-/// What one user has in use. Processes that are dead count as long as others have their memory.
+/// What one user has in use. A dead process counts as long as other processes have its memory
+/// mapped.
 struct Usage {
   std::uint64_t clients = 0;
   std::uint64_t publishers = 0;
@@ -119,25 +120,25 @@ struct Usage {
   std::uint64_t executors = 0;
   std::uint64_t windows = 0;
   std::uint64_t heap_bytes = 0;
-  std::uint64_t held_messages = 0;  // what its subscriptions may hold, together
-  std::uint64_t topics = 0;         // in which it has endpoints
+  std::uint64_t held_messages = 0;  // total that its subscriptions may hold
+  std::uint64_t topics = 0;         // topics in which it has endpoints
 
   Usage& operator+=(const Usage& more) noexcept;
   Usage& operator-=(const Usage& less) noexcept;
   friend bool operator==(const Usage&, const Usage&) = default;
 };
 
-/// Places of one topic that one user has; gone publishers that are not read to their end count too.
+/// Places of one user in one topic, including gone publishers that are not yet read to their end.
 struct Places {
   std::uint64_t publishers = 0;
   std::uint64_t subscriptions = 0;
 };
 
-/// What a start after a death found and did.
+/// What a daemon that starts after a death found and did.
 struct Recovered {
   std::uint32_t pid = 0;               // of the new daemon
   std::uint64_t dead_count = 0;        // processes that ended meanwhile
-  std::uint64_t board_word_count = 0;  // words of the board that had to be written again
+  std::uint64_t board_word_count = 0;  // board words that had to be repaired
 };
 
 /// A publisher and a subscription of its topic.
@@ -153,22 +154,22 @@ class Registry {
     std::byte* tables;  // tables_bytes, aligned to a page
     std::byte* board;   // abi::board_bytes
   };
-  // Of addresses, for 13,000 endpoints; the memory is as long as what was given out of it.
+  // Address space for 13,000 endpoints; the memory grows with the extents given out.
   static constexpr std::uint64_t client_region_bytes = std::uint64_t{1} << 30;
 
   explicit Registry(const Memory& memory, const Capacity& capacity = {}) noexcept;
   const Capacity& capacity() const noexcept { return capacity_; }
 
-  /// Fresh memory, all zero. Says on the board what it is.
+  /// Initializes fresh, zeroed memory and writes the board's header.
   void create(std::uint64_t incarnation, const Format& format = {});
-  /// Memory that an earlier life left: completes the change under way and derives the rest. Errors:
-  /// layout_mismatch (nothing was touched), store_damaged (the detail says how).
+  /// Opens memory that an earlier daemon left: completes the pending change and rebuilds derived
+  /// data. Errors: layout_mismatch (nothing was touched), store_damaged (the detail says how).
   [[nodiscard]] Result<void> open();
-  /// What open() looks at before it touches anything; header() means something afterwards.
+  /// Checks what open() checks before it changes anything; header() is valid afterwards.
   [[nodiscard]] Result<void> check() const;
   [[nodiscard]] static Result<void> check_log(const journal::RedoLog& log);
-  /// Makes the board say what the tables say; how many words it had otherwise. Then everybody looks
-  /// again.
+  /// Makes the board agree with the tables and makes all processes look at it again. Returns the
+  /// number of words that differed.
   std::uint64_t repair_board();
   std::uint64_t incarnation() const noexcept { return log_.incarnation(); }
   const TableHeader& header() const noexcept { return tables_.header; }
@@ -177,7 +178,7 @@ class Registry {
   /// Errors: limit_reached, store_damaged.
   [[nodiscard]] Result<ClientPlan> plan_client() const;
   void add_client(const NewClient& client, const ClientPlan& plan);
-  /// Both at once.
+  /// Plans and adds a process.
   [[nodiscard]] Result<ClientIndex> add_client(const NewClient& client);
   std::uint32_t client_high() const noexcept { return tables_.header.client_high; }
   const ClientRecord& client(ClientIndex index) const noexcept {
@@ -189,63 +190,65 @@ class Registry {
   const std::vector<EndpointRef>& endpoints_of(ClientIndex index) const {
     return views_[number(index)].endpoints;
   }
-  /// Of its region: up to the end of the last extent.
+  /// Returns the used length of the process's region: the end of its last extent.
   std::uint64_t used_bytes_of(ClientIndex index) const;
-  /// Of its region: where the next endpoint that needs so many bytes will lie. None: nowhere.
+  /// Returns the offset in the process's region for an endpoint of `bytes`; nothing: no room.
   std::optional<std::uint64_t> lowest_extent(ClientIndex client, std::uint64_t bytes) const;
-  /// Asked before every creation, so it is kept and not counted.
+  /// Returns what a user has in use. Asked before every creation, so it is maintained, not
+  /// counted.
   Usage usage_of(std::uint32_t uid) const;
-  /// Has a process of this user an endpoint there?
+  /// Returns whether a process of this user has an endpoint in the topic.
   bool takes_part(std::uint32_t uid, TopicIndex topic) const;
-  /// Users that have something, and the topics of one in which it has endpoints, each in turn: the
-  /// first one behind what is given, the very first when nothing is.
+  /// Iterate over users that have something, and over the topics in which one has endpoints:
+  /// return the first one after `after`, or the very first.
   std::optional<std::uint32_t> next_user(std::optional<std::uint32_t> after) const;
   std::optional<TopicIndex> next_topic_of(std::uint32_t uid, std::optional<TopicIndex> after) const;
   std::size_t user_count() const noexcept { return accounts_.size(); }
   bool has_user(std::uint32_t uid) const { return accounts_.count(uid) != 0; }
   Places user_places(std::uint32_t uid, TopicIndex topic) const;
-  /// Of the topic where the user has most of them, of each kind.
+  /// Returns the user's places in the topic where it has most, for each kind on its own.
   Places most_places_of(std::uint32_t uid) const;
   void open_window(ClientIndex index, const WindowRecord& window);
   void open_executor(ClientIndex index, std::uint32_t executor);
-  /// Who may read what the process publishes (access.hpp, readers_of): for its whole life.
+  /// Sets who may read what the process publishes (access.hpp, readers_of), for its whole life.
   void set_readers(ClientIndex index, std::uint64_t readers);
-  /// It is without a session. Its endpoints stay what they are until they are changed one by one.
-  /// Said again of one that was revoked when its process is gone.
+  /// Marks a process as without a session. Its endpoints stay as they are until they are changed
+  /// one by one. Called again for a revoked process when it has ended.
   void client_died(ClientIndex index, journal::DeathReason reason);
-  /// Without a session, and its process has not ended.
+  /// Returns whether the process was revoked and has not ended.
   bool is_revoked(ClientIndex index) const noexcept {
     return client(index).state >= ClientState::dead &&
            client(index).reason == journal::DeathReason::revoked;
   }
-  /// It is dead, and leaves the announce sets of all endpoints of this topic: what it had mapped
-  /// there is unmapped.
+  /// Removes a dead process from the announce sets of all endpoints of this topic: what it had
+  /// mapped there is unmapped.
   void acknowledge_topic(ClientIndex gone, TopicIndex topic);
-  /// A topic with an endpoint that it was told of and has not let go of.
+  /// Returns a topic with an endpoint that was announced to the process and that it has not
+  /// acknowledged.
   std::optional<TopicIndex> known_topic_of(ClientIndex index) const;
-  /// It leaves those of all regions, and has let go of everything that it was ever told about. Only
-  /// when there is no such topic any more.
+  /// Removes the process from the announce sets of all regions: it has then acknowledged
+  /// everything that was ever announced to it. Only when known_topic_of() returns nothing.
   void client_forgotten(ClientIndex index);
-  /// Gone, forgotten, without endpoints, known to nobody: its place may be used again after
-  /// free_client().
+  /// Returns whether free_client() may be called: the process is gone and forgotten, has no
+  /// endpoints, and no peer knows it.
   bool can_free(ClientIndex index) const;
   void free_client(ClientIndex index);
 
-  // --- the flight recorder
-  /// Counters outlive the daemon. What a record counts is set by the record; the others are the
-  /// caller's to raise.
+  // --- the flight recorder Counters outlive the daemon. A record that counts something sets its
+  // counter; callers raise the others.
   abi::wire::DaemonCounters& counters() noexcept { return tables_.header.counters; }
   const abi::wire::DaemonCounters& counters() const noexcept { return tables_.header.counters; }
-  /// A daemon has taken over what another one left, once it serves.
+  /// Records that a daemon has taken over what another one left, once it serves.
   void note_recovered(const Recovered& facts);
-  /// A process that is alive here is connected again.
+  /// Records that a process that is alive here is connected again.
   void note_rejoined(ClientIndex index);
-  /// The publisher's process says that it serves this subscription no more, and why; and again.
+  /// Record that the publisher's process no longer serves this subscription, and why; and that it
+  /// serves it again.
   void note_withdrawn(const ReaderPair& pair, abi::Withdrawal why);
   void note_served_again(const ReaderPair& pair);
-  /// Nobody can ring this subscription.
+  /// Records that no publisher can ring this subscription.
   void note_mute(const EndpointRef& subscription);
-  /// What open() had to complete; 0: nothing was under way.
+  /// Returns the change that open() had to complete; 0: none was pending.
   std::uint64_t redone_lsn() const noexcept { return redone_lsn_; }
 
   // --- topics
@@ -276,7 +279,8 @@ class Registry {
                         const HoldQuota& quota, std::uint64_t executor,
                         const SubscriptionPlan& plan, std::string_view node,
                         std::uint64_t creation = 0);
-  /// What subscriptions of the topic have of the pool (hold_pool.hpp), seen by one of this user's.
+  /// Returns what subscriptions of the topic have of the pool (hold_pool.hpp), as seen by this
+  /// user.
   HoldPool::Use pool_use(std::uint32_t uid, TopicIndex topic) const;
   HoldPool hold_pool() const noexcept {
     return {capacity_.slots_per_publisher, capacity_.depth_max, capacity_.subscriptions_per_topic};
@@ -286,23 +290,24 @@ class Registry {
     return uid_of(subscription.client) == uid_of(publisher.client) ? subscription.quota
                                                                    : subscription.quota_of_others;
   }
-  /// The endpoint of the process that this request created, if it is still there.
+  /// Returns the endpoint of the process that this request created, if it still exists.
   std::optional<EndpointRef> find_creation(ClientIndex client, Kind kind,
                                            std::uint64_t creation) const;
   void orphan_publisher(TopicIndex topic, std::uint32_t index, std::uint64_t final_head,
                         journal::LeaveCause cause = journal::LeaveCause::left);
-  /// Of an orphan: the head up to which it is still read.
+  /// Returns the head up to which an orphan is still read.
   std::uint64_t final_head_of(TopicIndex topic, std::uint32_t index) const noexcept;
-  /// over, then free.
+  /// Changes an orphan to over, or over to free.
   void end_publisher(TopicIndex topic, std::uint32_t index, EndpointState state);
-  /// leaving, over, dead.
+  /// Changes the state to leaving, over or dead.
   void change_subscription(TopicIndex topic, std::uint32_t index, EndpointState state);
   void free_subscription(TopicIndex topic, std::uint32_t index);
-  /// Does some publisher of the topic use slots whose hold bits lie behind the link lines?
+  /// Returns whether a publisher of the topic uses slots whose hold bits lie behind the link
+  /// lines.
   bool uses_far_slots(TopicIndex topic) const;
 
-  /// Is there an endpoint at this place? Where there is none nobody may look: reading a hole of the
-  /// tables gives it memory, and clients name places at will.
+  /// Returns whether there is an endpoint at this place. Check before every read: reading a hole
+  /// of the tables allocates memory, and clients name places at will.
   bool is_used(const EndpointRef& ref) const noexcept {
     if (number(ref.topic) >= topic_high() || topic(ref.topic).state != TopicState::used)
       return false;
@@ -313,7 +318,8 @@ class Registry {
   const AnnounceSet& notified_of(const EndpointRef& ref) const noexcept;
   ClientIndex owner_of(const EndpointRef& ref) const noexcept;
   std::uint64_t generation_of(const EndpointRef& ref) const noexcept;
-  /// `to` is about to be told of the endpoint, and with it of the region of its process.
+  /// Records that `to` is about to be notified of the endpoint, and with it of its process's
+  /// region.
   void tell(const EndpointRef& ref, ClientIndex to);
   void acknowledge_unmap(const EndpointRef& ref, ClientIndex by);
   void acknowledge_region_unmap(ClientIndex owner, ClientIndex by);
@@ -329,7 +335,7 @@ class Registry {
     for_each_place(Kind::subscription, topic,
                    [&](std::uint32_t i) { function(i, subscription(topic, i)); });
   }
-  /// The first place from `index` on with an endpoint; nothing: there is none.
+  /// Returns the first place from `index` on with an endpoint, or nothing.
   std::optional<std::uint32_t> next_place(Kind kind, TopicIndex topic,
                                           std::uint32_t index) const noexcept;
 
@@ -341,16 +347,17 @@ class Registry {
   using Record = journal::Record;
   using Type = journal::RecordType;
 
-  /// Derived: what a process has in its region, what it knows, and what of its user's usage is the
-  /// process's own: itself, its executors and windows.
+  /// Derived: what a process has in its region, what it knows, and its own part of its user's
+  /// usage: the process, its executors and windows.
   struct View {
     std::vector<EndpointRef> endpoints;
     std::map<std::uint64_t, std::uint64_t> extents;  // offset → bytes
-    std::map<std::uint32_t, std::uint32_t> knows;    // topic → announce sets there that it is in
+    std::map<std::uint32_t, std::uint32_t>
+        knows;  // topic → number of its announce sets with the process
     std::uint32_t uid = 0;
     Usage own;
   };
-  /// Derived: of a user that has something.
+  /// Derived: a user that has something.
   struct Account {
     Usage usage;
     std::map<std::uint32_t, Places> topics;  // by number
@@ -376,12 +383,12 @@ class Registry {
   std::uint64_t slots_needed(TopicIndex topic, const PublisherRecord& publisher,
                              const SubscriptionRecord* joining) const;
   std::uint32_t uid_of(ClientIndex index) const noexcept { return client(index).uid; }
-  /// Makes the account of its user say what the record of the process says now.
+  /// Updates the user's account from the record of this process.
   void count_client(ClientIndex index);
   void count_endpoint(const EndpointRef& ref, bool is_there);
   void track(const EndpointRef& ref);
   void untrack(const EndpointRef& ref);
-  /// Derived as well: who knows something of which topic. `set` is one of that topic's.
+  /// Derived as well: which process knows something of which topic. `set` belongs to that topic.
   void add_to(AnnounceSet& set, TopicIndex topic, std::uint64_t client);
   void take_from(AnnounceSet& set, TopicIndex topic, std::uint64_t client);
 
@@ -401,7 +408,7 @@ class Registry {
       function(*place);
   }
   void use_place(const EndpointRef& ref);
-  /// Gives the memory of its record back when nothing else is there.
+  /// Gives the memory of its record back when no other record shares the page.
   void vacate_place(const EndpointRef& ref);
   bool has_record_at(Kind kind, std::uint64_t number) const noexcept;
   region::TopicWords<M> words(TopicIndex topic) const noexcept {
@@ -422,10 +429,10 @@ class Registry {
   std::map<std::uint32_t, Account> accounts_;  // by uid
 };
 
-/// What the board says of an endpoint in this state.
+/// Returns the board's state for an endpoint in this state.
 abi::BoardState on_board(EndpointState state) noexcept;
 
-/// Key of a topic: no two (domain, name) share one.
+/// Returns the key of a topic; it is unique for each (domain, name).
 std::string topic_key(std::uint64_t domain, std::string_view name);
 
 }  // namespace agnocast::daemon

@@ -1,8 +1,8 @@
 // SPDX-License-Identifier: Apache-2.0
 //
-// Registry, the one way to change anything: a record is committed to the redo log and then applied.
-// A daemon that died in between is followed by one that applies it again, so each of these
-// functions may be repeated: it stores what the record says, and never adds to what it finds.
+// Registry, the one way to change anything: a record is committed to the redo log and then
+// applied. If the daemon dies in between, the next one applies it again, so each of these
+// functions is repeatable: it stores what the record says and never adds to what it finds.
 
 #include <base/check.hpp>
 #include <daemon/state/memory_reserve.hpp>
@@ -24,7 +24,7 @@ namespace {
 using journal::DeathReason;
 using journal::LeaveCause;
 
-/// Every number of the tables is stored here: one place where the sweep may kill before each.
+/// Stores every number of the tables: one place where the crash sweep may kill before each store.
 template <class Field>
 void store(Field& field, const std::type_identity_t<Field>& value) noexcept {
   AGNOCAST_CRASH_POINT(B_table);
@@ -183,13 +183,13 @@ void Registry::apply_to_client(const Record& record) {
       break;
     case Type::client_dead:
       store(client.reason, static_cast<DeathReason>(record.argument[2]));
-      // What was revoked is forgotten already when it ends.
+      // A revoked process is already forgotten when it ends.
       store(client.state, std::max(client.state, ClientState::dead));
       store(death_counter(tables_.header.counters, static_cast<DeathReason>(record.argument[2])),
             record.argument[3]);
       break;
     case Type::client_forgotten: {
-      // Of endpoints it has left them: acknowledge_topic().
+      // acknowledge_topic() has removed it from the sets of endpoints.
       const std::uint64_t gone = record.argument[0];
       for (std::uint32_t i = 0; i < tables_.header.client_high; ++i) {
         if (tables_.client[i].state == ClientState::free) continue;
@@ -318,9 +318,8 @@ bool Registry::has_record_at(Kind kind, std::uint64_t number) const noexcept {
                   static_cast<std::uint32_t>(number % places)});
 }
 
-// A page belongs to the records that begin before its end and end behind its beginning, of one
-// topic or two. What is not whole pages of the table stays: a page at its beginning and one at its
-// end.
+// A page belongs to the records that overlap it, of one topic or two. Partial pages at the
+// beginning and the end of the table stay.
 void Registry::vacate_place(const EndpointRef& ref) {
   TopicRecord& topic = tables_.topic[number(ref.topic)];
   const bool publisher = ref.kind == Kind::publisher;
@@ -340,7 +339,7 @@ void Registry::vacate_place(const EndpointRef& ref) {
     bool empty = true;
     for (std::uint64_t i = (at - table) / size; empty && table + i * size < at + page; ++i)
       empty = !has_record_at(ref.kind, i);
-    // Where the system refuses, the page stays and is used again.
+    // If the system refuses, the page stays and is used again.
     if (empty) ::madvise(reinterpret_cast<std::byte*>(&tables_) + at, page, MADV_REMOVE);
   }
 }

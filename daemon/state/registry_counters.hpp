@@ -1,7 +1,7 @@
 // SPDX-License-Identifier: Apache-2.0
 //
-// Which counter of the daemon a death or the end of a publisher belongs to: the operation that
-// plans the record says its new value, the one that applies it stores that.
+// Maps a death or the end of a publisher to a counter of the daemon: the operation that plans the
+// record computes the new value, the one that applies it stores that.
 #pragma once
 
 #include <agnocast/abi/observe.hpp>

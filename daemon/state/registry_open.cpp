@@ -1,11 +1,11 @@
 // SPDX-License-Identifier: Apache-2.0
 //
-// Registry, the beginning of a life: a fresh one, or one that goes on with the memory of an
-// earlier.
+// Registry, the beginning of a life: a fresh one, or one that continues with the memory of an
+// earlier daemon.
 //
-// That memory is the daemon's alone. All the same nothing in it is used as an index before it was
-// checked: a bug may have been there, or another build. What is wrong is said and never mended by a
-// guess; only the board, which repeats what the tables say, is written again.
+// Only the daemon writes that memory. Still, no value in it is used as an index before it is
+// checked: an earlier build or a bug may have written it. The daemon reports damage and never
+// guesses a repair; it rewrites only the board, which repeats the tables.
 
 #include <daemon/state/registry.hpp>
 
@@ -47,7 +47,7 @@ constexpr std::uint64_t layout_of_tables() noexcept {
           offsetof(SubscriptionRecord, notified), offsetof(SubscriptionRecord, node));
   sum.add(ClientState::dead, ClientState::forgotten, EndpointState::leaving, EndpointState::orphan,
           EndpointState::over, EndpointState::dead);
-  // One record may still have to be redone.
+  // The pending record may have to be redone, so records count too.
 #define AGNOCAST_ADD_RECORD(name, number, arguments) \
   sum.add(number);                                   \
   for (const char letter : std::string_view(arguments)) sum.add(letter);
@@ -60,7 +60,7 @@ tl::unexpected<Failure> other_layout(const char* whose, std::uint64_t found,
                                      std::uint64_t expected) {
   char text[160];
   std::snprintf(text, sizeof text,
-                "%s of the former agnocastd have layout 0x%016" PRIx64
+                "%s of the previous agnocastd have layout 0x%016" PRIx64
                 ", this agnocastd has layout 0x%016" PRIx64,
                 whose, found, expected);
   return fail_with(Errc::layout_mismatch, text);
@@ -68,7 +68,7 @@ tl::unexpected<Failure> other_layout(const char* whose, std::uint64_t found,
 
 tl::unexpected<Failure> damaged(const char* what) {
   return fail_with(Errc::store_damaged,
-                   std::string("what the former agnocastd left is damaged: ") + what);
+                   std::string("the memory of the previous agnocastd is damaged: ") + what);
 }
 
 template <std::size_t size>
@@ -76,7 +76,7 @@ bool ends(const char (&name)[size]) noexcept {
   return std::memchr(name, 0, size) != nullptr;
 }
 
-/// Stores `value` unless it is there; how many words that were.
+/// Stores `value` unless it is there already. Returns the number of words changed.
 template <class Word>
 std::uint64_t agree(Word&& word, std::uint64_t value) noexcept {
   if (word.load(std::memory_order_relaxed) == value) return 0;
@@ -85,7 +85,7 @@ std::uint64_t agree(Word&& word, std::uint64_t value) noexcept {
   return 1;
 }
 
-/// Of a place without an endpoint: its record may be gone, and with it the generation.
+/// Repairs the word of a place without an endpoint: its record, with the generation, may be gone.
 template <class Word>
 std::uint64_t repair_free(Word&& word) noexcept {
   const std::uint64_t generation = abi::generation_of(word.load(std::memory_order_relaxed));
@@ -151,7 +151,7 @@ Result<void> Registry::check() const {
   const auto* const board = reinterpret_cast<const abi::BoardHeader*>(board_);
   if (board->magic.load(std::memory_order_acquire) != abi::board_magic ||
       board->incarnation.load(std::memory_order_relaxed) != log_.incarnation())
-    return damaged("board and journal are not of one incarnation");
+    return damaged("board and redo log are of different incarnations");
   if (header.client_high > abi::client_count_max || header.topic_high > abi::topic_count_max ||
       !ends(header.doorbells))
     return damaged("the header of the tables is out of range");
@@ -161,7 +161,7 @@ Result<void> Registry::check() const {
 Result<void> Registry::open() {
   if (auto checked = check(); !checked) return checked;
   if (const auto record = log_.pending()) {
-    // The tables are judged afterwards: a change that is half made is no flaw.
+    // The tables are checked afterwards: a half-made change is no flaw.
     if (const char* const what = flaw_of_change(*record)) return damaged(what);
     apply(*record);
     log_.applied();
@@ -172,7 +172,8 @@ Result<void> Registry::open() {
   return {};
 }
 
-/// What apply() would use as an index for this change, or read up to its end.
+/// Returns what is wrong with this change, as far as apply() uses it as an index or reads up to
+/// its end; null: nothing.
 const char* Registry::flaw_of_change(const Record& record) const noexcept {
   const auto argument = [&](std::string_view name) {
     return record.argument[journal::argument_index(record.type, name)];
@@ -180,8 +181,8 @@ const char* Registry::flaw_of_change(const Record& record) const noexcept {
   const auto has = [&](std::string_view name) {
     return journal::argument_index(record.type, name) != journal::argument_count;
   };
-  const char* const flawed = "the change under way is out of range";
-  if (journal::name_of(record.type).empty()) return "the change under way is of an unknown kind";
+  const char* const flawed = "the pending change is out of range";
+  if (journal::name_of(record.type).empty()) return "the pending change is of an unknown kind";
   const bool of_region =
       record.type == Type::unlinked && argument("kind") == static_cast<std::uint64_t>(Kind::region);
   for (const char* const process : {"client", "to", "by"}) {

@@ -5,13 +5,12 @@
 //
 //   header · client[2048] · topic[4096] · publisher[4096][254] · subscription[4096][768]
 //
-// An endpoint's record lies at the place its board entry has, so nothing is searched and nothing is
-// moved. The memfd is sparse: a page on which every record is free has no memory (it is given back
-// when the last of them is freed), and nobody looks at a place that is not in use (a read of a hole
-// would allocate it): each topic has one bit for each of its places. A record of zero bytes is a
-// free one. Only the redo log's records change a table (registry_apply.cpp); names are the
-// exception: they are written into a free place first, and the record that follows makes the place
-// count.
+// An endpoint's record has the same place as its board entry, so nothing is searched or moved. The
+// memfd is sparse: a page on which every record is free has no memory (the daemon gives it back
+// with the last record), and no code may read an unused place (reading a hole would allocate it).
+// So each topic has one bit for each of its places. A record of zero bytes is free. Only records
+// of the redo log change a table (registry_apply.cpp), with one exception: names are written into
+// a free place first, and the record that follows makes the place count.
 #pragma once
 
 #include <agnocast/abi/limits.hpp>
@@ -40,8 +39,8 @@ using AnnounceSet = journal::AnnounceSet<SharedMemory>;
 enum class ClientState : std::uint32_t {
   free = 0,
   alive = 1,
-  dead = 2,       // without a session; what it had and knew is being undone
-  forgotten = 3,  // that is done; others may still have its region
+  dead = 2,       // without a session; its holds and links are being undone
+  forgotten = 3,  // undone; peers may still map its region
 };
 enum class TopicState : std::uint32_t { free = 0, used = 1 };
 
@@ -59,16 +58,16 @@ struct ClientRecord {
   std::uint32_t uid;
   std::uint32_t gid;
   std::uint32_t pid;  // as the daemon sees it; 0 when it does not
-  // When dead or forgotten. What was revoked keeps its place until it ends as well: so long it maps
-  // its memory, and so long it is known that it may not come back.
+  // Set when dead or forgotten. A revoked process keeps its place until it has ended too: until
+  // then it maps its memory and must be refused when it comes back.
   journal::DeathReason reason;
   std::uint64_t domain;
   std::uint64_t executors;  // one bit each
   std::uint64_t since_ns;   // CLOCK_MONOTONIC of its hello
-  std::uint64_t readers;    // who may read its heap, as readers_of() says it; 0: it never published
+  std::uint64_t readers;    // who may read its heap, from readers_of(); 0: it never published
   std::uint64_t window_count;
   WindowRecord window[abi::window_count_max];
-  AnnounceSet notified;  // who has its region and windows
+  AnnounceSet notified;  // peers that have its region and windows
   char name[abi::wire::name_bytes];
 };
 static_assert(abi::executor_count_max < 64, "the executors of a client are one word of bits");
@@ -80,8 +79,8 @@ using PlaceBits = std::uint64_t[(capacity + 63) / 64];
 struct TopicRecord {
   std::uint64_t generation;
   TopicState state;
-  // One more than the highest index ever used, as the board has it: publishers remember endpoints
-  // up to there. Nobody else walks so far.
+  // One more than the highest index ever used, as on the board: publishers remember endpoints up
+  // to there. Only they walk so far.
   std::uint32_t publisher_high;
   std::uint32_t subscription_high;
   std::uint32_t reserved;
@@ -102,7 +101,7 @@ struct PublisherRecord {
   std::uint64_t slot_count;
   std::uint64_t final_head;   // of an orphan
   std::uint64_t creation;     // id of the request that created it
-  std::uint64_t last_joined;  // orphan: subscriptions of a later generation came after its end
+  std::uint64_t last_joined;  // orphan: subscriptions of later generations joined after its end
   AnnounceSet notified;
   char node[abi::wire::name_bytes];
 };
@@ -132,11 +131,11 @@ inline constexpr std::size_t doorbells_bytes_max = 108;
 
 struct TableHeader {
   std::uint64_t magic;
-  std::uint64_t layout;           // sizes of the records: another build's tables are not ours
+  std::uint64_t layout;           // sizes of the records; another build's tables do not fit
   std::uint64_t last_generation;  // one counter for everything; 48 bits last for millennia
   std::uint32_t client_high;
   std::uint32_t topic_high;
-  // What was decided once for the whole incarnation, whatever a later configuration says.
+  // Decided once for the whole incarnation, whatever a later configuration says.
   std::uint64_t arena_base;
   std::uint64_t arena_bytes;
   std::uint64_t window_bytes;

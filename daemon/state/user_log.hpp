@@ -1,7 +1,7 @@
 // SPDX-License-Identifier: Apache-2.0
 //
-// A line of the log that any client can cause: limited for each user, unless somebody looks at
-// everything.
+// Writes a log line that any client can cause. It is limited per user, unless the log level is
+// debug.
 #pragma once
 
 #include <base/text/log.hpp>
