@@ -14,7 +14,7 @@
 namespace agnocast::daemon {
 namespace {
 
-/// What both kinds of endpoint have; not yet whom it is for.
+/// Returns the fields that both kinds of endpoint have; the caller adds the receiver's.
 template <class Record>
 wire::Announcement announcement_of(const EndpointRef& ref, const Record& record,
                                    const Registry& registry) {
@@ -58,7 +58,7 @@ void Announcer::announce_publisher(TopicIndex topic, std::uint32_t index,
   packet.own_generation = receiver.generation;
   packet.first_sequence = abi::first_sequence_of(publisher.generation);
   packet.quota = registry_.hold_quota(receiver, publisher);
-  // One counter for all generations: the publisher joined later.
+  // One counter serves all generations: the publisher joined later.
   packet.from_start = publisher.generation > receiver.generation ? 1 : 0;
   packet.same_user = are_of_one_user(publisher.client, receiver.client) ? 1 : 0;
   std::vector<SharedFd> fds{regions_.region_reader(publisher.client)};
@@ -75,7 +75,7 @@ void Announcer::announce_publisher(TopicIndex topic, std::uint32_t index,
     on_matched({Kind::publisher, topic, index}, {Kind::subscription, topic, subscription});
 }
 
-// One uid in two user namespaces is two users.
+// The same uid in two user namespaces means two users.
 bool Announcer::are_of_one_user(ClientIndex one, ClientIndex other) const {
   const std::uint64_t user_namespace = channel_.user_namespace_of(one);
   return registry_.client(one).uid == registry_.client(other).uid && user_namespace != 0 &&
@@ -103,9 +103,9 @@ void Announcer::announce_subscription(TopicIndex topic, std::uint32_t index,
         }});
 }
 
-// It may be over by now: whoever has drained its last publisher there has let go of what it never
-// read about. Then its place may be another's, of another user perhaps, and that one's doorbells
-// are not for it.
+// The subscription may be over by now: a process that drained its last publisher there has
+// acknowledged it without reading the announcement. Another subscription, perhaps of another user,
+// may then have its place, and the receiver must not get that one's doorbells.
 void Announcer::add_doorbells(Outgoing& packet, const EndpointRef& ref, std::uint64_t generation,
                               bool same_user) {
   if (!registry_.is_used(ref)) return;
@@ -128,7 +128,7 @@ void Announcer::add_doorbells(Outgoing& packet, const EndpointRef& ref, std::uin
 void Announcer::send(const EndpointRef& ref, ClientIndex to, Outgoing packet) {
   Session* const session = channel_.session_of(to);
   AGNOCAST_CHECK(session != nullptr);
-  // The number of the packet that is about to be handed in.
+  // The number of the packet that is about to be sent.
   session->announcements().announced(subject_of(ref), session->packet_count() + 1);
   session->announcements().announced(region_of(registry_.owner_of(ref)),
                                      session->packet_count() + 1);
@@ -145,7 +145,7 @@ void Announcer::announce_window(ClientIndex owner) {
   packet.bytes = record.window[packet.window].bytes;
   packet.first = record.window[packet.window].first;
   const SharedFd reader = regions_.window_readers(owner).back();
-  // Who has the region because it publishes to this process, reads nothing in its heap.
+  // A process that has the region because it publishes to `owner` reads nothing in its heap.
   const auto reads = [&](ClientIndex to) {
     const auto& endpoints = registry_.endpoints_of(owner);
     return std::any_of(endpoints.begin(), endpoints.end(), [&](const EndpointRef& ref) {
@@ -167,7 +167,7 @@ void Announcer::announce_region(ClientIndex client, ClientIndex owner) {
   packet.kind = Kind::region;
   packet.index = number(owner);
   packet.generation = record.generation;
-  // What the client says of the region before it has read all of this is said too early.
+  // A statement of the client about the region counts only if it has read this packet.
   Session* const session = channel_.session_of(client);
   AGNOCAST_CHECK(session != nullptr);
   session->announcements().announced(region_of(owner), session->packet_count() + 1);
@@ -187,7 +187,7 @@ void Announcer::notice(const EndpointRef& ref, Errc code, const std::string& tex
   packet.generation = registry_.generation_of(ref);
   packet.text = name_of(text);
   const ClientIndex owner = registry_.owner_of(ref);
-  // What collides is found again when its process is back; the rest is not.
+  // A collision is found again when the process is back; other notices would be lost.
   if (code != Errc::arena_occupied && channel_.session_of(owner) == nullptr) {
     auto& missed = missed_notices_[number(owner)];
     if (missed.size() < missed_notices_max) missed.push_back(packet);

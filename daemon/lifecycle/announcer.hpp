@@ -1,8 +1,8 @@
 // SPDX-License-Identifier: Apache-2.0
 //
-// Announcer: hands endpoints of one process out to another: record, packet, descriptors and
-// doorbells; and tells owners what is the matter with their endpoints. What is announced to whom is
-// decided in announcing.hpp.
+// Announcer: announces endpoints of one process to another: record, packet, descriptors and
+// doorbells. It also sends owners notices about their endpoints. announcing.hpp decides which
+// endpoint is announced to which process.
 #pragma once
 
 #include <agnocast/abi/words.hpp>
@@ -31,24 +31,24 @@ class Announcer {
   /// Called with a publisher and the subscription it was just announced for.
   std::function<void(const EndpointRef&, const EndpointRef&)> on_matched;
 
-  /// The process is about to be told of the endpoint, and has to unmap it before the place is used
-  /// again. Returns its connection; null: it has none, and is announced this when it is back.
+  /// Records that the process is about to be notified of the endpoint; it has to unmap it before
+  /// the place is used again. Returns its connection; null: it has none, and is notified when it
+  /// is back.
   Session* record_member(const EndpointRef& ref, ClientIndex to);
-  /// Tells the process of `receiver` of the endpoint `subject`, which is of the other kind.
+  /// Announces the endpoint `subject` to the process of `receiver`, an endpoint of the other kind.
   void announce(const EndpointRef& subject, const EndpointRef& receiver);
-  /// Tells every process that has the region of `owner` about its newest window.
+  /// Announces the newest window of `owner` to every process that has its region.
   void announce_window(ClientIndex owner);
-  /// Tells a process which region it has of another one, if it has that.
+  /// Names to a process the region that it has of another one, if it has that.
   void announce_region(ClientIndex client, ClientIndex owner);
-  /// Tells the owner of an endpoint what is the matter with it, when it has a connection.
+  /// Sends the owner of an endpoint a notice about it. Without a connection, keeps it for later.
   void notice(const EndpointRef& ref, Errc code, const std::string& text,
               abi::QosPolicy policy = abi::QosPolicy::none);
-  /// What notice() had to keep for a process that had no connection.
+  /// Sends what notice() kept for a process without a connection.
   void send_missed_notices(ClientIndex client);
   void forget_client(ClientIndex client) { missed_notices_.erase(number(client)); }
 
-  /// Subscriptions, by generation, that were announced without doorbells because no descriptor was
-  /// left.
+  /// Subscriptions, by generation, announced without doorbells for lack of descriptors.
   using ByGeneration = std::map<std::uint64_t, EndpointRef>;
   bool has_waiting() const noexcept { return !waiting_.empty(); }
   void move_waiting_to(ByGeneration& others) { others.merge(waiting_); }
@@ -65,10 +65,10 @@ class Announcer {
   Regions& regions_;
   Doorbells& doorbells_;
   ClientChannel& channel_;
-  // By client: what it could not be told because it had no connection. The first ones are enough.
+  // By client: notices for a process without a connection. The first ones are enough.
   static constexpr std::size_t missed_notices_max = 64;
   std::map<std::uint32_t, std::vector<wire::Notice>> missed_notices_;
-  // Not a pair each: most of a topic's publishers lack the same doorbells.
+  // Not one entry a pair: most of a topic's publishers lack the same doorbells.
   ByGeneration waiting_;
 };
 

@@ -13,8 +13,8 @@ namespace agnocast::daemon {
 Effects Announcing::created(const EndpointRef& ref, std::uint64_t request) const {
   Effects effects = records_of_members(ref);
   effects.push_back(answer(ref, request));
-  // Readers hear of a publisher before the publisher hears of them: they have mapped it when they
-  // are rung.
+  // Readers are notified of a publisher before the publisher is of them: they have mapped it when
+  // it rings them.
   Effects to_publishers;
   const auto meet = [&](const EndpointRef& publisher, const EndpointRef& subscription) {
     effects.push_back(effect::Announce{publisher, subscription});
@@ -43,7 +43,7 @@ Effects Announcing::answered_again(const EndpointRef& ref, std::uint64_t request
   Effects effects{effect::CountAnsweredAgain{}};
   append(effects, records_of_members(ref));
   effects.push_back(answer(ref, request));
-  // What was announced before this answer was for an endpoint that the process did not know yet.
+  // The client did not know the endpoint yet when it got earlier announcements for it.
   append(effects, to_owner(ref));
   append(effects, mismatches(ref, false));
   return effects;
@@ -84,8 +84,8 @@ effect::Send Announcing::answer(const EndpointRef& ref, std::uint64_t request) c
   return {registry_.owner_of(ref), packet};
 }
 
-// What is there now, and what it was told of and has not let go of yet, be it gone or not.
-// Repetitions are the client's to recognise.
+// Includes the current peers, and those that were announced and not acknowledged yet, gone or not.
+// The client recognises repetitions.
 Effects Announcing::to_owner(const EndpointRef& ref) const {
   Effects effects;
   if (ref.kind == Kind::publisher) {
@@ -101,7 +101,7 @@ Effects Announcing::to_owner(const EndpointRef& ref) const {
   if (own.state != EndpointState::active && own.state != EndpointState::leaving) return effects;
   registry_.for_each_publisher(ref.topic, [&](std::uint32_t p, const PublisherRecord& other) {
     if (!matches(other, own)) return;
-    // Nobody joins an orphan.
+    // No subscription joins an orphan.
     const bool drains = other.state == EndpointState::orphan && own.generation <= other.last_joined;
     const bool known = other.notified.contains(number(own.client)) &&
                        (other.state == EndpointState::active || drains);

@@ -1,12 +1,12 @@
 // SPDX-License-Identifier: Apache-2.0
 //
-// Announcing: decides which process is told of which endpoint: when one is created, when a process
-// comes back, when doorbells are others now. A core without I/O, as endings.hpp.
+// Announcing: decides which process is notified of which endpoint: when an endpoint is created,
+// when a process comes back, when doorbells change. A core without I/O, as endings.hpp.
 //
-// A process that is to get a publisher's messages is recorded in its announce set before anybody
-// relies on it, whatever becomes of both afterwards. A daemon that dies between the record of a
-// creation and those of the announcements leaves the rest to the next one, which is asked again: so
-// every answer is preceded by the records.
+// A process that is to get a publisher's messages is recorded in its announce set before anything
+// relies on that, whatever happens to either afterwards. If the daemon dies between the record of
+// a creation and those of the announcements, the client asks the next daemon again, which makes up
+// for the rest: so the records precede every answer.
 #pragma once
 
 #include <daemon/lifecycle/effects.hpp>
@@ -22,27 +22,27 @@ class Announcing {
   Announcing(const Registry& registry, const Endings& endings) noexcept
       : registry_(registry), endings_(endings) {}
 
-  /// The answer to the request that created an endpoint, and everybody who hears of it.
+  /// Returns the answer to the request that created an endpoint, and all announcements of it.
   Effects created(const EndpointRef& ref, std::uint64_t request) const;
-  /// The same request once more: its process alone hears of what is there.
+  /// Returns the same answer once more; only the requesting process is notified of its peers.
   Effects answered_again(const EndpointRef& ref, std::uint64_t request) const;
-  /// An endpoint's own process is told whom it is connected with.
+  /// Announces to an endpoint's own process the peers of the endpoint.
   Effects to_owner(const EndpointRef& ref) const;
-  /// Every publisher of a subscription is told of it once more.
+  /// Announces a subscription once more to each of its publishers.
   Effects to_publishers_of(const EndpointRef& subscription) const;
-  /// A process that has come back is told of its own endpoint.
+  /// Names its own endpoint to a process that has come back.
   Effects own(const EndpointRef& ref) const;
-  /// And of what is over in a topic and was never acknowledged.
+  /// Notifies that process also of what is over in a topic and was never acknowledged.
   Effects what_is_over(ClientIndex client, TopicIndex topic) const;
 
  private:
   Effects records_of_members(const EndpointRef& ref) const;
   effect::Send answer(const EndpointRef& ref, std::uint64_t request) const;
-  /// Notices about endpoints of the topic that do not match this one; to its own process alone, or
-  /// to both.
+  /// Returns notices about endpoints of the topic that do not match this one, for its own process
+  /// or for both sides.
   Effects mismatches(const EndpointRef& ref, bool to_both) const;
   bool is_to_know(const PublisherRecord& own, const SubscriptionRecord& other) const;
-  /// Has a process a publisher that still looks at this subscription?
+  /// Returns whether the process has a publisher that still looks at this subscription.
   bool is_looked_at(TopicIndex topic, const SubscriptionRecord& subscription, ClientIndex by) const;
 
   const Registry& registry_;

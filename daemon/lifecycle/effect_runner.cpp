@@ -64,8 +64,7 @@ void EffectRunner::carry_out(const effect::Notice& effect) {
 }
 void EffectRunner::carry_out(const effect::BeginAnew& effect) {
   channel_.begin_anew(effect.client,
-                      "what was announced to the processes of its user is more than the daemon "
-                      "remembers");
+                      "the daemon does not remember all announcements to processes of its user");
 }
 
 // --- what the daemon keeps in its own memory
@@ -78,7 +77,7 @@ void EffectRunner::carry_out(const effect::CountAnsweredAgain&) {
   ++registry_.counters().requests_answered_again;
 }
 
-// --- decisions whose turn has come
+// --- decisions that depend on earlier effects
 
 void EffectRunner::carry_out(const effect::FreeUnused& effect) {
   run(endings_.free_unused(effect.ref));

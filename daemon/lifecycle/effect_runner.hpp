@@ -1,7 +1,6 @@
 // SPDX-License-Identifier: Apache-2.0
 //
-// EffectRunner: carries out what the life cycle has decided (effects.hpp), one effect after the
-// other.
+// EffectRunner: carries out the effects that the life cycle has decided (effects.hpp), in order.
 #pragma once
 
 #include <daemon/lifecycle/announcer.hpp>
@@ -25,7 +24,7 @@ class EffectRunner {
         doorbells_(doorbells),
         channel_(channel) {}
 
-  /// Called with a process whose place is free: everything of it may be used again.
+  /// Called with a process whose place is free: its memory and addresses may be used again.
   std::function<void(ClientIndex)> on_client_freed;
   std::function<void(TopicIndex)> on_topic_freed;
 

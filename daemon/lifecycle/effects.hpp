@@ -1,18 +1,17 @@
 // SPDX-License-Identifier: Apache-2.0
 //
-// Effects: what a decision of the life cycle brings about, as values.
+// Effects: the results of a decision of the life cycle, as values.
 //
 // A decision (endings.hpp, leaving.hpp, announcing.hpp) reads the registry and returns effects.
-// EffectRunner carries them out, in their order. A decision does no I/O and changes no table; the
-// runner decides nothing.
+// EffectRunner carries them out in order. A decision does no I/O and changes no table; the runner
+// decides nothing.
 //
-// Some decisions must see what an earlier effect has changed: whether a place is free is known when
-// its last reader
-// has let go. Such a decision is an effect itself (FreeUnused …). The runner asks for it when its turn comes, and
-// carries out the answer before it goes on.
+// Some decisions must see what an earlier effect has changed: a place is free only when its last
+// reader has acknowledged. Such a decision is an effect itself (FreeUnused …): the runner asks for
+// it in its order and carries out the answer before it goes on.
 //
-// The daemon may die between any two effects. The next one finds what the records before that say,
-// so an effect that tells others of a change comes behind the effect that records it.
+// The daemon may die between any two effects. The next one finds the records of the earlier
+// effects, so an effect that notifies others of a change comes after the effect that records it.
 #pragma once
 
 #include <agnocast/abi/wire.hpp>
@@ -34,7 +33,7 @@ namespace effect {
 
 // --- one record of the redo log each
 
-/// Nobody publishes there any more, and what is behind this head is not read.
+/// The publisher publishes no more, and messages behind this head are not read.
 struct OrphanPublisher {
   EndpointRef ref;
   std::uint64_t final_head = 0;
@@ -44,7 +43,7 @@ struct ChangeSubscription {
   EndpointRef ref;
   EndpointState state = EndpointState::leaving;
 };
-/// The publisher's word on the board is free; its place is too if the state is.
+/// Frees the publisher's word on the board, and its place too if the state is free.
 struct EndPublisher {
   EndpointRef ref;
   EndpointState state = EndpointState::free;
@@ -55,11 +54,12 @@ struct FreeSubscription {
 struct FreeTopic {
   TopicIndex topic{};
 };
-/// The place of a process is free, and so are its memory and its addresses.
+/// Frees the place of a process, with its memory and its addresses.
 struct FreeClient {
   ClientIndex client{};
 };
-/// The process is to be told of the endpoint, and has to unmap it before the place is used again.
+/// The process is to be notified of the endpoint; it has to unmap it before the place is used
+/// again.
 struct RecordMember {
   EndpointRef ref;
   ClientIndex to{};
@@ -85,33 +85,33 @@ struct Send {
   ClientIndex to{};
   Packet packet;
 };
-/// The process of `receiver` is told of `subject`, and gets the descriptors of its process and its
-/// doorbells. The record of that (RecordMember) is made first.
+/// Announces `subject` to the process of `receiver`, with the descriptors and doorbells that it
+/// needs. RecordMember comes first.
 struct Announce {
   EndpointRef subject, receiver;
 };
-/// What is the matter with an endpoint, for its owner.
+/// A notice about an endpoint, for its owner.
 struct Notice {
   EndpointRef ref;
   Errc code{};
   std::string text;
   abi::QosPolicy policy = abi::QosPolicy::none;
 };
-/// The process comes back on a new connection, and is told everything once more.
+/// The process comes back on a new connection and is notified of everything once more.
 struct BeginAnew {
   ClientIndex client{};
 };
 
 // --- what the daemon keeps in its own memory
 
-/// It does not matter any more in which packet this was announced to the process.
+/// The daemon need not know any more in which packet this was announced to the process.
 struct ForgetAnnounced {
   ClientIndex client{};
   Announced subject;
 };
 struct CountAnsweredAgain {};
 
-// --- decisions whose turn comes later (endings.hpp)
+// --- decisions that come later (endings.hpp)
 
 struct FreeUnused {
   EndpointRef ref;
@@ -122,7 +122,7 @@ struct FreeUnusedTopic {
 struct FreeUnusedClient {
   ClientIndex client{};
 };
-/// Of too many endpoints of the topic that are over, the oldest.
+/// Give up the oldest endpoints of the topic that are over, if there are too many.
 struct GiveUpOrphans {
   TopicIndex topic{};
 };
@@ -130,7 +130,7 @@ struct GiveUpSubscriptions {
   TopicIndex topic{};
 };
 
-/// The crash point B_settle: a place was found to be unused, and nothing has been freed.
+/// The crash point B_settle: an unused place was found, and nothing has been freed.
 struct BeginFree {};
 
 }  // namespace effect
@@ -144,7 +144,7 @@ using Effect =
                  effect::FreeUnusedTopic, effect::FreeUnusedClient, effect::GiveUpOrphans,
                  effect::GiveUpSubscriptions, effect::BeginFree>;
 
-/// A deque, because a list for a thousand readers must fit into the pieces of the memory reserve
+/// A deque: a list for a thousand readers must fit into the pieces of the memory reserve
 /// (memory_reserve.hpp).
 using Effects = std::deque<Effect>;
 

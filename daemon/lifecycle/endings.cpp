@@ -22,7 +22,7 @@ bool is_over(EndpointState subscription) noexcept {
 
 }  // namespace
 
-// --- what happens to others
+// --- effects on others
 
 Effects Endings::orphan(const EndpointRef& ref, std::uint64_t final_head,
                         journal::LeaveCause cause) const {
@@ -88,13 +88,13 @@ Effects Endings::kick_publishers_of(const EndpointRef& subscription) const {
 
 // --- too many that are over
 
-// Only asked for: a place is free when everybody has said `unlinked`, as ever. Who neither does nor
-// holds anything is found by UnmapWatch.
+// Only asks: the place is free, as always, when all processes have sent `unlinked`. UnmapWatch
+// finds a process that neither does so nor holds anything.
 Effects Endings::give_up(const EndpointRef& ref) {
   Effects effects;
   if (!given_up_[user_of(ref)].try_emplace(registry_.generation_of(ref), ref).second)
     return effects;
-  if (ref.kind == Kind::subscription) return effects;  // ask_to_unmap() has asked for it
+  if (ref.kind == Kind::subscription) return effects;  // ask_to_unmap() has asked
   const auto packet = orphaned(ref);
   for_each_notified(registry_, registry_.notified_of(ref), [&](ClientIndex to) {
     effects.push_back(effect::Send{to, packet});
@@ -159,8 +159,9 @@ Effects Endings::give_up_all_of(ClientIndex client) {
   return effects;
 }
 
-// Half of the places, and half of the arena, are for those that live. The user who has most of the
-// rest makes room for the others: nobody loses what is unread because of another user's dead.
+// Living processes keep half of the places and half of the arena. The user with most of the rest
+// makes room for the others: no user loses unread messages because of another user's dead
+// processes.
 Effects Endings::give_up_gone() {
   struct Gone {
     std::vector<std::pair<std::uint64_t, ClientIndex>> clients;  // by generation
@@ -176,7 +177,7 @@ Effects Endings::give_up_gone() {
   for (std::uint32_t i = 0; i < registry_.client_high(); ++i) {
     const ClientIndex client{i};
     const ClientRecord& record = registry_.client(client);
-    // The place of one that was revoked and lives is its own.
+    // A revoked process that lives keeps its place.
     if (record.state == ClientState::free || registry_.is_alive(client) ||
         registry_.is_revoked(client))
       continue;
@@ -208,8 +209,8 @@ Effects Endings::give_up_gone() {
   return effects;
 }
 
-// Whoever keeps publishers that are gone is named. It holds messages of them, or UnmapWatch is not
-// done with it; anybody may revoke it.
+// Names the process that keeps gone publishers. It holds messages of them, or UnmapWatch still
+// waits for it; any user may revoke it.
 tl::unexpected<Failure> Endings::explain_full(TopicIndex topic, const Failure& why,
                                               std::optional<std::uint32_t> uid) const {
   std::uint64_t orphans = 0;
@@ -250,7 +251,7 @@ Effects Endings::free_unused(const EndpointRef& ref) {
     if (!registry_.is_alive(owner)) {
       effects.push_back(effect::EndPublisher{ref, EndpointState::free});
     } else if (state == EndpointState::orphan) {
-      // Its process still has messages to destroy in that extent, and says when it is done.
+      // Its process still has messages to destroy in that extent, and reports when it is done.
       effects.push_back(effect::EndPublisher{ref, EndpointState::over});
       effects.push_back(kick(ref));
       return effects;

@@ -4,7 +4,7 @@
 // its process may be used again (rule RU). A core without I/O: it reads the registry and returns
 // effects (effects.hpp).
 //
-//                 orphan                       free_unused: nobody has it          drained
+//                 orphan                       free_unused: unmapped by all        drained
 //   publisher     active ─────────▶ orphan ──────────────────────────────▶ over ──────────▶ free
 //                                       ╰─── free_unused: its process is dead ────────────────▲
 //
@@ -27,52 +27,53 @@
 
 namespace agnocast::daemon {
 
-/// What is over, by the user whose it was and generation: a process that was told of it and holds
-/// nothing of it is to unmap it now.
+/// Endpoints that are over, by their user and generation. A process that was notified of one and
+/// holds nothing of it must unmap it now.
 using GivenUp = std::map<std::uint32_t, std::map<std::uint64_t, EndpointRef>>;
 
 class Endings {
  public:
   explicit Endings(const Registry& registry) noexcept : registry_(registry) {}
 
-  /// Nobody publishes there any more: board, then every subscription is rung, and everybody who
-  /// knows it is told.
+  /// Ends a publisher: changes the board, rings every subscription and notifies each process that
+  /// knows it.
   Effects orphan(const EndpointRef& ref, std::uint64_t final_head, journal::LeaveCause cause) const;
-  /// The process of this subscription is without a session.
+  /// Ends a subscription whose process is without a session.
   Effects close_subscription(const EndpointRef& ref) const;
-  /// Everybody who was told of a subscription that is over is to unmap it.
+  /// Asks each process that was notified of a subscription that is over to unmap it.
   Effects ask_to_unmap(const EndpointRef& subscription) const;
-  /// The publishers that know a subscription are to look at it once more.
+  /// Asks the publishers that know a subscription to look at it once more.
   Effects kick_publishers_of(const EndpointRef& subscription) const;
   Effects acknowledge(const EndpointRef& ref, ClientIndex by) const;
 
-  /// Frees the endpoint if it is over and nobody has it any more, and with it its topic and its
+  /// Frees the endpoint if it is over and all processes have unmapped it, then its topic and its
   /// process.
   Effects free_unused(const EndpointRef& ref);
   Effects free_unused_topic(TopicIndex topic) const;
   Effects free_unused_client(ClientIndex client) const;
   Effects free_unused_clients() const;
 
-  /// Of the publishers, and of the subscriptions, of a topic that are over, the oldest are given up
-  /// when they are too many.
+  /// Give up the oldest publishers, and subscriptions, of a topic that are over when there are too
+  /// many.
   Effects give_up_orphans(TopicIndex topic);
   Effects give_up_subscriptions(TopicIndex topic);
-  /// Of the processes that are gone and of which others have something, gives up the oldest of the
-  /// user who has most, when they are too many.
+  /// When there are too many processes that are gone but still mapped by others, gives up the
+  /// oldest of the user with most of them.
   Effects give_up_gone();
   const GivenUp& given_up() const noexcept { return given_up_; }
 
-  /// What a process hears of a publisher that is gone.
+  /// Returns the notification that a publisher is gone.
   wire::Orphaned orphaned(const EndpointRef& ref) const;
-  /// A refusal for lack of places, and who keeps publishers there that are gone (of that user).
+  /// Returns a refusal for lack of places that names the process which keeps gone publishers there
+  /// (of that user).
   tl::unexpected<Failure> explain_full(TopicIndex topic, const Failure& why,
                                        std::optional<std::uint32_t> uid) const;
 
-  // --- for a daemon that goes on
-  /// A process that has drained its last endpoint that met another one has unmapped that one too.
-  /// Its daemon may have died before it said so of each.
+  // --- for a daemon that goes on Returns acknowledgements that the previous daemon may have died
+  // before recording: a process that has drained its last endpoint that met another one has
+  // unmapped that one too.
   Effects owed_acknowledgements(Kind kind, TopicIndex topic) const;
-  /// Every endpoint of a topic is looked at, and the topic itself.
+  /// Checks every endpoint of a topic, and the topic itself, for places to free.
   Effects free_all_unused(TopicIndex topic) const;
 
  private:

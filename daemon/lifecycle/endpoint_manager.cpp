@@ -60,7 +60,7 @@ Result<void> EndpointManager::create_publisher(ClientIndex client, TopicIndex to
   const auto ready = regions_.renew(client, {plan->extent, abi::publisher_extent_bytes},
                                     abi::slot_offset(abi::ring_count, plan->slot_count));
   if (!ready) return ready;
-  // Nobody looks there yet; the add that follows publishes it.
+  // No process looks there yet; the add that follows publishes it.
   const region::PublisherWords<SharedMemory> words{regions_.region(client), plan->extent};
   AGNOCAST_CRASH_POINT(B_head);
   words.head().store(abi::pack_entry(plan->first_sequence, 0), std::memory_order_release);
@@ -90,7 +90,8 @@ Result<void> EndpointManager::create_subscription(ClientIndex client, TopicIndex
   const auto plan = registry_.plan_subscription(client, topic, request.qos, quota);
   if (!plan) return tl::unexpected(plan.error());
   if (auto ready = make_ready(topic, *plan, client, plan->extent); !ready) return ready;
-  // Publishers can keep what this one may ask for before it joins (docs/protocol.md, slots).
+  // Publishers can keep the history that this one may ask for before it joins (docs/protocol.md,
+  // slots).
   for (const SlotRaise& raise : plan->raises) registry_.raise_slots(topic, raise);
   registry_.add_subscription(client, topic, request.qos, quota, request.executor, *plan,
                              request.node, request.request);
@@ -127,7 +128,7 @@ Result<void> EndpointManager::make_ready(TopicIndex topic, const SubscriptionPla
   return ready;
 }
 
-// For both sides. What may be long comes last: a packet has 255 bytes for it.
+// Written for both sides. Texts that may be long come last: a packet has 255 bytes for it.
 std::string EndpointManager::type_mismatch_text(ClientIndex client, TopicIndex topic,
                                                 const CreateRequest& request) const {
   const TopicRecord& there = registry_.topic(topic);
@@ -151,7 +152,7 @@ void EndpointManager::notice_types(ClientIndex client, TopicIndex topic, const s
   });
 }
 
-// --- doorbells that are others now
+// --- doorbells that have changed
 
 void EndpointManager::renewed(ClientIndex client, std::uint64_t executor) {
   for (const EndpointRef& ref : registry_.endpoints_of(client)) {
@@ -162,7 +163,7 @@ void EndpointManager::renewed(ClientIndex client, std::uint64_t executor) {
 }
 
 void EndpointManager::announce_renewed() {
-  // Some 10 µs each, with the socket that is made for it.
+  // Each takes some 10 µs, including a new socket.
   constexpr std::size_t announcements_max = 200;
   for (std::size_t made = 0; !renewed_.empty() && made < announcements_max;) {
     const auto generation = renewed_.begin()->first;
@@ -183,7 +184,7 @@ Result<void> EndpointManager::leave(ClientIndex client, const LeaveRequest& requ
   if (ref.kind == Kind::publisher && leaving_.is_own(client, request.reference)) {
     const region::PublisherWords<SharedMemory> words{
         regions_.region(client), registry_.publisher(ref.topic, ref.index).extent};
-    // What the process wrote; readers check it like any other value of a publisher.
+    // The process wrote it; readers check it like any other value of a publisher.
     final_head = words.head().load(std::memory_order_acquire);
   }
   return run(leaving_.leave(client, request, final_head));
@@ -216,7 +217,7 @@ void EndpointManager::forget_client(ClientIndex client) {
   type_notices_.erase(number(client));
 }
 
-// Places are freed in the middle of this, and the topic goes with its last endpoint.
+// This frees places on the way, and a topic goes with its last endpoint.
 void EndpointManager::carry_out_what_is_owed() {
   const auto for_each_topic = [this](const auto& decide) {
     for (std::uint32_t t = 0; t < registry_.topic_high(); ++t) {
@@ -229,7 +230,7 @@ void EndpointManager::carry_out_what_is_owed() {
   });
   for_each_topic([this](TopicIndex topic) { run(endings_.free_all_unused(topic)); });
   run(endings_.free_unused_clients());
-  // Who comes back is told at once whom to let go of.
+  // A process that comes back learns at once what to unmap.
   for_each_topic([this](TopicIndex topic) {
     run(endings_.give_up_orphans(topic));
     run(endings_.give_up_subscriptions(topic));

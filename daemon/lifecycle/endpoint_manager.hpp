@@ -1,17 +1,17 @@
 // SPDX-License-Identifier: Apache-2.0
 //
-// EndpointManager: who joins and leaves which topic, and who has to hear of it.
+// EndpointManager: lets endpoints join and leave topics, and notifies the processes concerned.
 // docs/control-plane.md.
 //
-// Every operation has the same shape: check what the sender may say, let the registry decide and
-// journal, then answer, then announce. An announcement is journaled before it is sent (rule RU, a).
-// Who has no connection at the time is journaled all the same: it is to get the first and the last
-// message of whoever comes and goes meanwhile. welcome_back() sends a process that has come back
-// all that its announce sets say; so nothing that was sent on an earlier connection needs to be
-// known to have arrived.
+// Every operation has the same shape: check what the sender may ask for, let the registry decide
+// and commit, then answer, then announce. An announcement is recorded before it is sent (rule RU,
+// a), also for a process without a connection: it is to get the first and the last message of
+// publishers that come and go meanwhile. welcome_back() sends a process that has come back all
+// that its announce sets say, so the daemon need not know which packets of an earlier connection
+// arrived.
 //
-// What the end of something means is decided without I/O (endings.hpp, leaving.hpp), and so is who
-// is told (announcing.hpp). EffectRunner carries it out.
+// endings.hpp and leaving.hpp decide without I/O what an end means, announcing.hpp which processes
+// are notified; EffectRunner carries it out.
 #pragma once
 
 #include <daemon/lifecycle/announcer.hpp>
@@ -43,56 +43,57 @@ class EndpointManager {
   EndpointManager(const EndpointManager&) = delete;
   EndpointManager& operator=(const EndpointManager&) = delete;
 
-  /// Called with a process that is over: everything of it may be used again.
+  /// Called with a process that is over: its memory and addresses may be used again.
   std::function<void(ClientIndex)> on_client_freed;
   /// Called with a publisher and the subscription it was just announced for.
   void set_on_matched(std::function<void(const EndpointRef&, const EndpointRef&)> then) {
     announcer_.on_matched = std::move(then);
   }
 
-  /// Creates an endpoint, answers and announces. Rights and quotas were checked. A failure is
-  /// answered by the caller: type_mismatch, limit_reached, invalid_argument, os_failure.
+  /// Creates an endpoint, answers and announces. The caller has checked rights and quotas, and
+  /// answers a failure: type_mismatch, limit_reached, invalid_argument, os_failure.
   [[nodiscard]] Result<void> create(ClientIndex client, const CreateRequest& request);
-  /// A creation that is asked for again: answers and announces as before, if it was carried out.
+  /// Handles a repeated creation: answers and announces as before. Returns false if it was not
+  /// carried out.
   bool answer_again(ClientIndex client, const CreateRequest& request);
   /// Errors: protocol_violation.
   [[nodiscard]] Result<void> leave(ClientIndex client, const LeaveRequest& request);
   [[nodiscard]] Result<void> drained(ClientIndex client, const DrainedRequest& request);
   [[nodiscard]] Result<void> unlinked(ClientIndex client, const wire::Unlinked& statement);
-  /// Tells every process that has the region of `owner` about its newest window.
+  /// Announces the newest window of `owner` to every process that has its region.
   void announce_window(ClientIndex owner) { announcer_.announce_window(owner); }
-  /// Announcements that went without doorbells because no descriptor was left: they are made again,
-  /// by announce_renewed().
+  /// Announcements sent without doorbells for lack of descriptors; announce_renewed() repeats
+  /// them.
   bool has_waiting() const noexcept { return announcer_.has_waiting(); }
   void announce_waiting() { announcer_.move_waiting_to(renewed_); }
-  /// The doorbells of an executor are others now: publishers are told of its subscriptions once
-  /// more, a part of them with each announce_renewed().
+  /// The doorbells of an executor have changed: its subscriptions are announced to publishers once
+  /// more, some of them with each announce_renewed().
   void renewed(ClientIndex client, std::uint64_t executor);
   bool has_renewed() const noexcept { return !renewed_.empty(); }
   void announce_renewed();
-  /// Tells a process on a new connection what it has and whom it knows. A part of it at first when
-  /// that is much: go_on_telling() says more as the process reads.
+  /// Sends a process on a new connection its endpoints and their peers. If that is much, sends a
+  /// part; go_on_telling() sends more as the process reads.
   void welcome_back(ClientIndex client) { welcome_back_.begin(client); }
   void go_on_telling() { welcome_back_.go_on(); }
-  /// Whether somebody is still being told.
+  /// Returns whether a process has not been sent everything yet.
   bool tells() const noexcept { return welcome_back_.tells(); }
 
-  /// Tells the owner of an endpoint what is the matter with it.
+  /// Sends the owner of an endpoint a notice about it.
   void notice(const EndpointRef& ref, Errc code, const std::string& text) {
     announcer_.notice(ref, code, text);
   }
 
-  // --- the end of a process (death/client_death.hpp has the states)
-  /// Decides; run() carries out what it says.
+  // --- the end of a process (death/client_death.hpp has the states) Returns the decisions about
+  // ends; run() carries out their effects.
   Endings& endings() noexcept { return endings_; }
   const Endings& endings() const noexcept { return endings_; }
   void run(const Effects& effects) { runner_.run(effects); }
-  /// The process has left the announce sets of all topics, and now leaves those of regions.
+  /// Removes the process from the announce sets of regions. It has left those of all topics.
   void forget_client(ClientIndex client);
 
-  // --- for a daemon that goes on
-  /// Carries out what follows from the records of the previous run and has no record yet: who has
-  /// drained has let go as well, and what nobody has any more is free.
+  // --- for a daemon that goes on Carries out what follows from the records of the previous run
+  // and has no record yet: acknowledgements of processes that have drained, and the release of
+  // unused places.
   void carry_out_what_is_owed();
 
  private:
@@ -117,10 +118,10 @@ class EndpointManager {
   Announcer announcer_;
   EffectRunner runner_;
   WelcomeBack welcome_back_;
-  // By client: the topics whose endpoints have been told of its wrong types; once is enough. 512
-  // bytes of each process, 1 MiB of all.
+  // By client: topics whose endpoints have been notified of its wrong types; once is enough. 512
+  // bytes for each process, 1 MiB for all.
   std::map<std::uint32_t, std::bitset<abi::topic_count_max>> type_notices_;
-  // Subscriptions by generation: whose publishers are to be told of them once more.
+  // Subscriptions, by generation, to be announced to their publishers once more.
   Announcer::ByGeneration renewed_;
 };
 

@@ -12,15 +12,15 @@
 namespace agnocast::daemon {
 namespace {
 
-/// The request was carried out and its answer was lost. What is to be refused is refused by
-/// the checks that follow.
+/// Returns whether the request was carried out and only its answer was lost. The checks that
+/// follow refuse invalid requests.
 bool is_done_before(std::uint8_t what, bool again, bool is_so) noexcept {
   return journal::decide_request(what, again,
                                  is_so ? journal::request::done : journal::request::not_done) ==
          journal::RequestDecision::say_done;
 }
 
-/// What a statement made after so many packets is worth.
+/// Validity of a statement that a process made after so many packets.
 enum class Worth : std::uint8_t { counts, is_void, unknown };
 
 Worth worth_of(const Reader& reader, const Announced& subject, std::uint64_t seen) {
@@ -97,7 +97,7 @@ Result<Effects> Leaving::drained(ClientIndex client, const DrainedRequest& reque
                       : subscription_drained(client, reference);
 }
 
-// What the last publisher of a process in the topic had mapped is unmapped with it.
+// With the last publisher of a process in the topic, the process has unmapped everything there.
 Effects Leaving::publisher_drained(ClientIndex client, const wire::Reference& reference) const {
   const EndpointRef ref = ref_of(reference);
   Effects effects{effect::EndPublisher{ref, EndpointState::free}, done(client, reference)};
@@ -143,12 +143,13 @@ Effects Leaving::subscription_drained(ClientIndex client, const wire::Reference&
 Result<Effects> Leaving::unlinked(ClientIndex client, const wire::Unlinked& statement,
                                   const Reader& reader) const {
   if (statement.seen > reader.packet_count)
-    return fail(Errc::protocol_violation, "more packets were seen than were sent");
+    return fail(Errc::protocol_violation,
+                "the process claims to have seen more packets than were sent");
   if (statement.kind == Kind::region) return region_unlinked(client, statement, reader);
   const EndpointRef ref{statement.kind, static_cast<TopicIndex>(statement.topic),
                         static_cast<std::uint32_t>(statement.index)};
   if (!registry_.is_used(ref) || registry_.generation_of(ref) != statement.generation)
-    return Effects{};  // late: it is over
+    return Effects{};  // late: the endpoint is over
   const Worth worth = worth_of(reader, subject_of(ref), statement.seen);
   if (worth == Worth::unknown) return Effects{effect::BeginAnew{client}};
   if (worth == Worth::is_void) return Effects{};
@@ -163,15 +164,16 @@ Result<Effects> Leaving::region_unlinked(ClientIndex client, const wire::Unlinke
   if (number(owner) >= registry_.client_high() ||
       registry_.client(owner).state == ClientState::free ||
       registry_.client(owner).generation != statement.generation)
-    return Effects{};  // late: it is over
-  // Who is not told everything yet is asked again when it is.
+    return Effects{};  // late: the process is over
+  // A process that is still being notified will be asked again afterwards.
   if (reader.is_being_told) return Effects{};
   const Worth worth = worth_of(reader, region_of(owner), statement.seen);
   if (worth == Worth::unknown) return Effects{effect::BeginAnew{client}};
   if (worth == Worth::is_void) return Effects{};
   for (const EndpointRef& ref : registry_.endpoints_of(owner)) {
     if (registry_.notified_of(ref).contains(number(client)))
-      return fail(Errc::protocol_violation, "something of this region is linked");
+      return fail(Errc::protocol_violation,
+                  "the process still has an endpoint of this region linked");
   }
   return Effects{effect::ForgetAnnounced{client, region_of(owner)},
                  effect::AcknowledgeRegion{owner, client}, effect::FreeUnusedClient{owner}};

@@ -1,10 +1,11 @@
 // SPDX-License-Identifier: Apache-2.0
 //
-// Leaving: decides about what processes say of the end of endpoints: that one of their own leaves,
-// that it has drained, that they have unmapped another one. A core without I/O, as endings.hpp.
+// Leaving: decides about reports of processes on the end of endpoints: that one of their own
+// leaves, that it has drained, that they have unmapped another one. A core without I/O, as
+// endings.hpp.
 //
-// A request may be said again after its answer was lost with the connection. What was carried out
-// is answered as before (journal/cases.hpp, Q).
+// A client may repeat a request whose answer was lost with the connection. A request that was
+// carried out gets the same answer as before (journal/cases.hpp, Q).
 #pragma once
 
 #include <agnocast/result.hpp>
@@ -16,11 +17,11 @@
 
 namespace agnocast::daemon {
 
-/// What a connection has brought to its process.
+/// The packets that a connection has brought to its process.
 struct Reader {
   const AnnouncementNumbers& announcements;
   std::uint64_t packet_count = 0;  // sent so far
-  bool is_being_told = false;      // what there was before it came back, and not all of that yet
+  bool is_being_told = false;      // what existed before it came back, and not all of that yet
 };
 
 class Leaving {
@@ -45,9 +46,9 @@ class Leaving {
   [[nodiscard]] Result<Effects> region_unlinked(ClientIndex client, const wire::Unlinked& statement,
                                                 const Reader& reader) const;
   bool is_active(ClientIndex client, const wire::Reference& reference) const;
-  /// Nothing is left to be drained.
+  /// Returns whether nothing is left to be drained.
   bool is_drained(ClientIndex client, const wire::Reference& reference) const;
-  /// Has the process another subscription of the topic that reads this publisher?
+  /// Returns whether the process has another subscription of the topic that reads this publisher.
   bool has_another_reader(ClientIndex client, const EndpointRef& subscription,
                           const PublisherRecord& publisher) const;
 

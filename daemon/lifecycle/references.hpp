@@ -1,7 +1,7 @@
 // SPDX-License-Identifier: Apache-2.0
 //
-// Names for the same thing in tables, packets and the book of announcements, and what several
-// decisions ask of the registry.
+// Names for the same thing in tables, packets and the book of announcements, and questions to the
+// registry that several decisions share.
 #pragma once
 
 #include <daemon/state/registry.hpp>

@@ -34,42 +34,42 @@ std::uint64_t bytes_of(int fd) noexcept {
   return ::fstat(fd, &file) == 0 ? static_cast<std::uint64_t>(file.st_size) : 0;
 }
 
-// The kernel keeps the name that a memfd is made with, for ever and for everybody to see. So each
-// window says where it belongs, and has one place; and to whom, because places are given out again,
-// and who has kept a former window could bring it. Without a space: people cut lines of
-// /proc/PID/maps.
+// The kernel keeps the name of a memfd for ever, and every process can see it. So each window has
+// its address in its name, which ties it to one place, and its owner's uid: places are given out
+// again, and a process that has kept a previous window could bring it. No space: people cut lines
+// of /proc/PID/maps.
 std::string name_of_window(std::uint64_t base, uid_t owner) {
   return "agnocast-heap-" + hexadecimal(base) + "-" + std::to_string(owner);
 }
 
 std::string file_of(int fd) {
-  char file[96];  // of ours, and a few bytes more
+  char file[96];  // the longest name of ours, and a few bytes more
   const std::string entry = "/proc/self/fd/" + std::to_string(fd);
   const ssize_t bytes = ::readlink(entry.c_str(), file, sizeof file);
   return bytes < 0 ? std::string() : std::string(file, static_cast<std::size_t>(bytes));
 }
 
-// Of the daemon's own: libraries, stacks, blocks that malloc maps one by one, board and tables.
-// Some hundred; where there are fewer than this left, it is malloc that fails next.
+// The daemon's own mappings: libraries, stacks, large blocks of malloc, board and tables. These
+// are some hundred; with fewer than this left, malloc fails next.
 constexpr std::uint64_t mappings_kept = 2048;
 
-// Zero, whatever kind of endpoint was here. What was never written stays without memory.
+// Zeroes the extent of any kind of endpoint. Pages that were never written stay without memory.
 Result<void> clear_memory(int fd, std::byte* region, const Regions::Extent& extent) noexcept {
   alignas(std::uint64_t) std::byte page[abi::page_bytes];
   static constexpr std::byte zero[abi::page_bytes] = {};
   for (std::uint64_t at = extent.offset; at < extent.offset + extent.bytes; at += abi::page_bytes) {
     const ssize_t read =
-        ::pread(fd, page, sizeof page, static_cast<off_t>(at));  // makes no memory of holes
+        ::pread(fd, page, sizeof page, static_cast<off_t>(at));  // allocates nothing for holes
     if (read < 0) return fail(Errc::os_failure, "clearing an extent", errno);
-    if (read == 0) break;  // nothing is as long as that yet
+    if (read == 0) break;  // the file ends before here
     if (std::memcmp(page, zero, static_cast<std::size_t>(read)) != 0)
       std::memset(region + at, 0, sizeof page);
   }
-  // The daemon's own view of the pages costs page tables.
+  // Drops the daemon's own view of the pages: it costs page tables.
   ::madvise(region + extent.offset, extent.bytes, MADV_DONTNEED);
   return {};
 }
-// Lengthening waits for the lock of the file, which the process keeps while it writes to it by
+// Lengthening waits for the lock of the file, which the process holds while it writes to it by
 // system calls.
 Result<void> clear_extent(int fd, const std::weak_ptr<Mapping>& region,
                           const Regions::Extent& extent) noexcept {
@@ -110,7 +110,7 @@ Result<Regions> Regions::create(DescriptorStore& store) {
 Result<Regions> Regions::adopt(DescriptorStore& store, UniqueFd board, UniqueFd journal) {
   if (bytes_of(board.get()) == abi::board_bytes && bytes_of(journal.get()) == journal_bytes)
     return map(store, std::move(board), std::move(journal));
-  // Another build has other sizes. Its log begins like ours and says which build it is.
+  // Another build has other sizes. Its log begins like this build's and says which build it is.
   struct alignas(abi::page_bytes) Copy {
     std::byte bytes[journal::RedoLog::bytes];
   };
@@ -118,7 +118,7 @@ Result<Regions> Regions::adopt(DescriptorStore& store, UniqueFd board, UniqueFd 
   static_cast<void>(::pread(journal.get(), copy->bytes, sizeof copy->bytes, 0));
   if (auto checked = Registry::check_log(journal::RedoLog(copy->bytes)); !checked)
     return tl::unexpected(checked.error());
-  return fail_with(Errc::store_damaged, "what the former agnocastd left has the wrong sizes");
+  return fail_with(Errc::store_damaged, "the memory of the previous agnocastd has the wrong size");
 }
 
 Result<void> Regions::keep() const {
@@ -136,7 +136,8 @@ Result<void> Regions::map_region(ClientMemory& memory, UniqueFd writer) const {
   auto mapping =
       Mapping::map(writer.get(), Registry::client_region_bytes, Mapping::Access::read_write);
   if (!mapping) return tl::unexpected(mapping.error());
-  // A writable mapping is not left out of core dumps by Mapping; this one is other people's memory.
+  // Mapping does not exclude writable mappings from core dumps; this one is memory of other
+  // processes.
   ::madvise(mapping->base(), mapping->bytes(), MADV_DONTDUMP);
   AGNOCAST_CRASH_POINT(B_region_made);
   struct stat file {};
@@ -172,9 +173,9 @@ Result<void> Regions::open_client(ClientIndex client, std::uint64_t generation) 
   if (!writer) return tl::unexpected(writer.error());
   const int fd = writer->get();
   static_cast<void>(forbid_holes(fd));
-  // The process that is given this description says by the lock that it lives. Everybody who can
-  // read the region could lock it for reading, and so keep the process from joining: its lock is
-  // there before a descriptor for reading is.
+  // The process that gets this open file description shows by the lock that it lives. Any process
+  // that can read the region could lock it for reading and so keep the process from joining: so
+  // the lock is taken before a descriptor for reading exists.
   if (auto locked = lock_for_writing(fd); !locked) return locked;
   ClientMemory& memory = clients_[number(client)];
   auto opened = map_region(memory, std::move(*writer));
@@ -222,7 +223,7 @@ Result<void> Regions::back(ClientIndex client, std::uint64_t offset, std::uint64
   std::byte* const at = memory.region->base() + offset;
   AGNOCAST_CRASH_POINT(B_back);
   if (auto backed = populate(at, bytes); !backed) return backed;
-  // The pages stay where they are; the daemon's own view of them costs page tables.
+  // The pages stay allocated; the daemon's own view of them costs page tables.
   ::madvise(at, bytes, MADV_DONTNEED);
   before = bytes;
   return {};
@@ -233,8 +234,8 @@ bool Regions::is_clear(ClientIndex client, const Extent& extent) const noexcept 
   return cleared && cleared->extent == extent;
 }
 
-// The memory of an extent stays with its process when the endpoint has ended, which no quota of
-// endpoints counts.
+// The memory of an extent stays with its process when the endpoint has ended; no quota of
+// endpoints counts it.
 Result<void> Regions::count_growth(ClientIndex client, const OfUser& user, const Extent& extent) {
   ClientMemory& memory = clients_[number(client)];
   const std::uint64_t end = extent.offset + extent.bytes;
@@ -243,7 +244,7 @@ Result<void> Regions::count_growth(ClientIndex client, const OfUser& user, const
   if (all + more > user.given_bytes_max)
     return fail_with(Errc::quota_exceeded,
                      "the processes of this user keep " + std::to_string(all) +
-                         " bytes for endpoints that they have and have had; " +
+                         " bytes for present and past endpoints; " +
                          std::to_string(user.given_bytes_max) + " are allowed");
   all += more;
   memory.given_bytes += more;
@@ -251,7 +252,7 @@ Result<void> Regions::count_growth(ClientIndex client, const OfUser& user, const
   return {};
 }
 
-// An errand that waits keeps no file: what its process has put there goes with the process.
+// A waiting errand keeps no file open: what its process has put there goes with the process.
 Result<void> Regions::clear(ClientIndex client, const OfUser& user, const Extent& extent,
                             std::function<void()> then) {
   if (auto counted = count_growth(client, user, extent); !counted) return counted;
@@ -273,7 +274,7 @@ Result<void> Regions::clear(ClientIndex client, const OfUser& user, const Extent
        then = std::move(then)] {
         if (here.expired()) return;
         ClientMemory& now = clients_[number(client)];
-        // Another one may still clear what an endpoint was given since.
+        // An older errand may still clear an extent that an endpoint has by now.
         if (now.file == region && now.last_clear == clear) now.cleared = Cleared{extent, *result};
         then();
       });
@@ -296,7 +297,7 @@ Result<void> Regions::renew(ClientIndex client, const Extent& extent, std::uint6
 }
 
 Result<SharedFd> Regions::open_window(ClientIndex client, std::uint64_t base, uid_t owner) {
-  // Its owner makes it longer as it uses more of it.
+  // Its owner lengthens it as it uses more of it.
   auto writer = make_memfd(name_of_window(base, owner).c_str(), 0, Length::may_grow);
   if (!writer) return tl::unexpected(writer.error());
   auto reader = reopen_read_only(writer->get());
@@ -322,7 +323,7 @@ Result<void> Regions::check_window(int window, std::uint64_t base, std::uint64_t
                        file_of(window) == "/memfd:" + name_of_window(base, owner) + " (deleted)";
   if (is_ours) return {};
   return fail_with(Errc::permission_denied,
-                   "this is no window that an agnocastd has made for that place and this user");
+                   "this is not a window that agnocastd made for this address and user");
 }
 
 Result<void> Regions::bring_window(ClientIndex client, const UniqueFd& window) {
@@ -348,7 +349,7 @@ Result<SharedFd> Regions::window_writer(ClientIndex client, std::uint64_t window
   return shared;
 }
 
-// Unmapping and the last close wait for locks that readers of the file have as well.
+// Unmapping and the last close wait for locks that readers of the file can hold as well.
 void Regions::free_elsewhere(ClientMemory memory) noexcept {
   try {
     std::vector<SharedFd> fds = std::move(memory.window_readers);
@@ -356,7 +357,7 @@ void Regions::free_elsewhere(ClientMemory memory) noexcept {
     fds.push_back(std::move(memory.region_writer));
     closer_->close(std::move(fds), std::move(memory.region));
   } catch (const std::bad_alloc&) {
-    // It is freed here, then.
+    // Then it is freed here.
   }
 }
 

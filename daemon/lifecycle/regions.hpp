@@ -3,27 +3,27 @@
 // Regions: the memory that the daemon makes. Board and tables once, a client region and heap
 // windows per process.
 //
-// A process gets a writable descriptor of its own region and windows; everybody else one that was
+// A process gets a writable descriptor of its own region and windows; all others get one that was
 // opened for reading. The daemon keeps its own writable mapping of every client region: to prepare
 // extents before they are given out, and to repair the queues of a dead process. It is one mapping
-// of the kernel's, whatever lies in it: those are counted too (vm.max_map_count), and a lock of a
-// part would make three of one. So nothing is locked here; who must not wait for a page that was
-// swapped out locks what it maps itself (mlockall).
+// of the kernel, whatever lies in it: mappings are limited (vm.max_map_count), and mlock of a part
+// would split one into three. So nothing is locked here; a process that must not wait for a
+// swapped-out page locks its own mappings (mlockall).
 //
-// A region is as long as what was given out of it, a window as what its owner has put to use. A
-// reader has a descriptor of the whole, and touching a hole through a mapping makes a page, which
-// no limit of the reader counts; beyond the end there is nothing to be touched. Neither ever gets
-// shorter, and what is given out is backed by memory before anybody is told of it, so that nobody
-// meets SIGBUS who reads what he was told of.
+// A region is as long as the extents given out of it, a window as long as its owner's use of it. A
+// reader has a descriptor of the whole, and touching a hole through a mapping allocates a page,
+// which no limit of the reader counts; beyond the end nothing can be touched. Neither ever gets
+// shorter, and the daemon backs an extent with memory before it announces it, so that no process
+// gets SIGBUS when it reads what was announced to it.
 //
-// A page fault waits for a hole that is being punched over its page, as long as the one who punches
-// it likes. So nobody can punch holes into a region, the daemon included: an extent is cleared by
-// stores, and its memory stays with its process until that ends.
+// A page fault waits while a hole is being punched over its page, for as long as the punching
+// process likes. So no process can punch holes into a region, the daemon included: stores clear an
+// extent, and its memory stays with its process until that ends.
 //
-// Every memfd is put into the descriptor store before anybody is told of it, and removed when its
-// process is over; so a restarted daemon has the same memory again.
+// The daemon puts every memfd into the descriptor store before it announces it, and removes it
+// when its process is over; so a restarted daemon has the same memory again.
 //
-// Whose region it is and when it goes is the registry's business; nothing here decides.
+// The registry decides whose region it is and when it goes; nothing here decides.
 #pragma once
 
 #include <agnocast/result.hpp>
@@ -49,9 +49,10 @@ namespace agnocast::daemon {
 
 class Regions {
  public:
-  /// Board and tables, empty and not in the store yet: see keep(). Errors: os_failure with errno.
+  /// Makes board and tables, empty and not in the store yet: see keep(). Errors: os_failure with
+  /// errno.
   [[nodiscard]] static Result<Regions> create(DescriptorStore& store);
-  /// Board and journal of a previous run. Errors: layout_mismatch, store_damaged (they have
+  /// Adopts board and journal of a previous run. Errors: layout_mismatch, store_damaged (they have
   /// the wrong sizes), os_failure.
   [[nodiscard]] static Result<Regions> adopt(DescriptorStore& store, UniqueFd board,
                                              UniqueFd journal);
@@ -61,11 +62,11 @@ class Regions {
   Registry::Memory memory() const noexcept;
   const SharedFd& board_reader() const noexcept { return board_reader_; }
 
-  /// A fresh region for the process in this place; what was there before is gone. Errors:
+  /// Makes a fresh region for the process in this place, and closes the previous one. Errors:
   /// limit_reached (of mappings), os_failure.
   [[nodiscard]] Result<void> open_client(ClientIndex client, std::uint64_t generation);
-  /// Region and windows of a process, out of the store; of the region, `used_bytes` were given out.
-  /// Errors: endpoint_gone (something of it is not there; what is there is held), os_failure.
+  /// Takes region and windows of a process out of the store; `used_bytes` of the region were given
+  /// out. Errors: endpoint_gone (a part is missing; the rest is held), os_failure.
   [[nodiscard]] Result<void> adopt_client(ClientIndex client, std::uint64_t window_count,
                                           std::uint64_t used_bytes);
   const SharedFd& region_writer(ClientIndex client) const noexcept {
@@ -75,9 +76,9 @@ class Regions {
     return of(client).region_reader;
   }
   bool is_open(ClientIndex client) const noexcept { return static_cast<bool>(of(client).region); }
-  /// The daemon's own mapping.
+  /// Returns the daemon's own mapping.
   std::byte* region(ClientIndex client) const noexcept { return of(client).region->base(); }
-  /// Device and inode by which the region shows in /proc/PID/maps.
+  /// Device and inode of the region in /proc/PID/maps.
   struct FileId {
     std::uint64_t device = 0;
     std::uint64_t inode = 0;
@@ -85,63 +86,65 @@ class Regions {
   };
   FileId region_file(ClientIndex client) const noexcept { return of(client).file; }
 
-  /// Whether holes in regions can be forbidden here. Errors: as of forbid_holes().
+  /// Checks that holes in regions can be forbidden here. Errors: as of forbid_holes().
   [[nodiscard]] static Result<void> can_forbid_holes();
 
   /// A process that may write to the file of a region may keep the kernel's lock of it for ever.
-  /// With errands nothing below waits for that: back() does not take the lock, clear() takes it
-  /// elsewhere. Without errands (tests) renew() takes it in place.
+  /// With errands nothing below waits for that: back() does not take the lock, clear() takes it in
+  /// another thread. Without errands (tests) renew() takes it in place.
   void use(Errands& errands) noexcept { errands_ = &errands; }
-  /// Backs the first `bytes` of the extent at `offset` with memory; free where that was done
-  /// before. Errors: os_failure.
+  /// Backs the first `bytes` of the extent at `offset` with memory; costs nothing when repeated.
+  /// Errors: os_failure.
   [[nodiscard]] Result<void> back(ClientIndex client, std::uint64_t offset, std::uint64_t bytes);
-  /// A part of a region that one endpoint has.
+  /// The part of a region that one endpoint has.
   struct Extent {
     std::uint64_t offset = 0, bytes = 0;
     friend bool operator==(const Extent&, const Extent&) = default;
   };
   struct OfUser {
     std::uint32_t uid;
-    std::uint64_t given_bytes_max;  // of regions of all its processes, from their beginnings to the
-                                    // ends of their farthest extents
+    std::uint64_t given_bytes_max;  // limit for the regions of all its processes, each from its
+                                    // beginning to the end of its farthest extent
   };
-  /// Makes an extent as if never used, all zero, in an errand of this user; then calls `then`.
+  /// Makes an extent all zero, as if never used, in an errand of this user; then calls `then`.
   /// Errors: limit_reached, quota_exceeded. Throws std::bad_alloc when there is no thread for it.
   [[nodiscard]] Result<void> clear(ClientIndex client, const OfUser& user, const Extent& extent,
                                    std::function<void()> then);
-  /// Whether clear() was the last that happened to it, and has ended.
+  /// Returns whether the extent's last change was a clear() that has ended.
   bool is_clear(ClientIndex client, const Extent& extent) const noexcept;
-  /// An extent as if never used, of which the first backed_bytes are backed. Errors: os_failure.
+  /// Makes an extent as if never used, and backs its first backed_bytes. Errors: os_failure.
   [[nodiscard]] Result<void> renew(ClientIndex client, const Extent& extent,
                                    std::uint64_t backed_bytes);
 
-  /// A heap window for the addresses at `base`, in the store; keeps what readers need. Yields the
-  /// writable descriptor, which is its owner's alone. Errors: os_failure.
+  /// Makes a heap window for the addresses at `base`, puts it into the store and keeps a
+  /// descriptor for readers. Returns the writable descriptor, for its owner alone. Errors:
+  /// os_failure.
   [[nodiscard]] Result<SharedFd> open_window(ClientIndex client, std::uint64_t base, uid_t owner);
-  /// Whether this is what an agnocastd of this user made as the window at `base` for a process of
-  /// `owner`: sealed memory of that name, no longer than that, which no other user can make; open
-  /// for writing, as its owner alone was given it. Errors: permission_denied.
+  /// Checks that an agnocastd of this user made `window` as the window at `base` for a process of
+  /// `owner`: sealed memory of that name, no longer than `bytes`, which no other user can make;
+  /// open for writing, as only its owner got it. Errors: permission_denied.
   [[nodiscard]] static Result<void> check_window(int window, std::uint64_t base,
                                                  std::uint64_t bytes, uid_t owner);
-  /// A window that its owner has brought and that was checked goes into the store. Errors:
-  /// os_failure.
+  /// Puts a checked window that its owner has brought into the store. Errors: os_failure.
   [[nodiscard]] Result<void> bring_window(ClientIndex client, const UniqueFd& window);
-  /// The writable descriptor once more: its owner did not get the answer. The same as long as an
-  /// answer with it is on its way: who asks without end costs one descriptor. Errors: os_failure.
+  /// Returns the writable descriptor once more, for an owner that did not get the answer. It is
+  /// the same as long as an answer with it is on its way: endless requests cost one descriptor.
+  /// Errors: os_failure.
   [[nodiscard]] Result<SharedFd> window_writer(ClientIndex client, std::uint64_t window);
   const std::vector<SharedFd>& window_readers(ClientIndex client) const noexcept {
     return of(client).window_readers;
   }
 
-  /// The process is dead and recovered: unmaps its region, and closes what can write. What readers
-  /// need stays for as long as its place is taken: who was without a connection when it died is
-  /// still to be announced its last messages, and observers look at it.
+  /// The process is dead and recovered: unmaps its region and closes writable descriptors.
+  /// Descriptors for readers stay while its place is taken: a process that was without a
+  /// connection at the death still gets the last messages, and observers look at the region.
   void unmap_client(ClientIndex client) noexcept;
-  /// The process is over, or never came to life: nothing is kept. Its memory is freed a little
+  /// The process is over, or never came to life: closes everything. Its memory is freed a little
   /// later.
   void close_client(ClientIndex client) noexcept;
 
-  /// How many processes can have a region mapped here, when the kernel allows so many mappings.
+  /// Returns how many processes can have a region mapped here if the kernel allows
+  /// `map_count_max`.
   static std::uint64_t regions_max(std::uint64_t map_count_max) noexcept;
 
  private:
@@ -152,20 +155,20 @@ class Regions {
   struct ClientMemory {
     SharedFd region_writer;
     SharedFd region_reader;
-    std::shared_ptr<Mapping> region;  // an errand may still store there
+    std::shared_ptr<Mapping> region;  // an errand may still store into it
     FileId file;
     std::vector<SharedFd> window_readers;
-    std::map<std::uint64_t, std::weak_ptr<SharedFd::element_type>> window_writers;  // on their way
+    std::map<std::uint64_t, std::weak_ptr<SharedFd::element_type>> window_writers;  // in answers
+                                                                                    // on their way
     std::optional<Cleared> cleared;
-    std::uint64_t last_clear = 0;  // numbered; of several that wait the last one counts
-    std::map<std::uint64_t, std::uint64_t> backed_bytes;  // by the offset of the extent
+    std::uint64_t last_clear = 0;  // numbered; of several waiting ones the last counts
+    std::map<std::uint64_t, std::uint64_t> backed_bytes;  // by offset of the extent
     std::uint32_t uid = 0;
-    std::uint64_t given_bytes = 0;  // to the end of the farthest extent that was cleared
+    std::uint64_t given_bytes = 0;  // to the end of the farthest cleared extent
   };
 
-  // Each process of a user has one, and those of its processes that have ended are passed over:
-  // more than a user's processes (its quota), and a bound of what a user that is stuck makes the
-  // daemon remember.
+  // Each process of a user has one; those of ended processes are skipped. More than a user's quota
+  // of processes, and a bound on what the daemon remembers for a user that is stuck.
   static constexpr std::size_t clearing_waiting_max = 4096;
 
   explicit Regions(DescriptorStore& store) : store_(&store), clients_(abi::client_count_max) {}
@@ -180,7 +183,7 @@ class Regions {
   DescriptorStore* store_;
   std::unique_ptr<Closer> closer_ = std::make_unique<Closer>();
   Errands* errands_ = nullptr;
-  std::shared_ptr<char> here_ = std::make_shared<char>();  // for errands that end later
+  std::shared_ptr<char> here_ = std::make_shared<char>();  // expires before errands that end later
   UniqueFd board_fd_, journal_fd_;
   SharedFd board_reader_;
   Mapping board_, journal_;

@@ -12,8 +12,8 @@ namespace agnocast::daemon {
 
 void WelcomeBack::begin(ClientIndex client) {
   ToTell rest;
-  // Nothing is told of a topic in which a process has no endpoint, and with the last one it has let
-  // go of everything there.
+  // A process is notified only about topics in which it has endpoints; with the last one it has
+  // acknowledged everything there.
   for (const EndpointRef& ref : registry_.endpoints_of(client)) {
     rest.own.emplace(registry_.generation_of(ref), ref);
     rest.topics.insert(ref.topic);
@@ -32,7 +32,7 @@ void WelcomeBack::go_on() {
   }
 }
 
-// Without a connection it begins anew when it is back.
+// Without a connection, all of this begins anew when the process is back.
 void WelcomeBack::tell_more(ClientIndex client, ToTell rest) {
   while (rest.next_region < registry_.client_high()) {
     Session* const session = channel_.session_of(client);

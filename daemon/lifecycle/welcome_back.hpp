@@ -1,7 +1,7 @@
 // SPDX-License-Identifier: Apache-2.0
 //
-// WelcomeBack: a process on a new connection is told what it has and whom it knows. A part of it at
-// first when that is much; the rest as the process reads.
+// WelcomeBack: sends a process on a new connection its endpoints and their peers. If that is much,
+// it sends a part first and the rest as the process reads.
 #pragma once
 
 #include <daemon/lifecycle/announcer.hpp>
@@ -28,18 +28,18 @@ class WelcomeBack {
 
   void begin(ClientIndex client);
   void go_on();
-  /// Whether somebody is still being told, and whether this one is.
+  /// Return whether any process, or this one, has not been sent everything yet.
   bool tells() const noexcept { return !to_tell_.empty(); }
   bool tells(ClientIndex client) const { return to_tell_.contains(client); }
   void forget_client(ClientIndex client) { to_tell_.erase(client); }
 
  private:
-  /// What a process does not know yet on its connection, in this order.
+  /// What a process has not been sent yet on its connection, in this order.
   struct ToTell {
     std::map<std::uint64_t, EndpointRef> own;        // endpoints, by generation
-    std::map<std::uint64_t, EndpointRef> endpoints;  // whose peers
-    std::set<TopicIndex> topics;                     // what is over there
-    std::uint32_t next_region = 0;                   // what it has of others
+    std::map<std::uint64_t, EndpointRef> endpoints;  // endpoints whose peers are next
+    std::set<TopicIndex> topics;                     // topics whose ended endpoints are next
+    std::uint32_t next_region = 0;                   // regions of others that it has
   };
   void tell_more(ClientIndex client, ToTell rest);
   void tell_next(ClientIndex client, ToTell& rest);

@@ -98,7 +98,7 @@ TEST(DaemonLimits, CountsMemoryThatAUsersProcessesKeepForEndedEndpoints) {
     }
   }
   ASSERT_FALSE(refused.bytes.empty()) << "the daemon does not count them";
-  expect_quota(refused, "for endpoints that they have and have had");
+  expect_quota(refused, "for present and past endpoints");
   EXPECT_GT(processes.size(), 4u)
       << "endpoints that may exist at once have room, in whatever processes";
   processes.erase(processes.begin(), processes.begin() + 2);

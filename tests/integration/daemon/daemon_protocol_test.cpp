@@ -508,7 +508,7 @@ TEST(DaemonProtocol, RefusesToUnlinkARegionWithLinkedEndpoints) {
                            publisher.welcome.client_generation);
   const auto unasked = subscriber.wire.drain();
   ASSERT_EQ(unasked.size(), 1u);
-  EXPECT_EQ(unasked[0].refused_text(), "something of this region is linked");
+  EXPECT_EQ(unasked[0].refused_text(), "the process still has an endpoint of this region linked");
 }
 
 TEST(DaemonProtocol, RaisesThePublishersSlotsForADeepSubscription) {
