@@ -41,7 +41,7 @@ std::optional<DeathStep> ClientDeath::next() {
   return step;
 }
 
-// A place that was free by the time may be somebody else's by now.
+// A place that became free meanwhile may have another owner by now.
 bool ClientDeath::is_ours(const EndpointRef& ref) const noexcept {
   return registry_.is_used(ref) && registry_.owner_of(ref) == client_;
 }
@@ -66,8 +66,8 @@ std::optional<DeathStep> ClientDeath::next_orphan() {
   return std::nullopt;
 }
 
-// What nobody has any more lies in the topics that it knew, and in those of its own endpoints.
-// Nothing of it is active by now, so it is told of nothing again.
+// Places to free lie in the topics that it knew, and in those of its own endpoints. None of its
+// endpoints is active by now, so nothing new is announced to it.
 std::optional<DeathStep> ClientDeath::next_acknowledge() {
   if (!to_free_.empty()) {
     const EndpointRef ref = to_free_.back();

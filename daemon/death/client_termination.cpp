@@ -24,7 +24,7 @@ using journal::EndDecision;
 
 namespace {
 
-// Of journal::end.
+// Returns the client's case in journal::end.
 std::uint8_t whose(const Peer& peer) noexcept {
   if (!peer.session.greeted()) return journal::end::unknown;
   return peer.revoked ? journal::end::revoked : journal::end::client;
@@ -51,7 +51,7 @@ void ClientTermination::disconnect(Peer& peer, std::string_view why) {
   log_.write(LogLevel::debug, "connection closed",
              {{"client", number(client)}, {"pid", peer.session.identity().pid}, {"why", why}});
   connections_.detach(peer);
-  // After exec, or when the library was shut down, nothing of the region is left in the process.
+  // After exec, or when the library was shut down, the process has nothing of its region mapped.
   if (!peer.ended) look_whether_gone(peer);
 }
 
@@ -78,7 +78,7 @@ void ClientTermination::reap(Peer& peer, DeathReason reason, std::string_view ho
   AGNOCAST_CRASH_POINT(B_reaped);
 }
 
-// The rest was done when it was revoked; now its place may be used again.
+// The rest was done at the revocation; now the place may be used again.
 void ClientTermination::free_revoked(ClientIndex client, DeathReason reason, std::string_view how) {
   registry_.client_died(client, reason);
   store_.remove(DescriptorStore::process(client));
@@ -113,8 +113,8 @@ void ClientTermination::reap(ClientIndex client, DeathReason reason, std::string
   reaping_.begin(client, reason, after, budget_ns);
 }
 
-// Until the process ends the peer stays, and with it the connection's place in its user's quota and
-// the pidfd: so long the process has its memory, and may not come back.
+// Until the process ends, the peer stays, with its connection's place in the user's quota and its
+// pidfd: until then the process has its memory and may not come back.
 void ClientTermination::revoke(Peer& peer, const std::string& why) {
   MemoryReserve::no_return();
   AGNOCAST_CRASH_POINT(B_revoke);
@@ -135,7 +135,7 @@ void ClientTermination::revoke(Peer& peer, const std::string& why) {
   };
   reaping_.begin(client, DeathReason::revoked, after);
   if (peer.session.closed()) return;
-  // What waits for it is about a session that it does not have any more.
+  // Queued packets are about a session that it no longer has.
   peer.session.drop_output();
   auto packet = make_body<wire::Refused>(wire::Opcode::revoked);
   packet.code = static_cast<std::uint32_t>(Errc::revoked);
@@ -146,12 +146,12 @@ void ClientTermination::revoke(Peer& peer, const std::string& why) {
 
 void ClientTermination::say_farewell(Peer& peer) {
   if (peer.session.flush() == Session::Flushed::blocked) {
-    dispatcher_.change(peer.connection, EPOLLOUT);  // nothing that it says is read any more
+    dispatcher_.change(peer.connection, EPOLLOUT);  // its packets are no longer read
     return;
   }
   dispatcher_.remove(peer.connection);
   peer.connection = 0;
-  // Not closed: what of its requests was never read would cost it the packet that waits for it.
+  // Not closed: unread requests of it would reset the connection and discard the queued packet.
   ::shutdown(peer.session.socket().fd(), SHUT_RDWR);
 }
 
@@ -172,7 +172,7 @@ void ClientTermination::look_at_detached() {
   for (const auto& [id, peer] : connections_.all()) {
     if (peer->detached) lost.push_back(peer.get());
   }
-  // Those first that have waited longest: there may be no time for all.
+  // Longest wait first: there may be no time for all.
   std::sort(lost.begin(), lost.end(),
             [](const Peer* a, const Peer* b) { return a->looked_ns < b->looked_ns; });
   for (Peer* const peer : lost) {

@@ -1,13 +1,11 @@
 // SPDX-License-Identifier: Apache-2.0
 //
-// ClientTermination: what the end of a connection, the end of a process and an order to revoke
-// mean.
+// ClientTermination: acts on the end of a connection, the end of a process and an order to revoke.
 //
-//   connection ended   drop (nobody's), or detach: the process lives, and may come back
-//   process ended      drop, or reap; a revoked one: its place becomes free
+//   connection ended   drop (no client), or detach: the process lives, and may come back
+//   process ended      drop, or reap; free the place of a revoked client
 //   region gone        reap: after exec, or when the library was shut down
-//   revoke             reap although the process lives; the process is told, and its pidfd stays
-//   watched
+//   revoke             reap although the process lives; notify it, and keep watching its pidfd
 //
 // journal/cases.hpp decides between them; this class carries the decision out.
 #pragma once
@@ -43,20 +41,20 @@ class ClientTermination {
         region_look_(region_look),
         log_(log) {}
 
-  /// The connection is over; the process may live.
+  /// Handles the end of a connection; the process may live.
   void disconnect(Peer& peer, std::string_view why);
-  /// The process has ended, or has nothing of its region any more.
+  /// Handles the end of a process, or of its mappings of its region.
   void reap(Peer& peer, journal::DeathReason reason, std::string_view how);
-  /// The same of a client that has no peer.
+  /// Does the same for a client that has no peer.
   void reap(ClientIndex client, journal::DeathReason reason, std::string_view how,
             std::uint64_t budget_ns = ReapingQueue::budget_ns_of_slice);
-  /// Ends the session of a process that lives. `why` is for it and for the log.
+  /// Ends the session of a living process. `why` goes to it and to the log.
   void revoke(Peer& peer, const std::string& why);
-  /// Sends what a revoked process is to hear last, then shuts its connection.
+  /// Sends the last packet of a revoked process, then shuts its connection down.
   void say_farewell(Peer& peer);
-  /// Of a process without a connection: it is reaped if it has let go.
+  /// Checks whether a process without a connection has unmapped its region, and reaps it then.
   void look_whether_gone(Peer& peer);
-  /// The same of every process without a connection.
+  /// Does the same for every process without a connection.
   void look_at_detached();
 
  private:

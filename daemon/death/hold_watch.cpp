@@ -10,19 +10,18 @@
 namespace agnocast::daemon {
 namespace {
 
-// Lines and places that one look goes over, of all users: below a millisecond.
+// Lines and places that one look reads, for all users: below a millisecond.
 constexpr std::uint32_t steps_per_look = 4096;
-// And of one user. So the lines of each are looked at once in as many looks as there are shares in
-// them, times one for each eight users. A subscription that is begun is finished: at most 254 lines
-// more.
+// The same for one user: a round over a user's lines takes one look for each share of them, times
+// one for each eight users. A subscription that is begun is finished: at most 254 lines more.
 constexpr std::uint32_t steps_per_slice = 512;
-// Looks in a row above the quota that make it certain. One a second: there is no hurry, and
-// somebody who looks with agnocast-ctl verify can still see it.
+// Looks in a row above the quota that give certainty. One a second: there is no hurry, and a
+// person can still see it with agnocast-ctl verify.
 constexpr unsigned looks_needed = 6;
 
 }  // namespace
 
-/// 0 when it is not above its quota, or not there.
+/// Returns the number of held messages, or 0 when it is within its quota or gone.
 std::uint64_t HoldWatch::held_beyond_quota(TopicIndex topic, std::uint32_t subscription,
                                            std::uint32_t publisher) const {
   const SubscriptionRecord& record = registry_.subscription(topic, subscription);
@@ -31,7 +30,7 @@ std::uint64_t HoldWatch::held_beyond_quota(TopicIndex topic, std::uint32_t subsc
     return 0;
   const region::LinkWords<SharedMemory> line{regions_.region(record.client), record.extent,
                                              publisher};
-  // The words behind the line have memory only when there are slots for them.
+  // The words behind the line have memory only if there are slots for them.
   const std::uint64_t slots = std::max<std::uint64_t>(
       registry_.publisher(topic, publisher).slot_count, abi::near_slot_count);
   const std::uint64_t words = (slots + 63) / 64;
@@ -56,7 +55,7 @@ std::uint32_t HoldWatch::look_at(TopicIndex topic, std::uint32_t subscription) {
   return steps;
 }
 
-// Nothing is looked at twice in one time slice: it ends with the last topic of the user.
+// Looks at nothing twice in one time slice: it ends with the last topic of the user.
 std::uint32_t HoldWatch::use_time_slice(std::uint32_t uid, Position& at) {
   std::uint32_t steps = 0;
   while (steps < steps_per_slice) {

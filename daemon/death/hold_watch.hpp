@@ -3,15 +3,15 @@
 // HoldWatch: finds subscriptions that hold more messages of a publisher than they asked for.
 //
 // The library takes nothing beyond the quota, so only a process that writes its lines itself gets
-// there; what it holds is slots and memory of its publisher, who was promised a bound. Looking is
-// for now and then and costs a bounded number of lines each time. Users have their time slices,
-// each with a share of the lines, and go on where their last time slice ended: one who has very
-// many lines is looked at as often as the others, and only its own round takes longer.
+// there; it holds slots and memory of a publisher that was promised a bound. A look happens now
+// and then and reads a bounded number of lines. Each user has time slices with a share of the
+// lines and continues where its last one ended: a user with very many lines is looked at as often
+// as the others, and only its own round takes longer.
 //
-// A line is several words that its owner changes while they are read. So a bit counts only if it
-// was set in two rounds, and a subscription is reported only when that came out above its quota in
-// several looks in a row: an honest one would have to release and take the same slots again between
-// the words of each of them.
+// A line is several words that its owner changes while they are read. So a bit counts only if two
+// reads find it set, and a subscription is reported only after several looks in a row above its
+// quota: an honest one would have to release and take the same slots again between the reads of
+// every look.
 #pragma once
 
 #include <daemon/lifecycle/regions.hpp>
@@ -32,31 +32,31 @@ class HoldWatch {
 
   struct Finding {
     EndpointRef subscription;
-    std::uint64_t held = 0;  // of one publisher
+    std::uint64_t held = 0;  // messages of one publisher
     std::uint64_t quota = 0;
   };
-  /// Looks at the next lines in turn, and again at those that were above their quota the last time.
-  /// At most one of each user: the end of its process is work, and others are not to wait behind
-  /// it.
+  /// Looks at the next lines in turn, and again at those that were above their quota the last
+  /// time. Returns at most one finding for each user: the end of its process is work, and others
+  /// must not wait for it.
   std::vector<Finding> look();
 
  private:
   using Key = std::tuple<std::uint32_t, std::uint32_t, std::uint32_t>;  // topic, subscription,
                                                                         // publisher
   struct Suspect {
-    std::uint64_t generation = 0;  // of the subscription
+    std::uint64_t generation = 0;  // generation of the subscription
     unsigned looks = 0;
   };
 
   std::uint64_t held_beyond_quota(TopicIndex topic, std::uint32_t subscription,
                                   std::uint32_t publisher) const;
-  /// Where the round of a user is: the topic, and the first place there that was not looked at.
+  /// Where the round of a user is: the topic, and the first place there still to be looked at.
   struct Position {
     std::optional<TopicIndex> topic;
     std::uint32_t place = 0;
   };
   void go_on();
-  /// Returns how many steps that took.
+  /// Returns the number of steps taken.
   std::uint32_t use_time_slice(std::uint32_t uid, Position& at);
   std::uint32_t look_at(TopicIndex topic, std::uint32_t subscription);
 

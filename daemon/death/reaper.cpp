@@ -89,8 +89,8 @@ bool Reaping::carry_out(const death::Orphan& step) {
   return true;
 }
 
-// Others keep what they map; nobody new is told of it. What it has itself stays as it is: it may
-// live.
+// Others keep their mappings; the region is announced to no new process. The process's own mapping
+// stays: it may live.
 bool Reaping::carry_out(const death::Unmap&) {
   regions_.unmap_client(client());
   AGNOCAST_CRASH_POINT(B_buried);
@@ -140,8 +140,8 @@ std::optional<bool> maps_file(pid_t pid, const Regions::FileId& file) noexcept {
         inode == file.inode && makedev(device_major, device_minor) == file.device)
       return true;
   }
-  // No memory at all: it is ending, and the pidfd will say so; or its first thread has ended and
-  // the others, whose memory does not show here, live on.
+  // No memory at all: the process is ending, and the pidfd will report it; or its first thread has
+  // ended and the others, whose memory does not show here, live on.
   return !has_memory || std::ferror(maps.get()) != 0;
 }
 

@@ -1,19 +1,19 @@
 // SPDX-License-Identifier: Apache-2.0
 //
-// Reaper: what happens after the end of a process.
+// Reaper: the work after the end of a process.
 //
-// A dead process leaves (a) holds on other people's messages, (b) at most one open intent per
-// publisher, (c) a region and windows that others still map. They are undone in exactly this order,
-// and a window may be used again only when everybody who was told about it has let go (rule RU).
-// The steps and their order: client_death.hpp.
+// A dead process leaves (a) holds on other processes' messages, (b) at most one open intent per
+// publisher, (c) a region and windows that others still map. The reaper undoes them in exactly
+// this order, and a window may be used again only when every process that was notified of it has
+// unmapped it (rule RU). The steps and their order: client_death.hpp.
 //
 // Every step may be repeated. The reaper never trusts a value that the dead process wrote, and
-// never takes the end of a connection for a death: only the pidfd says it, or a process that has no
-// trace of its region any more (after exec).
+// never takes the end of a connection for a death: only the pidfd proves it, or a process that has
+// no trace of its region any more (after exec).
 //
-// Revoking is the same work on a process that lives, and may go on storing: its heads are copied
-// once and nothing is repaired in its region, because an interrupted publish may yet be completed.
-// What lies behind the copied head is read by nobody who has heard of the end.
+// Revoking is the same work on a process that lives and may go on storing: the reaper copies its
+// heads once and repairs nothing in its region, because an interrupted publish may yet be
+// completed. No process that was notified of the end reads beyond the copied head.
 #pragma once
 
 #include <daemon/death/client_death.hpp>
@@ -26,7 +26,7 @@
 
 namespace agnocast::daemon {
 
-/// What a death left to repair, for the log.
+/// The repairs after a death, for the log.
 struct Reaped {
   std::uint64_t subscriptions = 0;
   std::uint64_t publishers = 0;
@@ -36,17 +36,17 @@ struct Reaped {
 };
 
 /// The end of one process, endpoint by endpoint, and topic by topic of what it knew. `client` is
-/// alive in the tables, or was being reaped when the daemon died, and its process stores no more,
+/// alive in the tables, or was being reaped when the daemon died; its process stores no more,
 /// unless the reason is `revoked`. A process whose region was lost has no queues to repair: its
-/// publishers end as they are. Between two calls others are served; what is left of the process
-/// looks to them as if it lived.
+/// publishers end as they are. Between two calls the daemon serves others, to whom the rest of the
+/// process looks as if it lived.
 class Reaping {
  public:
-  /// Journals the death.
+  /// Records the death.
   Reaping(ClientIndex client, journal::DeathReason reason, Registry& registry, Regions& regions,
           Doorbells& doorbells, EndpointManager& endpoint_manager);
 
-  /// Goes on until that time (CLOCK_MONOTONIC), with one step at least. True: it is done.
+  /// Continues until that time (CLOCK_MONOTONIC), for at least one step. Returns true when done.
   bool go_on(std::uint64_t until_ns);
   ClientIndex client() const noexcept { return death_.client(); }
   const Reaped& reaped() const noexcept { return reaped_; }
@@ -70,7 +70,7 @@ class Reaping {
   Reaped reaped_;
 };
 
-/// Whether the process has a mapping of this file. True as well when it cannot be known; nothing
+/// Returns whether the process maps this file; also true when that cannot be known, and nothing
 /// when there is no descriptor or no memory to look now.
 std::optional<bool> maps_file(pid_t pid, const Regions::FileId& file) noexcept;
 

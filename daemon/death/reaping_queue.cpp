@@ -25,8 +25,7 @@ void ReapingQueue::begin(ClientIndex client, DeathReason reason, AfterReaping th
 
 void ReapingQueue::go_on() {
   if (endings_.empty()) return;
-  // Each has its time slice: who leaves much behind does not keep others from being told of another
-  // end.
+  // Each end has its time slice: a large one must not delay the notifications of another.
   endings_.splice(endings_.end(), endings_, endings_.begin());
   const auto ending = std::prev(endings_.end());
   if (!ending->reaping.go_on(monotonic_ns() + budget_ns_of_slice)) return;

@@ -1,8 +1,8 @@
 // SPDX-License-Identifier: Apache-2.0
 //
-// ReapingQueue: ends of processes that take more than one iteration of the loop. A process with
-// thousands of endpoints takes many; the queue gives each end its time slice, so that one that
-// leaves much behind does not keep other processes from being told of another end.
+// ReapingQueue: ends of processes that take more than one iteration of the loop, as one with
+// thousands of endpoints does. The queue gives each end its time slice, so that a large one does
+// not delay the notifications of another.
 #pragma once
 
 #include <daemon/death/reaper.hpp>
@@ -15,7 +15,7 @@ namespace agnocast::daemon {
 
 class ReapingQueue {
  public:
-  // Of the ends of processes, in one iteration of the loop.
+  // For all ends of processes, in one iteration of the loop.
   static constexpr std::uint64_t budget_ns_of_slice = 2'000'000;
   using AfterReaping = std::function<void(const Reaped&)>;
 
@@ -26,12 +26,13 @@ class ReapingQueue {
         doorbells_(doorbells),
         endpoint_manager_(endpoint_manager) {}
 
-  /// Journals the end and does a part of the work now; `then` is called when all of it is done.
+  /// Records the end and does a part of the work now; calls `then` when all of it is done.
   void begin(ClientIndex client, journal::DeathReason reason, AfterReaping then,
              std::uint64_t budget_ns = budget_ns_of_slice);
-  /// Has `then` called after what begin() was told, if that end is not done yet. False: it is.
+  /// Appends `then` to the callback of begin() if that end is not done yet. Returns false if it
+  /// is.
   bool append(ClientIndex client, AfterReaping then);
-  /// Goes on with one of the ends, for a while.
+  /// Continues one of the ends for a while.
   void go_on();
   bool is_empty() const noexcept { return endings_.empty(); }
 
@@ -45,7 +46,7 @@ class ReapingQueue {
   Regions& regions_;
   Doorbells& doorbells_;
   EndpointManager& endpoint_manager_;
-  std::list<Ending> endings_;  // that have begun
+  std::list<Ending> endings_;  // begun and not done
 };
 
 }  // namespace agnocast::daemon

@@ -15,8 +15,8 @@ namespace agnocast::daemon {
 
 namespace {
 
-// How many times as long as a look has taken that took longer than this no process of that user is
-// looked at again.
+// After a look that took longer than the budget, no process of that user is looked at for so many
+// times as long as it took.
 constexpr std::uint64_t look_budget_ns = 20'000'000, look_rest = 20;
 
 }  // namespace

@@ -11,22 +11,23 @@
 namespace agnocast::daemon {
 namespace {
 
-// Looks in a row that make it certain of one that is deaf, at most one a second: five seconds are
+// Looks in a row that give certainty about a deaf process, at most one a second: five seconds are
 // long for a thread that only has to read a packet.
 constexpr unsigned deaf_looks_needed = 5;
-// The same of any other. A library that was refused asks every five seconds
-// (Reconnection::pause_refused), and a slow machine has hundreds of them to take back and to tell.
+// The same for any other process. A refused library asks every five seconds
+// (Reconnection::pause_refused), and a slow machine has hundreds of them to take back and to
+// notify.
 constexpr unsigned looks_needed = 30;
-// Records and words of shared memory that one call looks at: below a millisecond. An endpoint that
-// is begun is finished: another 25,000 at most.
+// Records and words of shared memory that one call reads: below a millisecond. An endpoint that is
+// begun is finished: another 25,000 at most.
 constexpr std::uint64_t steps_per_call = 16'384;
-// And for one user, so that four have a time slice in each call.
+// The same for one user, so that four have a time slice in each call.
 constexpr std::uint64_t steps_per_slice = steps_per_call / 4;
 
 }  // namespace
 
-// Its own lines say so. A process that sets bits for nothing is bounded by its quota: see
-// hold_watch.hpp.
+// Returns whether its own lines show a hold. The quota bounds a process that sets bits for
+// nothing: see hold_watch.hpp.
 bool UnmapWatch::holds(const SubscriptionRecord& subscription, const EndpointRef& of) {
   if ((subscription.state != EndpointState::active &&
        subscription.state != EndpointState::leaving) ||
@@ -34,7 +35,7 @@ bool UnmapWatch::holds(const SubscriptionRecord& subscription, const EndpointRef
     return false;
   const region::LinkWords<SharedMemory> line{regions_.region(subscription.client),
                                              subscription.extent, of.index};
-  // The words behind the line have memory only when there are slots for them.
+  // The words behind the line have memory only if there are slots for them.
   const std::uint64_t slots = std::max<std::uint64_t>(
       registry_.publisher(of.topic, of.index).slot_count, abi::near_slot_count);
   for (std::uint64_t word = 0; word < (slots + 63) / 64; ++word) {
@@ -86,7 +87,7 @@ std::vector<UnmapWatch::Finding> UnmapWatch::look() {
     auto user = given_up.lower_bound(next_user_);
     if (user == given_up.end()) user = given_up.begin();
     use_time_slice(user->first, rounds_[user->first], found);
-    next_user_ = user->first + 1;  // 0 behind the last number there is
+    next_user_ = user->first + 1;  // 0 after the last number there is
   }
   std::vector<Finding> all;
   for (const auto& [client, finding] : found) all.push_back(finding);

@@ -2,22 +2,22 @@
 //
 // UnmapWatch: finds processes that do not unmap what is over, and so keep its place from others.
 //
-// By rule RU the place of an endpoint that is gone is free when everybody who was told of it has
-// said `unlinked`. Of more than a bounded number Endings gives the oldest up: what is unread there
-// is nobody's any more. Then nothing is left that a living process could want of them but messages
-// that it holds, and a library answers as soon as its control thread has read that it is to. Who
-// neither holds something nor answers is stopped, or broken, and what it keeps is others' to use:
-// places, processes, regions, heaps.
+// By rule RU the place of a gone endpoint is free when each process that was notified of it has
+// sent `unlinked`. Beyond a bounded number Endings gives up the oldest: their unread messages are
+// lost. Then a living process can want nothing of them but messages that it holds, and a library
+// answers as soon as its control thread has read the request. A process that neither holds a
+// message nor answers is stopped or broken, and others need what it keeps: places, processes,
+// regions, heaps.
 //
-// Only what was given up counts, so a process may be stopped as long as it likes while others have
-// room. It must not have let go of the same endpoint in each of many looks, so nobody is found who
-// is merely asked for one after the other. Few looks are enough if it was sent everything, or reads
-// nothing of it. Who reads, has no connection or has just come back gets more, and no more than
-// that, however often it comes back.
+// Only endpoints that were given up count, so a process may be stopped for as long as it likes
+// while others have room. It must have kept the same endpoint mapped in each of many looks, so a
+// process that is merely asked for one after the other is never found. Few looks are enough if it
+// was sent everything, or reads nothing of it. A process that reads, has no connection or has just
+// come back gets more looks, but never more than that, however often it comes back.
 //
-// One look goes over everything that one user's processes had and that was given up, in as many
-// calls as that takes: others must not wait for it. Each user has looks of its own, and in a call
-// its time slice: what one has left behind makes no look at another's longer.
+// One look covers all given-up endpoints of one user's processes, in as many calls as that takes:
+// others must not wait for it. Each user has looks of its own, and a time slice in each call: no
+// user makes another's look longer.
 #pragma once
 
 #include <daemon/lifecycle/endings.hpp>
@@ -40,26 +40,27 @@ class UnmapWatch {
   struct Finding {
     ClientIndex client{};
     EndpointRef oldest;
-    std::uint64_t generation = 0;  // of the oldest
-    std::uint64_t count = 0;       // of such endpoints
+    std::uint64_t generation = 0;  // generation of the oldest
+    std::uint64_t count = 0;       // number of such endpoints
   };
-  /// To be called about once a second. All that were found, a process once: one alone may make no
-  /// place free.
+  /// Returns all findings, one for each process: revoking one of them alone may make no place
+  /// free. To be called about once a second.
   std::vector<Finding> look();
-  /// It is told everything once more.
+  /// The process is being notified of everything once more.
   void notified_again(ClientIndex client);
-  /// Whether it still has not let go.
+  /// Returns whether the process still has not unmapped the endpoint.
   bool is_true(const Finding& finding) const;
 
  private:
   struct Suspect {
-    std::uint64_t generation = 0;  // of the oldest endpoint that it is to let go of
+    std::uint64_t generation = 0;  // generation of the oldest endpoint that it is to unmap
     unsigned looks = 0;
-    // Of them the last ones in a row: nothing is left to be sent, or nothing leaves.
+    // The last of these looks in a row with nothing left to send, or nothing sent.
     unsigned deaf = 0;
-    std::uint64_t sent = 0;  // packets, on its connection
+    std::uint64_t sent = 0;  // packets sent on its connection
   };
-  /// Of one user: the look that is under way, up to which generation, and what it found.
+  /// The look at one user's endpoints that is under way, the generation it has reached, and its
+  /// findings.
   struct Round {
     std::uint64_t next = 0;
     std::map<ClientIndex, Finding> debts;
@@ -76,8 +77,8 @@ class UnmapWatch {
   const Endings& endings_;
   ClientChannel& channel_;
   std::map<std::uint32_t, Round> rounds_;  // by uid
-  std::uint32_t next_user_ = 0;            // whose time slice is the first
-  std::uint64_t steps_ = 0;                // of this call
+  std::uint32_t next_user_ = 0;            // gets the first time slice
+  std::uint64_t steps_ = 0;                // in this call
 };
 
 }  // namespace agnocast::daemon
