@@ -1,7 +1,8 @@
 // SPDX-License-Identifier: Apache-2.0
 //
-// AcknowledgementRequests: what a process says of things that the daemon has told it of: it has
-// read a publisher to its end, let go of something, cannot map a window, or gave up a reader.
+// AcknowledgementRequests: reports of a process about things that the daemon has announced to it:
+// it has read a publisher to its end, unmapped something, cannot map a window, or serves a reader
+// no more.
 #pragma once
 
 #include <daemon/admission/address_conflicts.hpp>

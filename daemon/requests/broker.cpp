@@ -20,9 +20,9 @@ namespace agnocast::daemon {
 
 namespace {
 
-// How often a process without a connection is looked at.
+// Interval of looks at processes without a connection.
 constexpr int short_interval_ms = 250;
-// How often holds are looked at, what is let go of, and observers.
+// Interval of looks at holds, at outstanding unmaps and at doorbells.
 constexpr int watch_interval_ms = 1'000;
 
 }  // namespace
@@ -139,7 +139,7 @@ Result<void> Broker::start() { return acceptor_.start(); }
 void Broker::serve_waiting() {
   scheduler_.serve(
       [this](PeerId id, const TimeSlice& slice) { return reader_.serve_slice(id, slice); });
-  // Whose connection has just ended may take another one.
+  // The user of a connection that has just ended may open another one.
   acceptor_.accept_some();
 }
 
@@ -147,7 +147,8 @@ void Broker::tick() {
   reaping_.go_on();
   const std::uint64_t now = monotonic_ms();
   if (now - looked_ms_ >= short_interval_ms) look_around(now);  // however many events there are
-  answers_.answer_who_awaits_change();                          // of the events, and of the look
+  answers_.answer_who_awaits_change();                          // changes by the events and by
+                                                                // look_around()
   answers_.go_on();
 }
 
@@ -194,7 +195,7 @@ int Broker::due_ms() const noexcept {
 
 void Broker::watch_holds() {
   for (const HoldWatch::Finding& liar : hold_watch_.look()) {
-    // The end of another one may have been the end of this place.
+    // Revoking another process may have freed this place.
     if (!registry_.is_used(liar.subscription)) continue;
     Peer* const peer = connections_.of_client(registry_.owner_of(liar.subscription));
     if (peer == nullptr) continue;
@@ -208,12 +209,12 @@ void Broker::watch_holds() {
 void Broker::watch_letting_go() {
   for (const UnmapWatch::Finding& found : unmap_watch_.look()) {
     if (connections_.of_client(found.client) == nullptr) continue;
-    // It may have said so, and wait for its time slice.
+    // Its acknowledgement may be waiting for a time slice.
     reader_.read(connections_.of_client(found.client)->id, TimeSlice());
     Peer* const peer = connections_.of_client(found.client);
     if (peer == nullptr || !unmap_watch_.is_true(found)) continue;
     const EndpointRef& oldest = found.oldest;
-    termination_.revoke(*peer, "it does not let go of " + std::to_string(found.count) +
+    termination_.revoke(*peer, "it has not unmapped " + std::to_string(found.count) +
                                    " endpoints that are gone, the oldest a " +
                                    (oldest.kind == Kind::publisher ? "publisher" : "subscription") +
                                    " of " + printable(registry_.topic(oldest.topic).name));

@@ -1,23 +1,22 @@
 // SPDX-License-Identifier: Apache-2.0
 //
-// Broker: the composition root of agnocastd. It builds and owns everything below, and says in which
-// order it has its time slice. What happens when, and where:
+// Broker: the composition root of agnocastd. It builds and owns all other parts, and decides in
+// which order they have their time slices. What happens when, and where:
 //
-//   somebody wants to connect   Acceptor: accepts, identifies, watches connection and process
-//   connection readable         RequestScheduler, when its user has a time slice → PacketReader → RequestServer
-//                               → the handler that RequestTable names: *_requests.hpp
-//   connection or process ended ClientTermination: keeps the client (the process lives), or reaps
-//   it an errand has ended         the request that was parked for it goes on (RequestScheduler)
-//   time passes                 tick(): ReapingQueue, ObserverAnswers, and look_around() for what
-//   is due started again               Recovery
+//   a process connects          Acceptor: accepts, identifies, watches connection and process
+//   connection readable         RequestScheduler, in its user's time slice → PacketReader
+//                               → RequestServer → the handler of RequestTable: *_requests.hpp
+//   connection or process ended ClientTermination: keeps the client if its process lives, or reaps
+//   an errand has ended         RequestScheduler: the parked request continues
+//   time passes                 tick(): ReapingQueue, ObserverAnswers, periodic look_around()
+//   started again               Recovery
 //
-// What handlers share: Admission (quotas), AccessControl (rules), AddressConflicts (heaps that
-// collide), PeerOutput (what is sent), ConnectionTable (who is there). None of them knows Broker.
+// Handlers share Admission (quotas), AccessControl (rules), AddressConflicts (heaps that collide),
+// PeerOutput (sending) and ConnectionTable (connections). None of them knows Broker.
 //
-// One thread. Calls that may take as long as a client likes are made in others (errands.hpp,
-// disposal.hpp), and so is the freeing of memory (closer.hpp). The order of things inside one event
-// is the protocol's; between events everything is consistent, so the daemon may be killed at any
-// time.
+// One thread. Other threads make calls that may take as long as a client likes (errands.hpp,
+// disposal.hpp) and free memory (closer.hpp). The protocol gives the order of steps inside one
+// event; between events everything is consistent, so the daemon may be killed at any time.
 #pragma once
 
 #include <base/text/log.hpp>
@@ -78,31 +77,30 @@ class Broker final {
   Broker(const Broker&) = delete;
   Broker& operator=(const Broker&) = delete;
 
-  /// A new life, in memory that is all zero. Errors: as DescriptorStore::put.
+  /// Begins a new incarnation, in memory that is all zero. Errors: as DescriptorStore::put.
   [[nodiscard]] Result<void> format(std::uint64_t incarnation);
-  /// Goes on with a previous run, see Recovery. Errors: layout_mismatch, store_damaged,
-  /// os_failure.
+  /// Continues a previous run, see Recovery. Errors: layout_mismatch, store_damaged, os_failure.
   [[nodiscard]] Result<void> resume();
   /// Begins to serve. Errors: os_failure.
   [[nodiscard]] Result<void> start();
-  /// Serves what the dispatcher has found, each user a share of it; what remains is served next
+  /// Serves requests that the dispatcher has found, each user's share of them; the rest comes next
   /// time.
   void serve_waiting();
-  /// What is to be done now and then; call it after at most due_ms() (-1: nothing is due).
+  /// Does periodic work; call it after at most due_ms() (-1: nothing is due).
   void tick();
   int due_ms() const noexcept;
-  /// The one in force: a previous run's, whatever the options say.
+  /// Returns the arena in force: the previous run's, whatever the options say.
   const Arena& arena() const noexcept { return options_.arena; }
 
  private:
   void fill_request_table();
-  /// What is to be done a few times a second, however many events there are.
+  /// Does the work that is due a few times a second, however many events there are.
   void look_around(std::uint64_t now);
-  /// Revoke processes that hold more than they may, and that do not let go.
+  /// Revoke processes that hold more than they may, and those that do not unmap.
   void watch_holds();
   void watch_letting_go();
   void announce_what_waits();
-  /// The place of a process is free, and so are its addresses.
+  /// Frees the memory and the addresses of a process whose place is free.
   void free_client(ClientIndex client);
 
   BrokerOptions options_;
@@ -143,8 +141,8 @@ class Broker final {
   AcknowledgementRequests acknowledgement_requests_;
   PacketReader reader_;
   Acceptor acceptor_;
-  std::uint64_t looked_ms_ = 0;   // when tick() last had a look
-  std::uint64_t watched_ms_ = 0;  // the same, at what is held and what is let go of
+  std::uint64_t looked_ms_ = 0;   // when look_around() last ran
+  std::uint64_t watched_ms_ = 0;  // when watch_holds() and watch_letting_go() last ran
 };
 
 }  // namespace agnocast::daemon

@@ -33,7 +33,7 @@ Result<void> EndpointRequests::create(Peer& peer, const CreateRequest& request) 
   const auto waits = clear_before(peer, request);
   if (!waits) return tl::unexpected(waits.error());
   if (*waits) return {};
-  // Before anybody is told of the publisher, and with it of the heap.
+  // Set before any process is notified of the publisher, and with it of the heap.
   const bool is_first = request.kind == Kind::publisher && record.readers == 0;
   if (is_first)
     registry_.set_readers(client, readers_of(config_.access, record.domain, request.topic));
@@ -56,8 +56,8 @@ Result<void> EndpointRequests::leave(Peer& peer, const LeaveRequest& request) {
   return endpoint_manager_.leave(*peer.session.client(), request);
 }
 
-// The file of a region is one that its process may write to, and so keep locked: what waits for
-// that is an errand of its user, and the request with it.
+// A process may write to the file of its region, and so keep it locked: waiting for that is an
+// errand of its user, and the request is parked.
 Result<bool> EndpointRequests::clear_before(Peer& peer, const CreateRequest& request) {
   const ClientIndex client = *peer.session.client();
   const std::uint64_t bytes = request.kind == Kind::publisher ? abi::publisher_extent_bytes
@@ -87,9 +87,8 @@ void EndpointRequests::refuse_uncleared(std::uint64_t now) {
     Peer* const peer = scheduler_.unpark(waits.id, waits.ticket);
     if (peer == nullptr) continue;  // it has gone, or come back on another connection
     constexpr std::string_view why =
-        "memory of this process could not be prepared in time: something of it, or of its user, "
-        "keeps "
-        "agnocastd waiting";
+        "memory for the endpoint could not be prepared in time: this process, or another one of "
+        "its user, keeps agnocastd waiting";
     const Request request = Rejected{waits.request, Errc::limit_reached, std::string(why), false};
     refusals_.report(*peer, request, waits.request, Errc::limit_reached, 0, why);
   }

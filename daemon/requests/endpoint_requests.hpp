@@ -1,6 +1,6 @@
 // SPDX-License-Identifier: Apache-2.0
 //
-// EndpointRequests: publishers and subscriptions are created, and leave.
+// EndpointRequests: processes create publishers and subscriptions, and let them leave.
 #pragma once
 
 #include <base/text/log.hpp>
@@ -43,7 +43,7 @@ class EndpointRequests {
   [[nodiscard]] Result<void> leave(Peer& peer, const LeaveRequest& request);
   /// Refuses creations whose memory was not prepared in time.
   void refuse_uncleared(std::uint64_t now);
-  /// Whether refuse_uncleared() is to be called now and then.
+  /// Returns whether refuse_uncleared() is to be called now and then.
   bool has_uncleared() const noexcept { return !uncleared_.empty(); }
 
  private:
@@ -52,10 +52,12 @@ class EndpointRequests {
     PeerId id = 0;
     std::uint64_t ticket = 0, request = 0, until_ms = 0;
   };
-  // Microseconds, unless its process keeps the file, or others every thread that could do it.
+  // It takes microseconds, unless its process keeps the file locked, or others keep every thread
+  // busy.
   static constexpr std::uint64_t clearing_ms = 10'000;
 
-  /// True: memory for the endpoint is prepared first; the request waits for that.
+  /// Returns true when memory for the endpoint is prepared first; the request is parked until
+  /// then.
   [[nodiscard]] Result<bool> clear_before(Peer& peer, const CreateRequest& request);
 
   const Config& config_;
@@ -68,7 +70,7 @@ class EndpointRequests {
   RefusalReport& refusals_;
   ReaderReports& readers_;
   Log& log_;
-  std::shared_ptr<char> here_ = std::make_shared<char>();  // for errands that end later
+  std::shared_ptr<char> here_ = std::make_shared<char>();  // expires before errands that end later
   std::deque<Uncleared> uncleared_;
 };
 

@@ -26,7 +26,7 @@ Result<void> ExecutorRequests::admit_executor(ClientIndex client, const Executor
                               !is_open ? found::not_done
                               : in_use ? found::used
                                        : found::done) != journal::RequestDecision::carry_out)
-    return fail_with(Errc::protocol_violation, "the executor is open");
+    return fail_with(Errc::protocol_violation, "the executor is open already");
   if (!is_open) {
     return admission_.admit_executor(registry_.client(client).uid);
   }

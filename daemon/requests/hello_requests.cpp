@@ -25,16 +25,16 @@ using journal::DeathReason;
 
 namespace {
 
-// Places that a hello waits for: a daemon that died twice while it welcomed a process has left two.
+// Places that a hello waits for: a daemon that died twice while it welcomed a process leaves two.
 constexpr std::size_t unused_count_max = 4;
 
 }  // namespace
 
-/// What is found out of a process that has been here before.
+/// The findings about earlier sessions of a process.
 struct HelloRequests::Before {
   std::size_t open = 0;  // looks that have not ended
   RegionTrace revoked = RegionTrace::none;
-  std::vector<PeerId> unused;  // places
+  std::vector<PeerId> unused;  // places of such sessions
   void add(PeerId id, bool is_revoked, RegionTrace trace) {
     if (!is_revoked) {
       if (trace == RegionTrace::none) unused.push_back(id);
@@ -44,14 +44,14 @@ struct HelloRequests::Before {
   }
 };
 
-// A daemon that died while it welcomed a process has left a place that nobody uses. And a process
-// that was revoked may not come back while it has its region; after exec it is another program.
+// A daemon that died while it welcomed a process leaves an unused place. A revoked process may not
+// come back while it has its region; after exec it is another program.
 bool HelloRequests::look_before(Peer& peer, const wire::Hello& hello) {
   if (of_.connections.detached_count() == 0 || peer.revoked_trace) return false;
   const auto before = std::make_shared<Before>();
   const std::uint64_t ticket = of_.scheduler.next_ticket();
   for (const auto& [id, other] : of_.connections.all()) {
-    // Of the places that a process leaves behind again and again, each is found by its own look.
+    // If a process leaves places behind again and again, look_at_detached() finds the others.
     if (!other->detached || (before->open >= unused_count_max && !other->revoked) ||
         other->session.identity().pid != peer.session.identity().pid ||
         !same_process(other->session.identity().process, peer.session.identity().process))
@@ -102,7 +102,8 @@ Result<void> HelloRequests::hello(Peer& peer, const wire::Hello& hello) {
     case RegionTrace::some:
       return fail_with(Errc::revoked, "the session of this process was revoked");
     case RegionTrace::unknown:
-      // It may have become another program since. Whoever loses its connection says hello again.
+      // It may have become another program since. A process that loses its connection says hello
+      // again.
       of_.termination.disconnect(peer, "no time to look whether the process was revoked");
       return {};
   }

@@ -2,7 +2,8 @@
 //
 // HelloRequests: a process joins.
 //
-// A process that has been here before is looked at first, elsewhere; its hello waits for that.
+// If it has been here before, a thread first looks at its previous sessions; its hello is parked
+// until then.
 #pragma once
 
 #include <base/text/log.hpp>
@@ -47,7 +48,8 @@ class HelloRequests {
 
  private:
   struct Before;
-  /// True: the process has been here before, and is looked at first; its hello waits for that.
+  /// Returns true when the process has been here before and must be looked at first; its hello is
+  /// parked until then.
   bool look_before(Peer& peer, const wire::Hello& hello);
   void welcome_after(PeerId id, std::uint64_t ticket, const wire::Hello& hello,
                      const Before& before);

@@ -11,9 +11,9 @@
 
 namespace agnocast::daemon {
 
-// What a client says of its own publisher. The reader is looked up here: nothing of it is the
-// client's word. (Its process may not have been told of the reader: it is served no more also
-// because it could not be mapped.)
+// A client reports this about its own publisher. The daemon looks the reader up and takes nothing
+// about it from the client. (The reader may never have been announced to that process: it is also
+// withdrawn when it could not be mapped.)
 void ReaderReports::withdrawn(const PeerIdentity& who, ClientIndex client,
                               const wire::Withdrawn& report) {
   const ReaderPair pair{{Kind::publisher, static_cast<TopicIndex>(report.topic),

@@ -1,9 +1,9 @@
 // SPDX-License-Identifier: Apache-2.0
 //
-// ReaderReports: what is said of readers that get less than others: those that a publisher serves
-// no more, which the publisher's process says, and those that nobody can ring, which the daemon
-// finds. Each change is a record of the redo log and a line of the log, for people who ask later;
-// nothing follows from it.
+// ReaderReports: reports of readers that get less than others: those that a publisher no longer
+// serves, reported by its process, and those that cannot be rung, found by the daemon. Each change
+// is a record of the redo log and a line of the log, for people who ask later; it has no other
+// effect.
 #pragma once
 
 #include <base/sockets/peer_identity.hpp>
@@ -22,9 +22,9 @@ class ReaderReports {
   ReaderReports(Registry& registry, Doorbells& doorbells, Log& log) noexcept
       : registry_(registry), doorbells_(doorbells), log_(log) {}
 
-  /// A client says it of a publisher of its own.
+  /// Handles a client's report about a publisher of its own.
   void withdrawn(const PeerIdentity& identity, ClientIndex client, const wire::Withdrawn& report);
-  /// A subscription was created: can anybody ring its executor?
+  /// Checks whether the executor of a new subscription can be rung.
   void created(ClientIndex client, const CreateRequest& request);
   /// Tries some of the doorbells, see Doorbells::look().
   void look_for_silent_doorbells(std::uint64_t now_ms);

@@ -50,14 +50,14 @@ Result<void> Recovery::run() {
   return {};
 }
 
-// A process without everything that is needed to look after it is treated as dead: its readers end
-// with it, and its memory is not given to anybody else before they have.
+// A process that lacks something the daemon needs to watch it is treated as dead: its readers are
+// notified of its end, and its memory is not given out before they have unmapped it.
 Result<journal::FoundDecision> Recovery::adopt_client(ClientIndex client, std::uint64_t& lost) {
   const ClientRecord& record = of_.registry.client(client);
   for (std::uint64_t w = 0; w < record.window_count; ++w) {
     if (record.window[w].bytes != of_.arena.window_bytes || !of_.plan.adopt(record.window[w].base))
       return fail_with(Errc::store_damaged,
-                       "what the former agnocastd left is damaged: the windows of a process");
+                       "the memory of the previous agnocastd is damaged: the windows of a process");
   }
   const auto adopted =
       of_.regions.adopt_client(client, record.window_count, of_.registry.used_bytes_of(client));
@@ -67,7 +67,7 @@ Result<journal::FoundDecision> Recovery::adopt_client(ClientIndex client, std::u
   const std::uint8_t owner = record.state == ClientState::alive ? stored::alive
                              : of_.registry.is_revoked(client)  ? stored::revoked
                                                                 : stored::dead;
-  // What is to be removed is what is not taken here (remove_left_over).
+  // remove_left_over() removes what is not taken here.
   const auto takes = [&](std::uint8_t what) {
     return journal::decide_stored(what, true, owner) == journal::StoredDecision::take;
   };
@@ -109,8 +109,8 @@ Result<journal::FoundDecision> Recovery::adopt_client(ClientIndex client, std::u
   return decision;
 }
 
-// The memory is there; its locks went with the former daemon's mapping. That the limit of memory is
-// lower now is no reason to give anybody up.
+// The memory exists; only the previous daemon's mapping is gone. A memory limit that is lower now
+// is no reason to give up a process.
 void Recovery::back_endpoints(ClientIndex client) {
   for (const EndpointRef& ref : of_.registry.endpoints_of(client)) {
     Result<void> backed;
@@ -156,7 +156,7 @@ Result<void> Recovery::watch(ClientIndex client, Pidfd process) {
 std::uint64_t Recovery::reap_while_away(const std::vector<ClientIndex>& ended) {
   std::uint64_t dead = 0;
   for (const ClientIndex client : ended) {
-    // The end of one may be the end of another that was waited for.
+    // The end of one process may already have ended another.
     const ClientState state = of_.registry.client(client).state;
     if (state == ClientState::alive) {
       of_.termination.reap(client, DeathReason::died, "ended while the daemon was away",
@@ -164,7 +164,7 @@ std::uint64_t Recovery::reap_while_away(const std::vector<ClientIndex>& ended) {
       ++dead;
     } else if (state == ClientState::dead) {
       of_.termination.reap(client, of_.registry.client(client).reason,
-                           "its end was not finished by the former daemon", UINT64_MAX);
+                           "the previous daemon did not finish its end", UINT64_MAX);
     }
   }
   return dead;

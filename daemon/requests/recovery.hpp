@@ -1,14 +1,14 @@
 // SPDX-License-Identifier: Apache-2.0
 //
-// Recovery: going on with a previous run. docs/control-plane.md, "Restart".
+// Recovery: continues a previous run. docs/control-plane.md, "Restart".
 //
-// Tables, board, memory, doorbells and the identity of every process are what they were;
-// connections are not. So everybody who lives is a process without a connection until it says
-// rejoin, and whatever was journaled but not done, sent or rung is done again:
+// Tables, board, memory, doorbells and the identity of every process are as before; connections
+// are not. So each living process counts as one without a connection until it sends rejoin, and
+// recorded changes that were not applied, sent or rung are repeated:
 //
-//     redo the change under way → the board says what the tables say → memory, doorbells and pidfds back
-//     → what belongs to no living record is removed → deaths that happened meanwhile, reaps that did
-//     not come to their end → what follows from the last records → every epoch moves, every doorbell rings
+//     redo the pending change → repair the board from the tables → take memory, doorbells and pidfds
+//     → remove what belongs to no living record → handle deaths that happened meanwhile, finish unfinished
+//     reaps → carry out what follows from the last records → move every epoch, ring every doorbell
 //
 // Each step may be repeated: a daemon that dies in here is started again and begins here.
 #pragma once
@@ -33,7 +33,7 @@
 
 namespace agnocast::daemon {
 
-/// The parts of the daemon that go on with a previous run.
+/// The parts of the daemon that continue a previous run.
 struct RecoveredParts {
   const Arena& arena;
   AddressPlan& plan;
@@ -54,7 +54,7 @@ class Recovery {
  public:
   explicit Recovery(const RecoveredParts& parts) noexcept : of_(parts) {}
 
-  /// Call once, after the registry was opened and before anybody is served. Errors: store_damaged,
+  /// Recovers. Call once, after the registry was opened and before serving. Errors: store_damaged,
   /// os_failure.
   [[nodiscard]] Result<void> run();
 

@@ -18,7 +18,7 @@
 
 namespace agnocast::daemon {
 
-// The connection that the process had before.
+// Returns the peer of the process's previous connection.
 Result<Peer*> RejoinRequests::lost_peer(const Peer& peer, const wire::Rejoin& request) {
   using journal::RejoinDecision;
   const ClientIndex client{static_cast<std::uint32_t>(request.client)};
@@ -38,7 +38,7 @@ Result<Peer*> RejoinRequests::lost_peer(const Peer& peer, const wire::Rejoin& re
     case RejoinDecision::permission_denied:
       break;
   }
-  // check_caller() has said the other reasons for these two.
+  // check_caller() has given the other reasons for these two.
   return fail_with(Errc::permission_denied, "that is the place of another process");
 }
 
@@ -49,8 +49,8 @@ Result<void> RejoinRequests::rejoin(Peer& peer, const wire::Rejoin& request) {
   const ClientIndex client{static_cast<std::uint32_t>(request.client)};
   peer.returns = (*before)->returns;
   if (!peer.returns.take(monotonic_ms()))
-    return fail_with(Errc::limit_reached, "this process comes back too often; later it may");
-  // The rules may be others than those by which it was let in.
+    return fail_with(Errc::limit_reached, "this process comes back too often; try again later");
+  // The rules may have changed since it was admitted.
   if (const std::string why = of_.access.forbidden_endpoint(client, peer.session.identity());
       !why.empty()) {
     of_.termination.revoke(**before, why);
@@ -58,8 +58,8 @@ Result<void> RejoinRequests::rejoin(Peer& peer, const wire::Rejoin& request) {
   }
   of_.access.warn_of_other_readers(client);
   MemoryReserve::no_return();
-  // It may have been taken for one more because the daemon had not seen yet that the old one had
-  // ended.
+  // It may have been counted as one more process because the daemon had not yet seen the end of
+  // its old connection.
   of_.connections.count_as_client(peer);
   peer.session.greet(client);
   of_.connections.set_client(client, &peer);
@@ -73,13 +73,13 @@ Result<void> RejoinRequests::rejoin(Peer& peer, const wire::Rejoin& request) {
   of_.unmap_watch.notified_again(client);
   renew_doorbells(peer);
   of_.endpoint_manager.welcome_back(client);
-  of_.conflicts.look_at_publishers_of(client);  // it may have been asked to move in vain
+  of_.conflicts.look_at_publishers_of(client);  // a request to move may have been lost
   of_.log.write(LogLevel::debug, "client is back",
                 {{"client", number(client)}, {"pid", peer.session.identity().pid}});
   return {};
 }
 
-// Its wait sets would be deaf to publishers of other users for as long as it lives.
+// Without them its wait sets would be deaf to publishers of other users for as long as it lives.
 void RejoinRequests::renew_doorbells(Peer& peer) {
   const ClientIndex client = *peer.session.client();
   const std::uint64_t executors = of_.registry.client(client).executors;

@@ -39,7 +39,7 @@ class RejoinRequests {
 
  private:
   [[nodiscard]] Result<Peer*> lost_peer(const Peer& peer, const wire::Rejoin& request);
-  /// Makes the doorbells that were lost anew.
+  /// Replaces doorbells that were lost.
   void renew_doorbells(Peer& peer);
 
   RejoinParts of_;

@@ -22,7 +22,7 @@ Result<void> WindowRequests::open_window(Peer& peer, const wire::WindowRequest& 
   Result<SharedFd> writer = SharedFd();
   if (request.window < record.window_count) {
     ++registry_.counters().requests_answered_again;
-    writer = regions_.window_writer(client, request.window);  // asked for again
+    writer = regions_.window_writer(client, request.window);  // a repeated request
     if (!writer) return tl::unexpected(writer.error());
   } else {
     if (auto admitted = admission_.admit_window(record); !admitted) return admitted;
@@ -37,8 +37,8 @@ Result<void> WindowRequests::open_window(Peer& peer, const wire::WindowRequest& 
     }
     AGNOCAST_CRASH_POINT(B_window_made);
     registry_.open_window(client, *window);
-    // Before the answer: the announcement is in a subscriber's socket before the first message lies
-    // in the window.
+    // Before the answer: so the announcement is in a subscriber's socket before the window has a
+    // message.
     endpoint_manager_.announce_window(client);
     log_.write(LogLevel::debug, "window opened",
                {{"client", number(client)},
@@ -59,8 +59,8 @@ Result<void> WindowRequests::open_window(Peer& peer, const wire::WindowRequest& 
   return {};
 }
 
-// What lies in a window outlives the daemon that gave it: its owner, which knows nobody here yet,
-// keeps it where it is, and its readers find the same memory at the same place.
+// The contents of a window outlive the daemon that gave it: its owner, whose peers the new daemon
+// does not know yet, keeps it where it is, and its readers find the same memory at the same place.
 Result<void> WindowRequests::bring_window(Peer& peer, const wire::BringWindow& request,
                                           std::span<UniqueFd> fds) {
   const UniqueFd& window = fds[0];  // decode() has counted them
@@ -84,7 +84,7 @@ Result<void> WindowRequests::bring_window(Peer& peer, const wire::BringWindow& r
         request.first == request.window ||
         (request.window != 0 && request.first == record.window[request.window - 1].first);
     allowed = admission_.admit_brought_window(record, request.bytes);
-    // The later failure is the one whose text is kept, and the one that is said.
+    // If both fail, the text of the later failure is kept and sent.
     ours = Regions::check_window(window.get(), request.base, request.bytes, record.uid);
     facts.room = allowed.has_value();
     facts.ours = ours.has_value();

@@ -1,7 +1,7 @@
 // SPDX-License-Identifier: Apache-2.0
 //
-// WindowRequests: heap windows: one that a process asks for, and one that it brings from a former
-// incarnation.
+// WindowRequests: heap windows: those that a process asks for, and those that it brings from a
+// previous incarnation.
 #pragma once
 
 #include <base/descriptors/unique_fd.hpp>
@@ -40,7 +40,7 @@ class WindowRequests {
                                           std::span<UniqueFd> fds);
 
  private:
-  /// Carries out what bring_window() has decided, but for the answer. Errors: os_failure.
+  /// Carries out what bring_window() has decided, except for the answer. Errors: os_failure.
   [[nodiscard]] Result<void> take_brought(const Peer& peer, const wire::BringWindow& request,
                                           const UniqueFd& window);
 
