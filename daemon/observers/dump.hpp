@@ -1,9 +1,9 @@
 // SPDX-License-Identifier: Apache-2.0
 //
-// Dump: everything the daemon knows, as packets for an observer. Pure; made in one iteration of the
-// loop, so all packets together are one moment.
+// Dump: everything the daemon knows, as packets for an observer. Pure; made in one iteration of
+// the loop, so all packets together show one moment.
 //
-// What the registry does not hold (who is connected, since when, counters) comes with the call. A
+// The caller passes what the registry does not hold (connections, their ages, counters). A
 // process's region goes along for reading: metadata, no message. Windows never do.
 #pragma once
 
@@ -35,17 +35,18 @@ struct DumpFacts {
     std::uint64_t connections = 0;
     std::uint64_t observers = 0;
     std::uint64_t queued_bytes = 0;
-    std::uint64_t waits_ms = 0;  // the oldest of that
+    std::uint64_t waits_ms = 0;  // age of the oldest of them
     std::uint64_t answers_ahead = 0;
   };
-  abi::wire::DumpDaemon daemon{};       // header left open
-  std::map<std::uint32_t, User> users;  // those with connections; owners of processes are added
+  abi::wire::DumpDaemon daemon{};       // without its header
+  std::map<std::uint32_t, User> users;  // users with connections; make_dump() adds owners of
+                                        // processes
   std::function<Process(ClientIndex)> process_of;
   std::span<const Refusals::Refusal> refusals;
   std::uint64_t now_ns = 0;  // CLOCK_MONOTONIC
 };
 
-/// The answer to the request, in order: it ends with dump_end.
+/// Returns the answer to the request, in order; it ends with dump_end.
 std::vector<Outgoing> make_dump(const Registry& registry, const DumpFacts& facts,
                                 const abi::wire::Dump& request);
 

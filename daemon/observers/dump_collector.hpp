@@ -1,6 +1,7 @@
 // SPDX-License-Identifier: Apache-2.0
 //
-// DumpCollector: collects, from every part of the daemon, what a dump says beside the tables.
+// DumpCollector: collects, from every part of the daemon, the facts of a dump that are not in the
+// tables.
 #pragma once
 
 #include <base/text/log.hpp>
@@ -18,7 +19,7 @@
 
 namespace agnocast::daemon {
 
-/// Where a dump's facts come from.
+/// The parts of the daemon that the facts come from.
 struct DumpSources {
   const Config& config;
   const Arena& arena;
@@ -38,8 +39,8 @@ class DumpCollector {
  public:
   explicit DumpCollector(const DumpSources& sources) noexcept : from_(sources) {}
 
-  /// Returns the facts of this moment; those of processes are looked up when the dump is made. How
-  /// many answers a user is ahead is left open.
+  /// Returns the facts of this moment, except answers_ahead of users; those of processes are
+  /// looked up when the dump is made.
   DumpFacts collect() const;
 
  private:

@@ -75,7 +75,7 @@ wire::JournalRecord packet_of_record(const Registry& registry, std::uint64_t lsn
     receiver_generation = argument(*record, "reader_generation");
   }
   packet.receiver = process_of(registry, receiver, receiver_generation);
-  // What the record itself says holds when the place is another's.
+  // The record's own pid stays valid when the place has another owner.
   if (argument(*record, "client")) packet.process.pid = pid_of(*record, "pid", packet.process.pid);
   packet.receiver.pid = pid_of(*record, "reader_pid", packet.receiver.pid);
   return packet;

@@ -1,13 +1,12 @@
 // SPDX-License-Identifier: Apache-2.0
 //
-// Flight recorder: the records of the redo log that are still there, as packets for an observer,
-// with names beside the numbers. Pure; made in one iteration of the loop, at most as many as the
-// log holds.
+// Flight recorder: the records that the redo log still has, as packets for an observer, with names
+// beside the numbers. Pure; made in one iteration of the loop, at most as many as the log holds.
 //
 // A record names places (topic 3, process 7), and places are used again. One counter gives out all
-// generations, so what is at a place now is what was there when the record was made exactly when it
-// is not younger than the generation that the record speaks of. A record that has a pid itself is
-// sent with it afterwards as well.
+// generations: a place still has the same owner as at the time of the record exactly if its
+// present owner is not younger than the generation in the record. A pid in the record itself is
+// always sent.
 #pragma once
 
 #include <agnocast/abi/observe.hpp>
@@ -19,8 +18,8 @@
 
 namespace agnocast::daemon {
 
-/// The answer to the request, oldest record first; it ends with journal_end. Never fails: a record
-/// that cannot be read is sent as damaged.
+/// Returns the answer to the request, oldest record first; it ends with journal_end. Never fails:
+/// an unreadable record is sent as damaged.
 std::vector<Outgoing> make_journal(const Registry& registry, const abi::wire::ReadJournal& request,
                                    std::uint64_t now_ns);
 

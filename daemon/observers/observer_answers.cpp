@@ -16,13 +16,12 @@ namespace agnocast::daemon {
 
 namespace {
 
-// What an observer has not read by then is thrown away, and the observer with it.
+// An observer that takes longer to read its answer is disconnected.
 constexpr std::uint64_t observer_patience_ms = 5'000;
 
 }  // namespace
 
-// A small request for much work. Who has had his share waits, and is answered with what is true
-// then.
+// A request beyond the user's allowance waits, and the answer has the facts of its own time.
 void ObserverAnswers::ask(Peer& peer, const LongRequest& request) {
   MemoryReserve::no_return();
   const std::uint64_t rate = quota_.dumps_per_second;
@@ -52,7 +51,7 @@ void ObserverAnswers::go_on() {
         answers.waiting.pop_front();
         continue;
       }
-      // What others of this user have not read yet is read, or thrown away, soon.
+      // Unread answers of this user's observers are soon read or discarded.
       if (peer->session.is_crowded()) break;
       if (quota_.dumps_per_second != unlimited && !answers.allowance.take(now)) break;
       answers.waiting.pop_front();
@@ -70,7 +69,7 @@ void ObserverAnswers::answer(Peer& peer, const LongRequest& request) {
       send(peer, make_journal(registry_, std::get<wire::ReadJournal>(request), monotonic_ns()));
     }
   } catch (const std::bad_alloc&) {
-    output_.end(peer, "agnocastd has no memory left for an answer at length");
+    output_.end(peer, "agnocastd has no memory left for a long answer");
   }
 }
 
@@ -80,7 +79,7 @@ int ObserverAnswers::due_ms() const noexcept {
   for (const auto& [uid, answers] : answers_) {
     if (answers.waiting.empty()) continue;
     const Peer* const first = connections_.find(answers.waiting.front());
-    // Who waits for room does not wait for time, and is looked at with everything else.
+    // An observer that waits for room does not wait for time; the periodic look serves it.
     const bool is_crowded = first != nullptr && first->session.is_crowded();
     due = std::min(due, is_crowded ? 1000 : answers.allowance.due_ms(now));
   }

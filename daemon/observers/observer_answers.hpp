@@ -1,11 +1,11 @@
 // SPDX-License-Identifier: Apache-2.0
 //
-// ObserverAnswers: answers at length to observers: dumps, the journal, and dumps that wait for a
+// ObserverAnswers: long answers to observers: dumps, the journal, and dumps that wait for a
 // change.
 //
-// A small request asks for much work, so each user has an allowance of answers; a request beyond it
-// waits, and is answered with what is true then. An answer is made at once and read at the
-// observer's pace, within its patience.
+// A small request asks for much work, so each user has an allowance of answers; a request beyond
+// it waits, and the answer has the facts of its own time. An answer is made at once; the observer
+// reads it at its own pace, within the daemon's patience.
 #pragma once
 
 #include <daemon/config/config.hpp>
@@ -38,19 +38,19 @@ class ObserverAnswers {
 
   /// Queues a request; go_on() answers it.
   void ask(Peer& peer, const LongRequest& request);
-  /// The same, once something has changed that the observer has not seen.
+  /// The same, as soon as something has changed that the observer has not seen.
   void await_change(Peer& peer, const wire::Dump& request);
   /// Queues the requests of observers that await a change, if there was one.
   void answer_who_awaits_change();
-  /// Answers everybody whose user has an allowance left.
+  /// Answers all observers whose user has an allowance left.
   void go_on();
-  /// Returns when go_on() is to be called; -1: nobody waits.
+  /// Returns after how many ms go_on() is to be called; -1: no request waits.
   int due_ms() const noexcept;
   void drop_slow(std::uint64_t now);
   void forget_idle_users(std::uint64_t now);
 
  private:
-  /// Of one user; outlives its connections.
+  /// One user's state; outlives its connections.
   struct Answers {
     Allowance allowance;
     std::deque<PeerId> waiting;
@@ -66,7 +66,7 @@ class ObserverAnswers {
   PeerOutput& output_;
   ClientTermination& termination_;
   std::unordered_map<std::uint32_t, Answers> answers_;  // by uid
-  std::uint64_t answered_lsn_ = 0;  // up to here observers that await a change were answered
+  std::uint64_t answered_lsn_ = 0;  // observers that await a change were answered up to here
 };
 
 }  // namespace agnocast::daemon

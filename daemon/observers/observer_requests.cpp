@@ -21,7 +21,7 @@ namespace agnocast::daemon {
 
 namespace {
 
-// As many as fit, separated by commas.
+// Writes as many words as fit, separated by commas.
 template <std::size_t size>
 void write_list(const std::vector<std::string>& words, char (&text)[size]) {
   std::string all;
@@ -90,8 +90,8 @@ Result<void> ObserverRequests::set_log_level(Peer& peer, const wire::SetLogLevel
   const PeerIdentity& who = peer.session.identity();
   if (request.level != 0) {
     if (who.uid != 0 && who.uid != ::geteuid())
-      return fail_with(Errc::permission_denied,
-                       "user " + std::to_string(who.uid) + " may not change what agnocastd logs");
+      return fail_with(Errc::permission_denied, "user " + std::to_string(who.uid) +
+                                                    " may not change the log level of agnocastd");
     log_.set_level(static_cast<LogLevel>(request.level));
     log_.write(LogLevel::notice, "log level",
                {{"level", name_of(log_.level())}, {"pid", who.pid}, {"uid", who.uid}});
@@ -104,7 +104,7 @@ Result<void> ObserverRequests::set_log_level(Peer& peer, const wire::SetLogLevel
 
 Result<void> ObserverRequests::ask_access(Peer& peer, const wire::AskAccess& request) {
   std::string_view topic;
-  AGNOCAST_CHECK(text_of(request.topic, topic));  // decode() has looked
+  AGNOCAST_CHECK(text_of(request.topic, topic));  // decode() has checked it
   if (const auto problem = check_topic_name(topic))
     return fail_with(Errc::invalid_name, "topic " + printable(topic) + ": " + problem->text());
   const auto& rules = rules_;
