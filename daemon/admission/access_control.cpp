@@ -11,11 +11,11 @@ namespace agnocast::daemon {
 namespace {
 
 std::string line_of(const Decision& decision) {
-  return decision.rule ? "rule in line " + std::to_string(decision.line) : "no rule speaks of it";
+  return decision.rule ? "rule in line " + std::to_string(decision.line) : "no rule names it";
 }
 
 std::string line_of(const AccessRule* rule) {
-  return rule != nullptr ? "rule in line " + std::to_string(rule->line) : "no rule speaks of it";
+  return rule != nullptr ? "rule in line " + std::to_string(rule->line) : "no rule names it";
 }
 
 Subject subject_of(const PeerIdentity& identity) {
@@ -47,7 +47,7 @@ Result<void> AccessControl::check_readers(ClientIndex client, std::string_view t
   if (record.readers == 0) return {};
   const std::uint64_t wanted = readers_of(rules_, record.domain, topic);
   if (record.readers == wanted) return {};
-  std::string others = "what it has published before";
+  std::string others = "its earlier topics";
   for (const EndpointRef& ref : registry_.endpoints_of(client)) {
     const std::string_view name = registry_.topic(ref.topic).name;
     if (ref.kind != Kind::publisher || readers_of(rules_, record.domain, name) == wanted) continue;
@@ -56,9 +56,9 @@ Result<void> AccessControl::check_readers(ClientIndex client, std::string_view t
     break;
   }
   return fail_with(Errc::readers_differ,
-                   "others may subscribe to " + std::string(topic) + " (" +
+                   "other users may subscribe to " + std::string(topic) + " (" +
                        line_of(deciding_rule(rules_, record.domain, topic, Action::subscribe)) +
-                       ") than to " + others + ", and all of it lies in one heap");
+                       ") than to " + others + ", and all topics of a process lie in one heap");
 }
 
 Result<void> AccessControl::check_publishers(const Subject& who, std::uint64_t domain,
@@ -97,7 +97,7 @@ void AccessControl::warn_of_other_readers(ClientIndex client) {
          {"pid", record.pid},
          {"uid", record.uid},
          {"why", line_of(deciding_rule(rules_, record.domain, name, Action::subscribe))},
-         {"hint", "who was given its memory keeps it: restart the process"}});
+         {"hint", "processes that have its memory keep it: restart the publisher's process"}});
     return;
   }
 }

@@ -1,19 +1,16 @@
 // SPDX-License-Identifier: Apache-2.0
 //
-// AccessControl: what the rules of [[access]] mean for requests, and for the memory behind the
-// topics.
+// AccessControl: applies the rules of [[access]] to requests, and to the memory behind the topics.
 //
-// A process has one heap: a process that is told of one of its publishers is given all of its
+// A process has one heap: a process that is notified of one of its publishers gets all of its
 // windows. So a rule about a topic holds for its messages only if the same users may subscribe to
 // every topic of the publishing process. Three checks see to it:
 //
-//   a publisher    is created only with the readers that the process began with: the first
-//   publisher
-//                  decides, for the life of the process, because a reader that was given a window
-//                  keeps it
-//   a subscription is created only if its user may subscribe to every topic that the publishers'
-//                  processes publish; that fails only after the rules were changed
-//   a process that comes back has nothing that the rules in force forbid, or it is revoked
+// - A publisher is created only if its readers are those of the process's first publisher: that
+//   one decides for the life of the process, because a reader keeps the windows it got.
+// - A subscription is created only if its user may subscribe to every topic that the publishers'
+//   processes publish; that fails only after the rules were changed.
+// - A process that comes back has nothing that the current rules forbid, or it is revoked.
 //
 // Replies and requests of services are topics like any other.
 #pragma once
@@ -36,14 +33,14 @@ class AccessControl {
   AccessControl(const std::vector<AccessRule>& rules, const Registry& registry, Log& log) noexcept
       : rules_(rules), registry_(registry), log_(log) {}
 
-  /// Returns whether the process may create this endpoint. Errors: access_denied, readers_differ.
+  /// Checks that the process may create this endpoint. Errors: access_denied, readers_differ.
   [[nodiscard]] Result<void> check_endpoint(const PeerIdentity& who, ClientIndex client,
                                             const CreateRequest& request) const;
-  /// Logs a warning if the users to whom the process gave its memory are not those who may
-  /// subscribe now.
+  /// Logs a warning if the users who have the process's memory are not those who may subscribe
+  /// now.
   void warn_of_other_readers(ClientIndex client);
-  /// Returns what the process has although the rules in force forbid it, as a sentence; empty:
-  /// nothing.
+  /// Returns a sentence about an endpoint of the process that the current rules forbid; empty:
+  /// none.
   std::string forbidden_endpoint(ClientIndex client, const PeerIdentity& identity) const;
 
  private:

@@ -26,7 +26,7 @@ bool in_the_way(const std::vector<Obstacles::Claim>& claims, std::uint64_t base,
   });
 }
 
-/// What has to remain when a heap moves for a process of this user.
+/// Returns how much must remain when a heap moves for a process of this user.
 std::uint64_t reserve_for(const ClientRecord& owner, std::uint32_t reader_uid) noexcept {
   return owner.uid != reader_uid ? 1 : 0;
 }
@@ -37,7 +37,7 @@ bool may_move(const ClientRecord& owner, std::uint64_t reserve) noexcept {
 
 }  // namespace
 
-/// Visits the publishers or subscriptions of a process that are active, each with those that match:
+/// Visits the active publishers or subscriptions of a process, each with its active matches:
 /// function(publisher, subscription).
 template <class Function>
 void AddressConflicts::for_each_match(ClientIndex client, Kind kind, Function function) const {
@@ -71,8 +71,8 @@ Result<void> AddressConflicts::add_obstacle(const PeerIdentity& identity, Client
   const std::size_t before = obstacles_.of(client).size();
   if (auto added = obstacles_.add(client, identity.uid, range.base, range.bytes, what); !added)
     return added;
-  // Said again, which has told its publishers nothing new: every notice here is one to somebody
-  // else.
+  // A repeated report: its publishers know it, and every further notice would go to other
+  // processes.
   if (obstacles_.of(client).size() == before) return {};
   log_for_user(log_, LogLevel::info, identity.uid, "addresses blocked",
                {{"pid", identity.pid},
@@ -80,12 +80,11 @@ Result<void> AddressConflicts::add_obstacle(const PeerIdentity& identity, Client
                 {"base", hexadecimal(range.base)},
                 {"bytes", range.bytes},
                 {"what", what}});
-  look_at_subscriptions_of(client);  // one that comes back to a new daemon has some
+  look_at_subscriptions_of(client);  // a client that comes back to a new daemon has some
   return {};
 }
 
-/// The next window of a process: where it can have it itself, and as few others as possible cannot
-/// map it.
+/// Chooses a window that the process can map, and that as few others as possible cannot.
 Result<WindowRecord> AddressConflicts::choose_window(ClientIndex client) {
   const ClientRecord& record = registry_.client(client);
   const std::uint64_t bytes = arena_.window_bytes;
@@ -96,7 +95,7 @@ Result<WindowRecord> AddressConflicts::choose_window(ClientIndex client) {
   if (!choice)
     return fail_with(Errc::limit_reached,
                      "[heap] arena_bytes has room for " + std::to_string(plan_.window_count()) +
-                         " windows of " + std::to_string(bytes) + " bytes, all are given out");
+                         " windows of " + std::to_string(bytes) + " bytes, all are in use");
   if (choice->weight != 0)
     log_for_user(
         log_, LogLevel::warning, record.uid, "no window is free in all processes",
@@ -118,7 +117,7 @@ std::optional<AddressConflicts::Collision> AddressConflicts::collision(ClientInd
   return std::nullopt;
 }
 
-/// Does somebody who reads from this process have something in the windows that it allocates from?
+/// Returns whether a reader of this process blocks a window that the process allocates from.
 bool AddressConflicts::should_move(ClientIndex owner) const {
   const ClientRecord& record = registry_.client(owner);
   if (!may_move(record, 0)) return false;
@@ -132,8 +131,7 @@ bool AddressConflicts::should_move(ClientIndex owner) const {
   return should;
 }
 
-/// Looked for once in a request: it walks all matches of the owner, and there may be as many to
-/// tell of.
+/// Searched once a request: it walks all matches of the owner, and there may be as many notices.
 const std::string& AddressConflicts::why_not_moved(ClientIndex owner, ClientIndex reader) {
   const auto [known, is_new] =
       why_not_moved_.try_emplace({number(owner), number(reader)}, std::string());
@@ -145,7 +143,8 @@ std::string AddressConflicts::find_why_not_moved(ClientIndex owner, ClientIndex 
   const ClientRecord& record = registry_.client(owner);
   const std::uint64_t bytes = arena_.window_bytes;
   const std::uint64_t reserve = reserve_for(record, registry_.client(reader).uid);
-  const std::string what_remains = reserve != 0 ? "; the last is its own user's" : "";
+  const std::string what_remains =
+      reserve != 0 ? "; the last one is reserved for its own user" : "";
   if (!may_move(record, reserve))
     return "it has moved " + std::to_string(window_set_count(record) - 1) + " times" + what_remains;
   if (record.window_count + reserve >= heap_.windows_per_process)
@@ -161,7 +160,7 @@ std::string AddressConflicts::find_why_not_moved(ClientIndex owner, ClientIndex 
     helps =
         helps && !in_the_way(obstacles_.of(registry_.owner_of(subscription)), choice->base, bytes);
   });
-  return helps ? "" : "no free window is one that all its readers can map";
+  return helps ? "" : "there is no free window that all its readers can map";
 }
 
 void AddressConflicts::look_at(const EndpointRef& publisher, const EndpointRef& subscription) {
@@ -170,8 +169,8 @@ void AddressConflicts::look_at(const EndpointRef& publisher, const EndpointRef& 
   const auto found = collision(owner, reader);
   if (!found) return;
   const ClientRecord& record = registry_.client(owner);
-  const std::string why_not = !found->claim->counts ? "too much is blocked by the reader's user"
-                                                    : why_not_moved(owner, reader);
+  const std::string why_not =
+      !found->claim->counts ? "the reader's user blocks too much" : why_not_moved(owner, reader);
   const auto is_news = [&](const EndpointRef& own, const EndpointRef& its) {
     Session* const session = channel_.session_of(registry_.owner_of(own));
     return session != nullptr &&
@@ -189,10 +188,10 @@ void AddressConflicts::look_at(const EndpointRef& publisher, const EndpointRef& 
   const std::string text =
       "process " + std::to_string(other.pid) + " (user " + std::to_string(other.uid) +
       ") cannot map heap window " + std::to_string(found->window) + " of process " +
-      std::to_string(record.pid) + "; " + outcome + "; it has something at " +
+      std::to_string(record.pid) + "; " + outcome + "; it has another mapping at " +
       hexadecimal(found->claim->base) + ", " + std::to_string(found->claim->bytes) + " bytes";
   const std::string whole = text + ": " + found->claim->what;
-  // What a process has mapped, names of files among it, is no other user's business.
+  // Names of files that a process has mapped are not shown to other users.
   const bool same_user = record.uid == other.uid;
   if (tells_publisher)
     endpoint_manager_.notice(publisher, Errc::arena_occupied, same_user ? whole : text);

@@ -1,18 +1,17 @@
 // SPDX-License-Identifier: Apache-2.0
 //
-// AddressConflicts: a heap lies where a process that reads from it has something else
-// (obstacles.hpp).
+// AddressConflicts: a heap lies where one of its readers has another mapping (obstacles.hpp).
 //
-//   publisher's process:  | window 0 | window 1 |         window 0 is given up, it goes on in window 1
-//   subscriber's process: |     a JIT |         |         gets what is published from then on
+//   publisher's process:  | window 0 | window 1 |         window 0 is given up, window 1 is used
+//   subscriber's process: |     a JIT |         |         gets later messages
 //
 // Nothing that exists is moved. Both endpoints get a notice, and the owner of the heap is asked to
 // open a window that all its readers can map and to allocate from that one alone: the new window
-// begins a window set. What lies in the window set before is lost to that subscription; the others
-// read it as ever. A process is asked heap_move_max times at most, and only if there is such a
-// window: then its heap stays where it is. What another user claims never takes the last of
-// anything: a move, a window and its bytes in the quota remain for the owner's own user, whose
-// claims are not lies about other users.
+// begins a window set. Messages in the previous window set are lost to that subscription; others
+// read them as before. A process is asked heap_move_max times at most, and only if there is such a
+// window; otherwise its heap stays where it is. Claims of other users never use up the last of
+// anything: a move, a window and its bytes in the quota remain for claims of the owner's own user,
+// which harm no other user.
 #pragma once
 
 #include <agnocast/abi/wire.hpp>
@@ -48,29 +47,28 @@ class AddressConflicts {
         channel_(channel),
         log_(log) {}
 
-  /// Forgets what was found out for the request before this one.
+  /// Forgets the findings of the previous request.
   void begin_request() { why_not_moved_.clear(); }
-  /// A process says that it has something else in the arena. Errors: as Obstacles::add.
+  /// Adds a range of the arena that a process reports as blocked. Errors: as Obstacles::add.
   [[nodiscard]] Result<void> add_obstacle(const PeerIdentity& identity, ClientIndex client,
                                           const wire::Blocked& range);
-  /// Chooses the next window of a process: one that the process itself can map, and that as few
-  /// others as possible cannot. Errors: arena_occupied, limit_reached.
+  /// Chooses the next window of a process: one that the process can map, and that as few others as
+  /// possible cannot. Errors: arena_occupied, limit_reached.
   [[nodiscard]] Result<WindowRecord> choose_window(ClientIndex client);
 
-  /// Look for conflicts, tell both processes of those that are new, and ask the owner of the heap
-  /// to move.
+  /// Look for conflicts, notify both processes of new ones, and ask the owner of the heap to move.
   void look_at(const EndpointRef& publisher, const EndpointRef& subscription);
   void look_at_publishers_of(ClientIndex owner);
   void look_at_subscriptions_of(ClientIndex reader);
 
  private:
-  /// A window of the window set that `owner` allocates from and `reader` cannot map.
+  /// A window that `reader` cannot map, in the window set that `owner` allocates from.
   struct Collision {
     std::uint64_t window = 0;
     const Obstacles::Claim* claim = nullptr;
   };
   std::optional<Collision> collision(ClientIndex owner, ClientIndex reader) const;
-  /// Returns why its heap does not move for this reader; empty: it does.
+  /// Returns why the owner's heap does not move for this reader; empty: it moves.
   const std::string& why_not_moved(ClientIndex owner, ClientIndex reader);
   std::string find_why_not_moved(ClientIndex owner, ClientIndex reader) const;
   bool should_move(ClientIndex owner) const;
@@ -86,7 +84,7 @@ class AddressConflicts {
   EndpointManager& endpoint_manager_;
   ClientChannel& channel_;
   Log& log_;
-  // By owner and reader; of the request that is being served.
+  // By owner and reader; for the current request only.
   std::map<std::pair<std::uint32_t, std::uint32_t>, std::string> why_not_moved_;
 };
 

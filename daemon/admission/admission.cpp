@@ -8,7 +8,7 @@ namespace agnocast::daemon {
 
 namespace {
 
-// Its region and its pidfd.
+// A region and a pidfd.
 constexpr std::uint64_t kept_per_client = 2;
 
 }  // namespace
@@ -35,8 +35,8 @@ std::uint64_t Admission::places_quota(Kind kind) const noexcept {
 }
 
 Result<void> Admission::admit_client(std::uint32_t uid, bool counts_as_observer) {
-  // Room for one more connection there may be for processes that come back. Those that are gone
-  // count as long as others have something of them.
+  // Further connections are only for processes that come back. Gone processes count as long as
+  // others have their memory mapped.
   const std::uint64_t quota = config_.quota.clients;
   const std::uint64_t used = registry_.usage_of(uid).clients;
   if (counts_as_observer || used >= quota)
@@ -110,7 +110,7 @@ Result<void> Admission::check_kept(std::uint32_t uid, std::uint64_t more) {
                      "three quarters of FileDescriptorStoreMax");
 }
 
-// Also of a topic that is there: whoever joins it keeps it there when the others have left.
+// Counts existing topics too: a process that joins one keeps it there when the others have left.
 Result<void> Admission::check_topics(const ClientRecord& record, std::string_view topic) {
   const auto known = registry_.find_topic(record.domain, topic);
   if (known && registry_.takes_part(record.uid, *known)) return {};
@@ -132,8 +132,9 @@ Result<void> Admission::check_places(const ClientRecord& record, const CreateReq
   return {};
 }
 
-// A number that its user has set and cannot have of any publisher there is. Where one is its own
-// user's the number is true of that one, and nobody who publishes as well can keep it out.
+// Refuses a number that the user has set and that no existing publisher can grant. With a
+// publisher of its own user the number holds for that one, so a user who also publishes cannot be
+// kept out.
 Result<void> Admission::check_hold_quota(const ClientRecord& record, const CreateRequest& request) {
   const auto known = registry_.find_topic(record.domain, request.topic);
   if (request.quota_or_less || !known) return {};
@@ -150,7 +151,7 @@ Result<void> Admission::check_hold_quota(const ClientRecord& record, const Creat
   if (!any || own) return {};
   return over_quota(
       {"hold_quota", at_most, use.user + use.others, request.quota},
-      "the publishers of " + request.topic + " are other users', and have " +
+      "the publishers of " + request.topic + " belong to other users and have " +
           std::to_string(at_most) + " messages left for one more subscription of user " +
           std::to_string(record.uid) + ": ask for a hold_quota of at most that, not " +
           std::to_string(request.quota));

@@ -1,9 +1,9 @@
 // SPDX-License-Identifier: Apache-2.0
 //
-// Admission: what one user may have, and the sentence with which a request for more is refused.
+// Admission: limits what one user may have, and words the refusal of a request for more.
 //
-// Each admit function looks at what the tables say the user has now and changes nothing. The caller
-// carries the request out afterwards, in the same iteration of the loop.
+// Each admit function compares the user's entries in the tables with its limits and changes
+// nothing. The caller carries the request out afterwards, in the same iteration of the loop.
 #pragma once
 
 #include <base/sockets/peer_identity.hpp>
@@ -34,9 +34,9 @@ class Admission {
         store_(store),
         access_(access) {}
 
-  /// Errors: quota_exceeded. `counts_as_observer`: its connection was accepted only to observe.
+  /// `counts_as_observer`: the connection was accepted only to observe. Errors: quota_exceeded.
   [[nodiscard]] Result<void> admit_client(std::uint32_t uid, bool counts_as_observer);
-  /// `used`: how many observers the user has. Errors: quota_exceeded.
+  /// `used`: the user's number of observers. Errors: quota_exceeded.
   [[nodiscard]] Result<void> admit_observer(std::uint64_t used);
   /// Errors: quota_exceeded.
   [[nodiscard]] Result<void> admit_executor(std::uint32_t uid);
@@ -52,21 +52,21 @@ class Admission {
     std::string_view limit;  // static text; empty: none was exceeded
     std::uint64_t value = 0, used = 0, asked = 0;
   };
-  /// Forgets what the request before this one exceeded.
+  /// Forgets the quota that the previous request exceeded.
   void begin_request() noexcept { exceeded_ = {}; }
-  /// Returns what the current request exceeded, if its error is quota_exceeded.
+  /// Returns the quota that the current request exceeded, if its error is quota_exceeded.
   const Exceeded& exceeded() const noexcept { return exceeded_; }
 
-  /// Returns why a user cannot connect who has all the clients that [quota] clients allows.
+  /// Returns why a user with as many clients as [quota] clients allows cannot connect.
   std::string clients_text() const;
-  /// Returns [quota] heap_bytes as it is in force.
+  /// Returns the effective [quota] heap_bytes.
   std::uint64_t heap_quota() const noexcept;
   /// Returns how many endpoints of this kind one user may have in one topic.
   std::uint64_t places_quota(Kind kind) const noexcept;
 
  private:
   [[nodiscard]] Result<void> check_window(std::uint32_t uid, std::uint64_t bytes);
-  /// Returns whether this user may store `more` more descriptors across a daemon restart.
+  /// Checks that this user may store `more` more descriptors across a daemon restart.
   [[nodiscard]] Result<void> check_kept(std::uint32_t uid, std::uint64_t more);
   [[nodiscard]] Result<void> check_topics(const ClientRecord& record, std::string_view topic);
   [[nodiscard]] Result<void> check_places(const ClientRecord& record, const CreateRequest& request);

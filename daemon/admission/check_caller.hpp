@@ -1,7 +1,7 @@
 // SPDX-License-Identifier: Apache-2.0
 //
-// Whether a process that says hello, rejoin or observe speaks for itself and has the daemon's
-// layout.
+// Checks that a process which sends hello, rejoin or observe speaks for itself and has the
+// daemon's layout.
 #pragma once
 
 #include <agnocast/result.hpp>

@@ -1,7 +1,7 @@
 // SPDX-License-Identifier: Apache-2.0
 //
-// RefusalReport: tells everybody who has to know that a request was refused: the process that
-// asked, the log, and people who ask later (Refusals).
+// RefusalReport: reports a refused request to the process that asked, to the log, and to people
+// who ask later (Refusals).
 #pragma once
 
 #include <base/text/log.hpp>
@@ -27,7 +27,7 @@ class RefusalReport {
         output_(output),
         log_(log) {}
 
-  /// `id`: of the request, as its sender knows it.
+  /// `id`: number of the request, as its sender knows it.
   void report(Peer& peer, const Request& request, std::uint64_t id, Errc code, int os_errno,
               std::string_view why);
 

@@ -177,7 +177,7 @@ TEST(Addresses, AWindowIsFoundWhereTheFewestProcessesHaveMappings) {
   ASSERT_EQ(publisher.ask("publish 1 10"), "ok");
   ASSERT_EQ(take(second), "1");
   EXPECT_EQ(window_of(second), 8u) << "others do not avoid as many as nine windows of one user";
-  ASSERT_TRUE(daemon.wait_for_log("it stays: too much is blocked by the reader's user"));
+  ASSERT_TRUE(daemon.wait_for_log("it stays: the reader's user blocks too much"));
 }
 
 struct Text {
@@ -232,7 +232,7 @@ TEST(Addresses, AMessageBegunBeforeTheHeapMovedIsCopied) {
   EXPECT_EQ(told.total_count, 1);
   EXPECT_THAT(told.last_text,
               HasSubstr("cannot map heap window 0 of process " + std::to_string(::getpid()) +
-                        "; it goes on in another window; it has something at "
+                        "; it goes on in another window; it has another mapping at "
                         "0x0000300000200000, 2097152 bytes: 300000200000-300000201000 r--p"));
   EXPECT_EQ(publisher->get_heap_collision_status().total_count_change, 0);
   ASSERT_TRUE(test::eventually([&] { return publisher->get_subscription_count() == 1; }));

@@ -157,7 +157,7 @@ TEST(DaemonLimits, GivesAHoldQuotaOrNamesThePossibleOne) {
               EXPECT_EQ(refused.refused_code(), Errc::quota_exceeded);
               EXPECT_EQ(
                   refused.refused_text(),
-                  "the publishers of /t are other users', and have 62 messages left for one "
+                  "the publishers of /t belong to other users and have 62 messages left for one "
                   "more subscription of user 65534: ask for a hold_quota of at most that, not "
                   "2048");
               const auto quota_given = [&] {
@@ -394,7 +394,7 @@ TEST(DaemonLimits, ReportsAnArenaThatAnUnlimitedUserHasUsedUp) {
   const Incoming refused = a->open_window(2);
   EXPECT_EQ(refused.refused_code(), Errc::limit_reached);
   EXPECT_EQ(refused.refused_text(),
-            "[heap] arena_bytes has room for 2 windows of 67108864 bytes, all are given out");
+            "[heap] arena_bytes has room for 2 windows of 67108864 bytes, all are in use");
 }
 
 TEST(DaemonLimits, FollowsTheRulesOfAccess) {
