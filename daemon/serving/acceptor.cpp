@@ -22,11 +22,10 @@ namespace agnocast::daemon {
 
 namespace {
 
-// How many connections are accepted in a row: whoever connects again and again, refused or not, is
-// never done.
+// Connections accepted in a row: a process that connects again and again would never let it end.
 constexpr unsigned connections_per_slice = 8;
 
-// To a connection that is not taken: it is closed afterwards, but not without a word.
+// Tells a connection why it is refused, before it is closed.
 void send_refused(const PacketSocket& socket, Errc code, std::string_view text) noexcept {
   auto packet = make_body<wire::Refused>(wire::Opcode::refused);
   packet.code = static_cast<std::uint32_t>(code);
@@ -60,7 +59,7 @@ void Acceptor::accept_some() {
         of_.log.write_limited("accept", LogLevel::warning, "connection not accepted",
                               {{"errno", socket.error().os_errno}});
       }
-      return;  // level-triggered: what waits is told again
+      return;  // level-triggered: waiting connections are reported again
     }
     if (!*socket) return;
     accept(std::move(**socket));
@@ -83,7 +82,8 @@ void Acceptor::turn_away() {
   spare_.reset();
   {
     auto socket = of_.listener.socket().accept();
-    // The last one it had is still being closed. Whoever waits is told again and again.
+    // The last connection is still being closed. The dispatcher reports waiting ones again and
+    // again.
     if (!socket) pause_listening();
     if (socket && *socket) {
       send_refused(**socket, Errc::limit_reached, "the daemon has no descriptor left");
@@ -124,9 +124,9 @@ void Acceptor::accept(PacketSocket socket) {
                           {{"pid", identity->pid},
                            {"uid", uid},
                            {"threads", stuck},
-                           {"why", "what this user has sent does not come to its end"}});
-  // Who has all the clients he may have can still look at them: such a connection can only observe.
-  // Processes that have lost their connection may come back.
+                           {"why", "closing what this user has sent does not return"}});
+  // A user with as many clients as allowed can still observe them: such a connection can only
+  // observe. Processes that have lost their connection may come back.
   const UserConnections& used = of_.connections.user(uid);
   const bool only_observes = used.clients >= of_.quota.clients + used.detached;
   if (only_observes && used.observers >= abi::observer_count_max)
@@ -151,7 +151,7 @@ void Acceptor::refuse_over_quota(PacketSocket socket, const PeerIdentity& identi
 }
 
 void Acceptor::attach(PacketSocket socket, PeerIdentity identity, bool only_observes) {
-  // A former daemon may have listened without.
+  // A previous daemon may have listened without refusing descriptors.
   const bool may_carry = !refuses_descriptors(socket.fd());
   if (may_carry) refuse_descriptors(socket.fd());
   const PeerId id = of_.connections.next_id();

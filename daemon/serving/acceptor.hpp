@@ -1,10 +1,9 @@
 // SPDX-License-Identifier: Apache-2.0
 //
-// Acceptor: takes connections, or refuses them with a word.
+// Acceptor: accepts connections, or refuses them with a reason.
 //
-// A refused connection is answered before it is closed. When no descriptor is left, a spare one is
-// given up for a moment so that there is something to answer with; then nobody is accepted until
-// the next look around.
+// It answers a refused connection before closing it. When no descriptor is left, it closes a spare
+// one for a moment so that it can answer; then it accepts nothing until the next look_around().
 #pragma once
 
 #include <base/descriptors/unique_fd.hpp>
@@ -48,9 +47,9 @@ class Acceptor {
 
   /// Begins to listen. Errors: os_failure.
   [[nodiscard]] Result<void> start();
-  /// Accepts some of those who want to connect, if the dispatcher has found any.
+  /// Accepts some of the waiting connections, if the dispatcher has found any.
   void accept_some();
-  /// Whether it does not listen, for want of a descriptor.
+  /// Returns whether it does not listen, for lack of a descriptor.
   bool pauses() const noexcept { return !listens_; }
   void listen_again();
 
@@ -58,18 +57,19 @@ class Acceptor {
   void pause_listening();
   void accept(PacketSocket socket);
   void refuse_over_quota(PacketSocket socket, const PeerIdentity& identity);
-  /// Watches the connection and its process from now on. `only_observes`: it is no place for a
+  /// Watches the connection and its process from now on. `only_observes`: it cannot become a
   /// client.
   void attach(PacketSocket socket, PeerIdentity identity, bool only_observes);
-  /// Takes one waiting connection although no descriptor is left, and says why it is refused.
+  /// Accepts one waiting connection although no descriptor is left, and refuses it with the
+  /// reason.
   void turn_away();
   void close(PacketSocket socket, std::uint32_t uid);
 
   AcceptorParts of_;
-  UniqueFd spare_;  // given up for a moment when no descriptor is left
+  UniqueFd spare_;  // closed for a moment when no descriptor is left
   Dispatcher::Token listening_ = 0;
   bool listens_ = true;
-  bool knocks_ = false;  // somebody wants to connect
+  bool knocks_ = false;  // a connection waits
 };
 
 }  // namespace agnocast::daemon

@@ -18,13 +18,14 @@ namespace agnocast::daemon {
 
 using journal::DeathReason;
 
-// Who has more to say is found by the dispatcher again, and waits behind the others of its user.
+// The dispatcher reports a connection with more packets again; it then waits behind others of its
+// user.
 std::optional<unsigned> PacketReader::serve_slice(PeerId id, const TimeSlice& slice) {
   Peer* const found = connections_.find(id);
   if (found == nullptr) return std::nullopt;
   found->waits = false;
   const bool ended = found->ended;
-  // Once a whole slice: another process may hold the connection, and never be done.
+  // At most one full slice: another process may hold the connection and send for ever.
   const unsigned count = read(id, ended ? TimeSlice() : slice);
   if (Peer* const still = connections_.find(id); ended && still != nullptr)
     termination_.reap(*still, DeathReason::died, "process ended");
@@ -45,7 +46,7 @@ unsigned PacketReader::read(PeerId id, const TimeSlice& slice) {
     if (peer.parked != 0) return read_count;
     const bool observes = peer.session.role() == Role::observer;
     if (observes && read_count > 0) return read_count;  // a dump is work
-    // A blocked writer is woken here as well: the handler does not tell the events apart.
+    // A blocked writer is woken here as well: the handler does not distinguish the events.
     if (peer.wants_writable && read_count == 0) {
       output_.flush(peer);
       if (connections_.find(id) == nullptr || peer.session.closed()) return read_count;
@@ -64,7 +65,7 @@ unsigned PacketReader::read(PeerId id, const TimeSlice& slice) {
     if (packet->credentials && !peer.session.identity().confirmed)
       confirm(peer.session.identity(), *packet->credentials);
     if (observes && (peer.session.has_output() || peer.asked)) {
-      termination_.disconnect(peer, "an observer asks before it has read");
+      termination_.disconnect(peer, "an observer sent a request before it had read the answer");
       return read_count;
     }
     AGNOCAST_CRASH_POINT(B_request);
@@ -74,9 +75,8 @@ unsigned PacketReader::read(PeerId id, const TimeSlice& slice) {
   return slice.packets_left;
 }
 
-// A descriptor that is received is one to close, and the kernel may close some on the way. So a
-// packet that brings any is left where it is, and goes with its connection. Only a window is
-// wanted.
+// Closing a received descriptor may block, and the kernel may close some on the way. So a packet
+// with descriptors stays in the socket and goes with its connection; only a window is received.
 bool PacketReader::may_receive(Peer& peer, std::span<std::byte> buffer) {
   const auto next = peer.session.socket().peek(buffer);
   if (!next) {
@@ -84,8 +84,7 @@ bool PacketReader::may_receive(Peer& peer, std::span<std::byte> buffer) {
     return false;
   }
   if (next->kind == Packet::Kind::nothing) {
-    // A sender that was let through just before the kernel began to refuse has come to its end by
-    // then.
+    // By then, a sender that began just before the kernel refused descriptors has finished.
     constexpr std::uint64_t sending_ms = 1'000;
     if (!peer.brings_windows && refuses_descriptors(peer.session.socket().fd()) &&
         monotonic_ms() - peer.refuses_since_ms >= sending_ms)
@@ -108,11 +107,11 @@ bool PacketReader::may_receive(Peer& peer, std::span<std::byte> buffer) {
   return false;
 }
 
-// All of it happens elsewhere: for want of a number the kernel closes what comes, and whatever is
-// not a window is closed there, too.
+// All of it happens in another thread: for lack of a number the kernel closes arriving
+// descriptors, and that thread closes every descriptor that is not a window.
 void PacketReader::receive_window(Peer& peer) {
   const std::uint32_t uid = peer.session.identity().uid;
-  // Another number of the connection: the loop may close its own meanwhile.
+  // Another descriptor of the connection: the loop may close its own meanwhile.
   PacketSocket socket(UniqueFd(::fcntl(peer.session.socket().fd(), F_DUPFD_CLOEXEC, 0)));
   if (!socket) {
     termination_.disconnect(peer, "no descriptor is left to receive a window with");

@@ -1,9 +1,10 @@
 // SPDX-License-Identifier: Apache-2.0
 //
-// PacketReader: reads the packets of one connection, as many as its user's time slice has room for.
+// PacketReader: reads the packets of one connection, as many as its user's time slice has room
+// for.
 //
-// A packet that brings descriptors is received in the loop only if its connection cannot carry any;
-// else the packet is looked at first, and a window is received by Disposal while the connection is
+// The loop receives packets directly only from a connection that cannot carry descriptors. On
+// others it peeks at the packet first, and Disposal receives a window while the connection is
 // parked.
 #pragma once
 
@@ -35,17 +36,17 @@ class PacketReader {
         termination_(termination),
         server_(server) {}
 
-  /// Serves one connection, and the end of its process. Returns how many packets there were;
-  /// nothing: it is gone.
+  /// Serves one connection, and the end of its process. Returns the number of packets; nothing: it
+  /// is gone.
   std::optional<unsigned> serve_slice(PeerId id, const TimeSlice& slice);
-  /// Returns how many packets there were.
+  /// Returns the number of packets.
   unsigned read(PeerId id, const TimeSlice& slice);
 
  private:
-  /// Looks at the next packet of a connection that descriptors may have come into. False: it is not
-  /// to be received here, and has been dealt with.
+  /// Looks at the next packet of a connection that may carry descriptors. Returns false if it must
+  /// not be received here and has been handled.
   bool may_receive(Peer& peer, std::span<std::byte> buffer);
-  /// A window comes with a descriptor, which is received elsewhere.
+  /// Makes Disposal receive a window with its descriptor, in another thread.
   void receive_window(Peer& peer);
   void serve_window(PeerId id, std::uint64_t ticket, Disposal::Received& received);
 
@@ -55,7 +56,7 @@ class PacketReader {
   RequestScheduler& scheduler_;
   ClientTermination& termination_;
   RequestServer& server_;
-  std::shared_ptr<char> here_ = std::make_shared<char>();  // for errands that end later
+  std::shared_ptr<char> here_ = std::make_shared<char>();  // expires before errands that end later
 };
 
 }  // namespace agnocast::daemon

@@ -1,13 +1,13 @@
 // SPDX-License-Identifier: Apache-2.0
 //
-// RequestScheduler: when a connection is read.
+// RequestScheduler: decides when a connection is read.
 //
 //   event ──▶ waits for its user's time slice ──▶ read ──▶ parked, if a request waits for an errand
 //                                                            └── errand done: unpark, the request goes on
 //
-// Users are served in turn: a user with a thousand connections is served as much as a user with
-// one. Nothing is read from a parked connection. A ticket is the number of what it waits for, so an
-// errand that ends later finds nobody once the connection waits for something else.
+// Users are served in turn: a user with a thousand connections gets as much time as a user with
+// one. Nothing is read from a parked connection. A ticket numbers the errand that it waits for, so
+// a late errand finds no connection once that waits for another one.
 #pragma once
 
 #include <daemon/death/client_termination.hpp>
@@ -27,17 +27,18 @@ class RequestScheduler {
                    ClientTermination& termination) noexcept
       : connections_(connections), dispatcher_(dispatcher), termination_(termination) {}
 
-  /// What the dispatcher calls for an event of a connection or, `ended`, of its process.
+  /// Returns the dispatcher's handler for events of a connection or, `ended`, of its process.
   Dispatcher::Handler event_handler(PeerId id, bool ended);
   bool nobody_waits() const noexcept { return users_.nobody_waits(); }
   using Serve = std::function<std::optional<unsigned>(PeerId, const TimeSlice&)>;
-  /// Gives every user who waits a time slice, see FairScheduler::serve().
+  /// Gives every waiting user a time slice, see FairScheduler::serve().
   void serve(const Serve& serve);
 
   std::uint64_t next_ticket() noexcept { return ++last_ticket_; }
-  /// What is read from it waits until unpark(); nothing when it is gone by then.
+  /// Reads nothing from it until unpark().
   void park(Peer& peer, std::uint64_t ticket);
-  /// Null: nobody waits with this ticket, or nothing of it is to be served.
+  /// Returns the connection parked with this ticket; null: there is none, or it is not to be
+  /// served.
   Peer* unpark(PeerId id, std::uint64_t ticket);
 
  private:

@@ -21,8 +21,8 @@ RequestServer::RequestServer(Admission& admission, AddressConflicts& conflicts,
   handlers_.add(*this, &RequestServer::reject);
 }
 
-// The one place where a request may fail for want of memory. Until something is changed it is as if
-// it had never come; from then on there is the reserve.
+// The one place where a request may fail for lack of memory. Before its first change it is as if
+// it had never come; from then on the reserve serves.
 template <class Serve>
 void RequestServer::serve_or_refuse(Peer& peer, std::uint64_t id, Serve serve_it) {
   try {
@@ -32,7 +32,7 @@ void RequestServer::serve_or_refuse(Peer& peer, std::uint64_t id, Serve serve_it
     return;
   } catch (const std::bad_alloc&) {
   }
-  // Nothing that ends a connection may fail, so the peer is still there.
+  // Ending a connection never fails, so the peer is still there.
   const Request request = Rejected{id, Errc::limit_reached, std::string(no_memory_text), false};
   refusals_.report(peer, request, id, Errc::limit_reached, ENOMEM, no_memory_text);
 }
@@ -59,7 +59,7 @@ void RequestServer::serve(Peer& peer, const Request& request, std::span<UniqueFd
   const std::uint64_t id = request_id_of(request);  // the handler may end the peer
   const Result<void> served = handlers_.serve(peer, request, fds);
   if (served) return;
-  // It ended while nobody served; another may have its place by now.
+  // It ended between two services; another process may have its place by now.
   if (!peer.session.greeted() && peer.session.identity().process.ended()) return;
   const std::string_view detail = detail_of(served.error());
   const std::string why(detail.empty() ? served.error().what : detail);

@@ -1,10 +1,10 @@
 // SPDX-License-Identifier: Apache-2.0
 //
-// RequestServer: from a packet to an answer. Decodes it, has its handler serve it, and reports its
+// RequestServer: from a packet to an answer. Decodes the packet, calls its handler, and reports a
 // refusal.
 //
-// A request is a parsed packet: bounded, but true only as far as its handler checks it against
-// quotas, access rules and the tables. What it changes is journaled before it is answered.
+// A request is a parsed packet: its values are bounded, but the handler has to check them against
+// quotas, access rules and the tables. Its changes are recorded before it is answered.
 // docs/control-plane.md.
 #pragma once
 
@@ -27,9 +27,9 @@ class RequestServer {
   RequestServer(Admission& admission, AddressConflicts& conflicts, RefusalReport& refusals,
                 ClientTermination& termination);
 
-  /// To be filled before anything is served.
+  /// To be filled before the first request.
   RequestTable& handlers() noexcept { return handlers_; }
-  /// `fds`: what came with the packet. Without memory it is refused.
+  /// `fds`: descriptors that came with the packet. Refuses the packet when there is no memory.
   void serve_packet(Peer& peer, std::span<const std::byte> bytes, const Envelope& envelope,
                     std::span<UniqueFd> fds);
   /// Serves a request that was parked.

@@ -2,8 +2,8 @@
 //
 // RequestTable: which function of which class serves a request, by its kind.
 //
-// The opcodes of the wire and the kinds of Request are one to one but for those that ask again. A
-// request without an entry is a mistake of whoever filled the table.
+// The opcodes of the wire and the kinds of Request are one to one, except for repeated requests. A
+// request without an entry is a bug of the code that filled the table.
 #pragma once
 
 #include <base/check.hpp>
@@ -22,10 +22,10 @@ namespace agnocast::daemon {
 
 class RequestTable {
  public:
-  /// `fds`: what came with the packet; decode() has counted them.
+  /// `fds`: descriptors that came with the packet; decode() has counted them.
   using Descriptors = std::span<UniqueFd>;
 
-  /// The handler stays the caller's, and lives as long as the table.
+  /// The caller owns the handler, which must live as long as the table.
   template <class Handler, class Body>
   void add(Handler& handler, Result<void> (Handler::*function)(Peer&, const Body&)) {
     entries_[index_of<Body>()] = [&handler, function](Peer& peer, const Request& request,

@@ -2,8 +2,8 @@
 //
 // UserNamespaces: finds the user namespace of a process that connects.
 //
-// Before Linux 6.11 only /proc says it, and whoever looks there may have to wait: so long nothing
-// is read from the process.
+// Before Linux 6.11 only /proc shows it, and reading that may block: until then nothing is read
+// from the process.
 #pragma once
 
 #include <daemon/serving/request_scheduler.hpp>
@@ -20,14 +20,14 @@ class UserNamespaces {
                  RequestScheduler& scheduler) noexcept
       : connections_(connections), errands_(errands), scheduler_(scheduler) {}
 
-  /// Fills in Session::user_namespace, now or later; 0 when nobody can say it.
+  /// Fills in Session::user_namespace, now or later; 0 when it cannot be found.
   void find(Peer& peer);
 
  private:
   ConnectionTable& connections_;
   Errands& errands_;
   RequestScheduler& scheduler_;
-  std::shared_ptr<char> here_ = std::make_shared<char>();  // for errands that end later
+  std::shared_ptr<char> here_ = std::make_shared<char>();  // expires before errands that end later
 };
 
 }  // namespace agnocast::daemon

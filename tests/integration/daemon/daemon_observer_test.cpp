@@ -346,7 +346,7 @@ TEST(DaemonObserver, IsDisconnectedWhenItAsksBeforeItHasRead) {
     body.header = {Opcode::dump, sizeof body, 99};
     if (!hasty->wire.send_bytes(std::as_bytes(std::span(&body, 1)))) break;
   }
-  EXPECT_TRUE(daemon.wait_for_log("an observer asks before it has read"));
+  EXPECT_TRUE(daemon.wait_for_log("an observer sent a request before it had read the answer"));
   EXPECT_TRUE(hasty->wire.is_hung_up());
   EXPECT_EQ(client->create_publisher("/another").opcode(), Opcode::endpoint_created);
 }
