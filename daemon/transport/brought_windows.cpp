@@ -1,6 +1,6 @@
 // SPDX-License-Identifier: Apache-2.0
 //
-// Windows that a process brings from a former incarnation: see the header.
+// Windows that a process brings from a previous incarnation: see the header.
 
 #include <daemon/transport/brought_windows.hpp>
 

@@ -1,9 +1,9 @@
 // SPDX-License-Identifier: Apache-2.0
 //
-// Windows that a process brings from a former incarnation.
+// Windows that a process brings from a previous incarnation.
 //
-// A process brings what it has from a former incarnation before it asks this one for anything.
-// Until then the kernel lets descriptors through to the daemon.
+// A process brings them before it sends this incarnation any other request. Until then the kernel
+// lets descriptors through to the daemon.
 #pragma once
 
 #include <daemon/transport/connection_table.hpp>
@@ -11,7 +11,7 @@
 namespace agnocast::daemon {
 
 void expect_windows(Peer& peer);
-/// Has the kernel refuse descriptors again, if it does not.
+/// Makes the kernel refuse descriptors again, if it does not.
 void expect_no_windows(Peer& peer);
 
 }  // namespace agnocast::daemon

@@ -1,6 +1,6 @@
 // SPDX-License-Identifier: Apache-2.0
 //
-// ClientChannel: how the daemon's parts speak to processes, and how a packet to one is made.
+// ClientChannel: how the daemon's parts send to processes, and how a packet is made.
 #pragma once
 
 #include <agnocast/abi/wire.hpp>
@@ -16,18 +16,18 @@
 
 namespace agnocast::daemon {
 
-/// How the daemon speaks to processes. What is for a process without a connection is dropped.
+/// Sends to processes. Packets for a process without a connection are dropped.
 class ClientChannel {
  public:
   virtual ~ClientChannel() = default;
   virtual Session* session_of(ClientIndex client) = 0;
-  /// 0 when unknown. Needs no connection.
+  /// Returns 0 when unknown. Needs no connection.
   virtual std::uint64_t user_namespace_of(ClientIndex client) = 0;
   virtual void send(ClientIndex client, Outgoing packet) = 0;
   void send(ClientIndex client, std::span<const std::byte> packet, std::vector<SharedFd> fds) {
     send(client, Outgoing{{packet.begin(), packet.end()}, std::move(fds), {}});
   }
-  /// Ends the connection of a process. It comes back, and is told everything once more.
+  /// Ends the connection of a process. It comes back and is notified of everything once more.
   virtual void begin_anew(ClientIndex client, std::string_view why) = 0;
 };
 

@@ -19,7 +19,7 @@ namespace {
 #define MADV_DONTNEED_LOCKED 24  // Linux 5.18
 #endif
 
-// Piece by piece: a thread that maps or locks something meanwhile waits for one piece.
+// Piece by piece: a thread that maps or locks memory meanwhile waits for one piece only.
 void unmap(const Mapping& mapping) noexcept {
   constexpr std::uint64_t piece_bytes = 16 << 20;
   for (std::uint64_t at = 0; at < mapping.bytes(); at += piece_bytes) {
@@ -47,10 +47,10 @@ void Closer::close(std::vector<SharedFd> fds, std::shared_ptr<Mapping> mapping) 
   }
   changed_.notify_one();
   if (thread_.joinable()) return;
-  const SignalsBlocked blocked;  // they are the first thread's business
+  const SignalsBlocked blocked;  // the first thread handles them
   try {
     thread_ = std::thread([this] { run(); });
-  } catch (const std::system_error&) {  // no thread left: then it takes its time
+  } catch (const std::system_error&) {  // no thread left: then this is slow
     waiting_.clear();
   }
 }

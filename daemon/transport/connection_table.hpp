@@ -6,9 +6,9 @@
 //   accepted ──▶ attached ──connection lost──▶ detached ──process ended or came back──▶ removed
 //                        ──revoked──────────▶ detached
 //
-// A peer outlives its connection: as long as its process lives and has memory of the daemon's, it
-// keeps its place here. A peer that waits for a connection to be closed does not exist: Disposal
-// closes it elsewhere.
+// A peer outlives its connection: as long as its process lives and has memory of the daemon, it
+// keeps its place here. A connection that waits to be closed has no peer: a thread of Disposal
+// closes it.
 #pragma once
 
 #include <agnocast/abi/observe.hpp>
@@ -30,9 +30,9 @@ namespace agnocast::daemon {
 
 /// Numbers of connections are never used twice.
 using PeerId = std::uint64_t;
-/// What a process has of its region. Unknown: there is no time to look now, or no descriptor.
+/// What a process has mapped of its region. Unknown: no time to look now, or no descriptor.
 enum class RegionTrace : std::uint8_t { none, some, unknown };
-/// What an observer has asked for and is answered at length.
+/// A request of an observer with a long answer.
 using LongRequest = std::variant<wire::Dump, wire::ReadJournal>;
 struct Peer {
   PeerId id;
@@ -41,29 +41,33 @@ struct Peer {
   Dispatcher::Token process = 0;
   bool wants_writable = false;
   bool waits = false;     // for its time slice
-  bool ended = false;     // the process; its time slice is the last
+  bool ended = false;     // the process has ended; its time slice is the last
   bool detached = false;  // without a connection, or revoked, but alive and mapping its region
-  bool revoked = false;   // its client is dead in the tables; nothing it says counts
+  bool revoked = false;   // its client is dead in the tables; its packets are ignored
   bool counts_as_observer = false;
   std::uint64_t parked = 0;                      // it waits for the errand with this ticket
-  bool brings_windows = false;                   // it may, until it asks for something new
-  std::uint64_t refuses_since_ms = 0;            // since when the kernel refuses descriptors again
-  std::uint64_t asked_ms = 0;                    // of an observer: when its last answer was made
-  std::optional<wire::Dump> awaits_change = {};  // of an observer: to be answered then
-  std::optional<LongRequest> asked = {};         // of an observer: when its user's time slice comes
-  std::uint64_t looked_ns = 0;                   // when tick() last asked whether it has let go
-  bool looking = false;                          // somebody looks right now
-  // Of a hello: whether the process was looked at, and what it has of a region that was revoked.
+  bool brings_windows = false;                   // it may, until its first request for something
+                                                 // new
+  std::uint64_t refuses_since_ms = 0;            // when the kernel began to refuse descriptors
+                                                 // again
+  std::uint64_t asked_ms = 0;                    // observer: when its last answer was made
+  std::optional<wire::Dump> awaits_change = {};  // observer: dump to answer at the next change
+  std::optional<LongRequest> asked = {};         // observer: request to answer in its user's time
+                                                 // slice
+  std::uint64_t looked_ns = 0;                   // when tick() last looked for its region
+  bool looking = false;                          // a thread looks right now
+  // Before hello: whether the process was looked at, and what it has of a revoked region.
   std::optional<RegionTrace> revoked_trace = {};
-  // Of its process: to be told everything again is work. An honest one tries four times a second at
-  // last (client/session/reconnection.hpp), a few times more often at first.
+  // Limits how often its process comes back: each time costs work. An honest one tries at most
+  // four times a second in the long run (client/session/reconnection.hpp), a few times more often
+  // at first.
   Allowance returns{20, 250};
 };
 /// Connections of one user.
 struct UserConnections {
   std::uint64_t clients = 0;
   std::uint64_t observers = 0;
-  std::uint64_t detached = 0;     // of the clients: processes without a connection
+  std::uint64_t detached = 0;     // clients without a connection
   std::uint64_t look_due_ns = 0;  // before that no process of this user is looked at
   std::shared_ptr<KeptForUser> kept = std::make_shared<KeptForUser>();
 };
@@ -74,7 +78,7 @@ class ConnectionTable {
   using Users = std::unordered_map<std::uint32_t, UserConnections>;
 
   ConnectionTable(Dispatcher& dispatcher, Disposal& disposal);
-  /// Shuts every connection; the end of the process closes them.
+  /// Shuts every connection down; the end of the process closes them.
   ~ConnectionTable();
   ConnectionTable(const ConnectionTable&) = delete;
   ConnectionTable& operator=(const ConnectionTable&) = delete;
@@ -86,15 +90,15 @@ class ConnectionTable {
   void remove(PeerId id);
   /// Closes the connection; the peer stays.
   void close(Peer& peer);
-  /// Its connection is lost, or its session is over. Again: nothing happens.
+  /// Marks a peer whose connection is lost or whose session is over. Repeated calls do nothing.
   void detach(Peer& peer);
   void become_observer(Peer& peer);
   void count_as_observer(Peer& peer);
   void count_as_client(Peer& peer);
 
-  /// Null: it is gone.
+  /// Returns the peer; null: it is gone.
   Peer* find(PeerId id) const;
-  /// Null: no client has this place.
+  /// Returns the peer of a client; null: no client has this place.
   Peer* of_client(ClientIndex client) const noexcept { return by_client_[number(client)]; }
   void set_client(ClientIndex client, Peer* peer) noexcept { by_client_[number(client)] = peer; }
   const Peers& all() const noexcept { return peers_; }
@@ -104,8 +108,8 @@ class ConnectionTable {
   std::uint64_t detached_count() const noexcept { return detached_count_; }
   std::uint64_t observer_count() const noexcept { return observer_count_; }
 
-  /// malloc keeps what was freed. Once most of what was queued is not queued any more, its pages go
-  /// back.
+  /// Returns freed pages to the system, which malloc keeps, once most of the queued output is
+  /// gone.
   void give_memory_back();
 
  private:
@@ -117,7 +121,7 @@ class ConnectionTable {
   PeerId last_id_ = 0;
   std::uint64_t detached_count_ = 0;  // processes without a connection
   std::uint64_t observer_count_ = 0;
-  bool gives_back_ = false;  // much that was queued is not queued any more
+  bool gives_back_ = false;  // much queued output is gone
 };
 
 }  // namespace agnocast::daemon

@@ -30,8 +30,8 @@ std::size_t limit_of_manager() noexcept {
   return parsed.ec == std::errc() && parsed.ptr == end && limit > 0 ? limit : SIZE_MAX;
 }
 
-// systemd says with $FDSTORE that it keeps something since version 254; before, one can only try:
-// it closes what it does not keep.
+// systemd announces with $FDSTORE that it keeps descriptors since version 254; before, only a try
+// can tell: it closes descriptors that it does not keep.
 bool manager_keeps_anything() noexcept {
   int ends[2];
   if (::pipe2(ends, O_CLOEXEC | O_NONBLOCK) != 0) return true;
@@ -57,7 +57,7 @@ std::string indexed(char kind, ClientIndex client) { return kind + std::to_strin
 Result<std::vector<HandedIn>> receive_descriptors() {
   char** names = nullptr;
   const int count = ::sd_listen_fds_with_names(1, &names);
-  if (count < 0) return fail(Errc::os_failure, "receiving kept descriptors", -count);
+  if (count < 0) return fail(Errc::os_failure, "receiving stored descriptors", -count);
   std::vector<HandedIn> all;
   for (int i = 0; i < count; ++i) {
     all.push_back({names[i], UniqueFd(SD_LISTEN_FDS_START + i)});
@@ -80,7 +80,7 @@ Result<DescriptorStore> DescriptorStore::of_nobody() {
 Result<DescriptorStore> DescriptorStore::of_manager() {
   const char* const socket = std::getenv("NOTIFY_SOCKET");
   if (socket == nullptr || *socket == '\0')
-    return fail(Errc::invalid_argument, "nobody is there who keeps descriptors");
+    return fail(Errc::invalid_argument, "no service manager is there to keep descriptors");
   DescriptorStore store;
   store.keeps_ = true;
   store.kept_count_max_ = limit_of_manager();
@@ -134,7 +134,7 @@ Result<void> DescriptorStore::put(const std::string& name, int fd) {
   const int fds[] = {fd};
   AGNOCAST_CRASH_POINT(B_keep);
   const int status = ::sd_pid_notify_with_fds(0, 0, state.c_str(), fds, 1);
-  if (status <= 0) return fail(Errc::os_failure, "having a descriptor kept", -status);
+  if (status <= 0) return fail(Errc::os_failure, "storing a descriptor", -status);
   AGNOCAST_CRASH_POINT(B_kept);
   kept_.insert(name);
   return {};

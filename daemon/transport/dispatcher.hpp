@@ -2,9 +2,9 @@
 //
 // Dispatcher: one epoll set, one thread, one handler per descriptor.
 //
-// A source is known by a token that is never used twice. Descriptor numbers are: a handler may
-// close one source and open another that gets the same number while an event of the old one still
-// waits in the batch; its token finds nobody, and the event is dropped.
+// A token that is never used twice identifies a source. Descriptor numbers are used again: a
+// handler may close one source and open another with the same number while an event of the old one
+// still waits in the batch; no source has its token, so the event is dropped.
 #pragma once
 
 #include <agnocast/abi/limits.hpp>
@@ -28,14 +28,14 @@ class Dispatcher {
 
   [[nodiscard]] static Result<Dispatcher> create() noexcept;
 
-  /// Watches `fd`, which stays the caller's and must be removed before it is closed. Errors:
-  /// os_failure (ENOSPC: fs.epoll.max_user_watches).
+  /// Watches `fd`, which the caller owns and must remove before closing it. Errors: os_failure
+  /// (ENOSPC: fs.epoll.max_user_watches).
   [[nodiscard]] Result<Token> add(int fd, std::uint32_t events, Handler handler);
   void change(Token token, std::uint32_t events) noexcept;
-  /// After this its handler is not called any more. A token that is not known is ignored.
+  /// Stops calling its handler. Ignores an unknown token.
   void remove(Token token) noexcept;
 
-  /// Handles what there is, of every source once; waits for it at most `timeout_ms` (-1: for ever).
+  /// Handles pending events, each source once; waits for them at most `timeout_ms` (-1: for ever).
   /// Errors: os_failure.
   [[nodiscard]] Result<void> wait(int timeout_ms);
 
@@ -46,7 +46,7 @@ class Dispatcher {
   };
 
   UniqueFd epoll_;
-  // Connection and process of every client: however many are ready, each is heard of at once.
+  // Connection and process of every client: one wait reports all of them if all are ready.
   std::vector<epoll_event> events_ = std::vector<epoll_event>(2 * abi::client_count_max);
   std::unordered_map<Token, Source> sources_;
   Token last_token_ = 0;

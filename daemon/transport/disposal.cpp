@@ -15,9 +15,9 @@
 namespace agnocast::daemon {
 namespace {
 
-// How often the end of a thread is looked for while something waits for it.
+// Interval of checks for the end of a thread while a descriptor waits for it.
 constexpr std::chrono::milliseconds pause_first{1}, pause_last{100};
-// The errand that hands over is nobody's; the number is no user's.
+// The errand that hands over belongs to no user; no user has this uid.
 constexpr std::uint32_t nobody = UINT32_MAX;
 
 }  // namespace
@@ -25,10 +25,10 @@ constexpr std::uint32_t nobody = UINT32_MAX;
 struct Disposal::State {
   struct User {
     std::vector<UniqueFd> waiting;
-    std::vector<UniqueFd> batch;  // being handed over; of the errand alone
+    std::vector<UniqueFd> batch;  // being handed over; only the errand uses it
     std::vector<pid_t> closing;   // threads that have not ended, when last looked at
     std::vector<pid_t> receiving;
-    std::size_t receiving_count = 0;  // errands that have not been answered
+    std::size_t receiving_count = 0;  // errands without an answer yet
 
     bool is_idle() const {
       return waiting.empty() && batch.empty() && closing.empty() && receiving.empty() &&
@@ -38,10 +38,10 @@ struct Disposal::State {
 
   std::mutex mutex;
   std::map<std::uint32_t, User> users;
-  bool is_closing = false;    // the errand is there
+  bool is_closing = false;    // the errand exists
   bool is_forbidden = false;  // to take over descriptors
 
-  // Under the mutex. Whether there is something to hand over now.
+  // Under the mutex. Returns whether there is something to hand over now.
   static bool may_begin(User& user) {
     std::erase_if(user.closing, [](pid_t thread) { return has_ended(thread); });
     if (user.batch.empty()) {
@@ -71,20 +71,20 @@ void Disposal::close(std::uint32_t uid, UniqueFd fd) {
     is_first = !forbidden && !std::exchange(state_->is_closing, true);
   }
   if (forbidden) return close_in_place();
-  if (!is_first) return;  // the errand that is there takes it along
+  if (!is_first) return;  // the existing errand takes it along
   errands_.run(
       Errands::Lane::closing, nobody, [state = state_] { close_what_waits(*state); },
       [this] { close_in_place(); });
 }
 
-// Goes on until nothing waits.
+// Continues until nothing waits.
 void Disposal::close_what_waits(State& state) {
   auto pause = pause_first;
   std::unique_lock lock(state.mutex);
   for (;;) {
     bool waits = false, handed_over = false;
     for (auto at = state.users.begin(); at != state.users.end();) {
-      State::User& user = at->second;  // the loop removes nobody
+      State::User& user = at->second;  // only this errand removes users
       bool begins = false;
       try {
         begins = State::may_begin(user);
@@ -111,7 +111,7 @@ void Disposal::close_what_waits(State& state) {
   state.is_closing = false;
 }
 
-// In the loop. Each user's own errand, which may not come to its end.
+// Runs in the loop: an errand of each user, which may never end.
 void Disposal::close_in_place() {
   for (;;) {
     auto fds = std::make_shared<std::vector<UniqueFd>>();
@@ -133,7 +133,7 @@ void Disposal::close_in_place() {
 
 void Disposal::close_memory(std::uint32_t uid, UniqueFd memory) {
   if (!memory) return;
-  // std::function wants something to copy.
+  // std::function must be copyable.
   const auto owned = std::make_shared<UniqueFd>(std::move(memory));
   errands_.run(Errands::Lane::freeing, uid, [owned] { owned->reset(); });
 }

@@ -1,22 +1,21 @@
 // SPDX-License-Identifier: Apache-2.0
 //
-// Disposal: closes what a client sent, and the connections it may have sent something on.
+// Disposal: closes descriptors that clients sent, and connections that may carry some.
 //
-// A close may last as long as the client likes (base/descriptors/closing.hpp). Nothing of that
-// happens in the loop. The loop shuts a connection, so that the other end hears of it at once and
-// can send nothing more; an errand hands it to a thread that ends, one after the other for each
-// user:
+// A close may last as long as the client likes (base/descriptors/closing.hpp), so none happens in
+// the loop. The loop shuts a connection down, which notifies the other end at once and stops
+// further packets; an errand hands it to a thread that ends, one after the other for each user:
 //
 //   close_connection(uid) ──▶ waiting of this user ──▶ batch ──▶ thread that ends ──▶ the next batch
 //
-// What cannot be hurried at all (a FUSE server that does not answer) keeps one such thread, and
-// nothing else: it has a descriptor table of its own. What its user has waiting meanwhile is given
-// to another one when it is waiting_max, so it never takes up the numbers of the daemon. No other
-// user waits for any of it.
+// A close that cannot be hurried (a FUSE server that does not answer) keeps one such thread and
+// nothing else: the thread has a descriptor table of its own. When its user has waiting_max
+// descriptors waiting, another thread gets them, so they never use up the daemon's descriptor
+// numbers. No other user waits for any of it.
 //
-// Where the kernel refuses descriptors (SO_PASSRIGHTS, Linux 6.16) nothing is queued, and callers
-// close in place. Where a filter forbids such threads, an errand of this user's own closes in the
-// daemon's table.
+// If the kernel refuses descriptors (SO_PASSRIGHTS, Linux 6.16), nothing is queued, and callers
+// close in place. If a filter forbids such threads, an errand of this user closes in the daemon's
+// table.
 #pragma once
 
 #include <base/descriptors/closing.hpp>
@@ -34,27 +33,28 @@ namespace agnocast::daemon {
 
 class Disposal {
  public:
-  /// Descriptors of one user that wait behind one that does not come to its end. A thread costs the
+  /// Descriptors of one user that wait behind one whose close does not return. A thread costs the
   /// kernel as much as some ten connections.
   static constexpr std::size_t waiting_max = 512;
-  /// Threads of one user that may be stuck with what came beside a window.
+  /// Threads of one user that may be stuck with descriptors that came beside a window.
   static constexpr std::size_t receiving_max = 8;
   /// Packets of one user that wait to be received. A process sends one after the other.
   static constexpr std::size_t receiving_waiting_max = 64;
 
-  /// `errands`: its own, so that nobody else's keep it waiting.
+  /// `errands`: a pool of its own, so that errands of other kinds do not delay it.
   explicit Disposal(Errands& errands);
 
-  /// Takes over a connection that nothing is read from any more; shuts it now and closes it soon.
+  /// Takes over a connection that is no longer read; shuts it down now and closes it soon.
   void close_connection(std::uint32_t uid, UniqueFd connection);
-  /// Takes over a descriptor that is not to be shut, because others may have it as well.
+  /// Takes over a descriptor and closes it without a shutdown, because others may have it as well.
   void close(std::uint32_t uid, UniqueFd fd);
-  /// Takes over memory that a client sent: much may go with it, but closing it waits for nobody.
+  /// Takes over memory that a client sent: freeing it may take long, but no client can delay it.
   void close_memory(std::uint32_t uid, UniqueFd memory);
 
-  /// Whether this user may have a packet with descriptors received.
+  /// Returns whether a packet with descriptors may be received for this user.
   bool may_receive(std::uint32_t uid);
-  /// Receives it elsewhere, and calls `then` in the loop. `connection`: another descriptor of it.
+  /// Receives a packet in another thread, then calls `then` in the loop. `connection`: another
+  /// descriptor of it.
   struct Received {
     std::vector<std::byte> bytes;
     ReceivedMemory memory;
@@ -62,7 +62,7 @@ class Disposal {
   void receive(std::uint32_t uid, PacketSocket connection, std::size_t bytes_max,
                std::function<void(Received&)> then);
 
-  /// Threads of this user that have not come to their end while others waited for it.
+  /// Returns how many threads of this user have not ended while others waited for them.
   std::size_t stuck(std::uint32_t uid) const;
 
  private:

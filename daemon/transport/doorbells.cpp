@@ -18,21 +18,22 @@
 namespace agnocast::daemon {
 namespace {
 
-// The receiver owns its descriptors; a packet needs its own.
+// The doorbell owns its descriptors; a packet needs its own.
 Result<SharedFd> duplicate(int fd) {
   UniqueFd copy(::fcntl(fd, F_DUPFD_CLOEXEC, 0));
   if (!copy) return fail(Errc::os_failure, "duplicating a descriptor", errno);
   return share(std::move(copy));
 }
 
-// It may be there a moment later.
+// A descriptor or memory may be available a moment later.
 bool is_shortage(int error) noexcept {
   return error == EMFILE || error == ENFILE || error == ENOMEM || error == ENOBUFS;
 }
 
 }  // namespace
 
-// Of a client that never takes it this is the last one, with whatever others have sent to it.
+// If the client never takes it, this copy is the last one, with packets of other processes in its
+// queue.
 Result<SharedFd> Doorbells::duplicate_receiver(int fd, std::uint32_t uid) const {
   if (refuses_descriptors(fd) || !close_) return duplicate(fd);
   UniqueFd copy(::fcntl(fd, F_DUPFD_CLOEXEC, 0));
@@ -66,7 +67,7 @@ Result<std::vector<SharedFd>> Doorbells::make(ClientIndex client, std::uint64_t 
   const Key key{number(client), executor};
   const std::string name = name_of(key);
   AGNOCAST_CRASH_POINT(B_bell_bind);
-  ::mkdir(directory_.c_str(), 0700);  // it may have been removed; whose it is now is looked at
+  ::mkdir(directory_.c_str(), 0700);  // it may have been removed; make_doorbell() checks its owner
   auto receiver = make_doorbell(directory_, name);
   if (!receiver) return tl::unexpected(receiver.error());
   UniqueFd way = way_to(name);
@@ -177,7 +178,7 @@ Result<std::vector<SharedFd>> Doorbells::for_publisher(ClientIndex client, std::
   Entry& doorbell = found->second;
   auto sender = connect_to(doorbell.way, name_of(key));
   note(doorbell, sender);
-  // Its name was removed before this daemon began. The eventfd is what its user's publishers ring.
+  // Its name was removed before this daemon began. Publishers of the same user ring the eventfd.
   if (!sender && !doorbell.way && same_user) sender = make_mute_doorbell();
   if (!sender && is_shortage(sender.error().os_errno)) return tl::unexpected(sender.error());
   if (!sender) return fds;

@@ -25,7 +25,7 @@
 namespace agnocast::daemon {
 namespace {
 
-// A thread without work stays for a moment: what brings one errand often brings the next.
+// An idle thread stays for a moment: one errand is often followed by the next.
 constexpr std::chrono::milliseconds idle_time{200};
 
 }  // namespace
@@ -38,8 +38,9 @@ struct Errands::State {
   };
 
   struct Queue {
-    std::deque<Errand> errands;  // the first one is ready or under way
-    std::list<Key> place;  // in `ready`, while it is not there: a thread may have no memory for one
+    std::deque<Errand> errands;  // the first one is ready or running
+    std::list<Key> place;        // its node of `ready` while it is not there: a thread may have no
+                                 // memory for one
   };
 
   std::mutex mutex;
@@ -65,16 +66,16 @@ void Errands::State::work(const std::shared_ptr<State>& state) {
         lock, idle_time, [&] { return state->stops || !state->ready.empty(); });
     --state->idle_count;
     if (state->stops || !found) break;
-    Queue& queue = state->queues.at(state->ready.front());  // a map moves nothing
+    Queue& queue = state->queues.at(state->ready.front());  // a map does not move its elements
     queue.place.splice(queue.place.begin(), state->ready, state->ready.begin());
     Errand& errand = queue.errands.front();  // nor does a deque while it grows
     lock.unlock();
     try {
       errand.work();
     } catch (const std::bad_alloc&) {
-      // As if it had found nothing.
+      // Treated as an errand that found nothing.
     }
-    errand.work = nullptr;  // with what it owns
+    errand.work = nullptr;  // frees what it owns
     lock.lock();
     if (errand.then) {
       state->answers.push_back(std::move(errand.then));
@@ -93,13 +94,12 @@ void Errands::State::work(const std::shared_ptr<State>& state) {
 
 void Errands::State::start_thread(const std::shared_ptr<State>& self) {
   if (idle_count >= ready.size() || thread_count >= thread_count_max) return;
-  // Otherwise those that are there go on with it; without any, the next errand or answer() tries
-  // again.
+  // Otherwise the existing threads do it; without any, the next errand or answer() tries again.
   static_cast<void>(begin_thread(self));
 }
 
 bool Errands::State::begin_thread(const std::shared_ptr<State>& self) {
-  const SignalsBlocked blocked;  // they are the first thread's business
+  const SignalsBlocked blocked;  // the first thread handles them
   try {
     std::thread([self] { work(self); }).detach();
     ++thread_count;
@@ -110,7 +110,7 @@ bool Errands::State::begin_thread(const std::shared_ptr<State>& self) {
 }
 
 void Errands::State::add(const std::shared_ptr<State>& self, const Key& key, Errand errand) {
-  // For its thread, which may have no memory.
+  // Reserved for the errand's thread, which may have no memory.
   answers.reserve(answers.size() + errand_count + 1);
   std::list<Key> place{key};
   Queue& queue = queues[key];
@@ -169,7 +169,7 @@ void Errands::answer() {
     const std::lock_guard lock(state_->mutex);
     answers.assign(std::make_move_iterator(state_->answers.begin()),
                    std::make_move_iterator(state_->answers.end()));
-    state_->answers.clear();  // keeping what run() has reserved
+    state_->answers.clear();  // keeps what run() has reserved
     if (!state_->ready.empty()) state_->start_thread(state_);
   }
   for (const auto& then : answers) then();

@@ -1,10 +1,10 @@
 // SPDX-License-Identifier: Apache-2.0
 //
-// FairScheduler: serves users in turn. Pure; time is told.
+// FairScheduler: serves users in turn. Pure; the caller passes the time.
 //
-// Each user who has connections waiting gets a time slice: so many packets, and so many
+// Each user with waiting connections gets a time slice of so many packets and so many
 // milliseconds, however many connections they come from. At least one packet of each user is
-// handled. What a slice is too short for waits in the order in which it came, until every other
+// handled. Connections that do not fit into a slice wait in order of arrival until every other
 // user has had a slice.
 #pragma once
 
@@ -19,9 +19,9 @@
 
 namespace agnocast::daemon {
 
-/// What one user may still be served before the next one is.
+/// What is left of one user's time slice.
 struct TimeSlice {
-  // Other users must not wait for a flood, nor for what is much work.
+  // Other users must not wait for a flood of packets, nor for expensive ones.
   static constexpr unsigned packets_max = 32;
   static constexpr std::uint64_t budget_ns = 2'000'000;
 
@@ -35,7 +35,7 @@ class FairScheduler {
   void wait(std::uint32_t uid, PeerId id) { waiting_[uid].push_back(id); }
   bool nobody_waits() const noexcept { return waiting_.empty(); }
 
-  /// Gives every user who waits one slice. `serve(id, slice)` returns how many packets it handled,
+  /// Gives every waiting user one slice. `serve(id, slice)` returns how many packets it handled,
   /// or nothing when the connection is gone, which costs nothing. `now_ns()` returns
   /// CLOCK_MONOTONIC.
   template <class Serve, class Now>

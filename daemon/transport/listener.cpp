@@ -27,7 +27,7 @@
 namespace agnocast::daemon {
 namespace {
 
-// The longest name of a doorbell must fit into a socket's address behind its directory.
+// The longest name of a doorbell must fit into a socket's address after its directory.
 constexpr std::size_t doorbells_length_max = 107 - (sizeof "/2047.31" - 1);
 
 std::string reason(int error) { return std::generic_category().message(error); }
@@ -36,8 +36,8 @@ tl::unexpected<Complaint> complain(Errc code, std::string what) {
   return tl::unexpected<Complaint>(Complaint{code, std::move(what)});
 }
 
-/// A directory that we have just made, with this mode whatever the umask. Somebody may have put
-/// something else there since: no link is followed.
+/// Sets the mode of a directory that this process has just made, whatever the umask. It may have
+/// been replaced since, so no link is followed.
 bool set_mode(const std::string& directory, mode_t mode) noexcept {
   const UniqueFd made(::open(directory.c_str(), O_RDONLY | O_DIRECTORY | O_NOFOLLOW | O_CLOEXEC));
   struct stat entry {};
@@ -57,7 +57,7 @@ tl::expected<void, Complaint> make_directory(const std::string& directory) {
   return {};
 }
 
-// What is in the lock file. Whatever else may be written there is as good as nothing.
+// Returns the number in the lock file, or 0 for any other content.
 std::uint64_t read_count(int lock) noexcept {
   char text[20];
   const ssize_t bytes = ::pread(lock, text, sizeof text, 0);
@@ -108,7 +108,7 @@ tl::expected<void, Complaint> clear_socket(const std::string& path) {
   const auto other = PacketSocket::connect(path);
   if (other) return complain(Errc::already_running, "another agnocastd is running at " + path);
   if (other.error().code != Errc::daemon_not_running || other.error().os_errno == ETIMEDOUT)
-    return complain(Errc::os_failure, "cannot use " + path + ": something else has this socket (" +
+    return complain(Errc::os_failure, "cannot use " + path + ": another program has this socket (" +
                                           reason(other.error().os_errno) + ")");
   if (::unlink(path.c_str()) != 0 && errno != ENOENT)
     return complain(Errc::os_failure,
@@ -116,7 +116,7 @@ tl::expected<void, Complaint> clear_socket(const std::string& path) {
   return {};
 }
 
-// A name whose socket is gone is as good as none: a death right after a bind leaves one.
+// Ignores a name whose socket is gone: a death right after a bind leaves one.
 bool somebody_listens(const std::string& path) noexcept {
   if (::access(path.c_str(), F_OK) != 0) return false;
   const auto probe = PacketSocket::connect(path, std::chrono::milliseconds{0});
@@ -140,7 +140,7 @@ tl::expected<std::string, Complaint> Listener::place_of(const UniqueFd& passed) 
       ::getsockname(passed.get(), reinterpret_cast<sockaddr*>(&address.address), &bytes) != 0 ||
       bytes > UnixAddress::size() || address.address.sun_path[0] != '/')
     return complain(Errc::invalid_argument,
-                    "cannot use the socket that is passed: it must be of AF_UNIX and "
+                    "cannot use the passed socket: it must be of AF_UNIX and "
                     "SOCK_SEQPACKET, listen, and have an absolute path "
                     "(ListenSequentialPacket=/run/agnocast/agnocastd.sock)");
   const char* const path = address.address.sun_path;
@@ -162,7 +162,7 @@ std::string Listener::differences(const ListenerOptions& options) const {
   if (!is_passed_) return "";
   struct stat entry {};
   if (::lstat(path_.c_str(), &entry) != 0)
-    return "nobody can reach " + path_ + ": " + reason(errno);
+    return "no client can reach " + path_ + ": " + reason(errno);
   std::string all;
   const auto add = [&](const std::string& what, const std::string& is, const std::string& wanted) {
     if (is != wanted) all += (all.empty() ? "" : ", ") + what + " is " + is + " and not " + wanted;
@@ -214,10 +214,10 @@ tl::expected<Listener, Complaint> Listener::open(const ListenerOptions& options,
   return listener;
 }
 
-/// `base`: of the names in the runtime directory.
+/// `base`: start of the names in the runtime directory.
 tl::expected<void, Complaint> Listener::lock(const std::string& base, const std::string& path) {
   const std::string lock_path = std::string(base).append(lock_suffix);
-  // Where a directory is for everybody (sticky), the name may have been another user's first.
+  // In a sticky directory for all users another user may have made the name first.
   auto opened = open_lock_file(lock_path);
   if (!opened && opened.error().code == Errc::permission_denied)
     return complain(Errc::permission_denied,
@@ -243,9 +243,9 @@ tl::expected<void, Complaint> Listener::listen(const ListenerOptions& options) {
     return complain(socket.error().code,
                     "cannot listen at " + path + ": " + reason(socket.error().os_errno));
   }
-  path_ = path;  // from here on there is something to remove
+  path_ = path;  // from here on the destructor has something to remove
   socket_ = std::move(*socket);
-  refuse_descriptors(socket_.fd());  // where the kernel can; the broker asks of every connection
+  refuse_descriptors(socket_.fd());  // if the kernel can; Acceptor checks every connection
   if (auto wanted = socket_.want_credentials(true); !wanted)
     return complain(Errc::os_failure,
                     "cannot listen at " + path + ": " + reason(wanted.error().os_errno));
@@ -280,7 +280,7 @@ tl::expected<Listener, Complaint> Listener::adopt(const ListenerOptions& options
     if (::getsockname(socket.get(), reinterpret_cast<sockaddr*>(&address.address), &bytes) != 0 ||
         ::getsockopt(socket.get(), SOL_SOCKET, SO_ACCEPTCONN, &listens, &listens_bytes) != 0 ||
         listens == 0)
-      return complain(Errc::internal, "what was kept as the socket is none that listens");
+      return complain(Errc::internal, "the stored socket does not listen");
     ::fcntl(socket.get(), F_SETFL, ::fcntl(socket.get(), F_GETFL) | O_NONBLOCK);
     path = address.address.sun_path;
   }
@@ -289,7 +289,7 @@ tl::expected<Listener, Complaint> Listener::adopt(const ListenerOptions& options
         doorbells.substr(0, doorbells.size() - std::min(doorbells.size(), doorbells_suffix.size()));
     if (auto locked = listener.lock(base, path); !locked) return tl::unexpected(locked.error());
   } else if (::flock(lock.get(), LOCK_EX | LOCK_NB) != 0) {
-    return complain(Errc::already_running, "another agnocastd has the lock that was kept");
+    return complain(Errc::already_running, "another agnocastd holds the stored lock");
   } else {
     listener.lock_ = std::move(lock);
   }
@@ -307,7 +307,7 @@ tl::expected<Listener, Complaint> Listener::adopt(const ListenerOptions& options
     return listener;
   }
   listener.renewed_ = true;
-  // What waits in a queue that nobody can reach any more is told so by its end.
+  // Closing it ends the connections in a queue that no client can reach any more.
   close_without_waiting(std::move(socket));
   if (auto cleared = clear_socket(path); !cleared) return tl::unexpected(cleared.error());
   ListenerOptions again = options;
@@ -320,14 +320,16 @@ Result<void> Listener::keep(DescriptorStore& store) const {
   if (!store.is_kept("lock")) {
     if (auto kept = store.put("lock", lock_.get()); !kept) return kept;
   }
-  if (renewed_ || is_passed_) store.remove("listen");  // the former one, which nobody can reach
+  if (renewed_ || is_passed_)
+    store.remove("listen");  // the previous socket, which no client can
+                             // reach
   if (is_passed_) return {};
   return store.is_kept("listen") ? Result<void>() : store.put("listen", socket_.fd());
 }
 
 Listener::~Listener() {
-  // Who waits to be accepted goes with it, with all that he has sent: the end of the process closes
-  // that, and does not linger.
+  // Connections that wait to be accepted end with the socket, with all that they carry: the end of
+  // the process closes it without lingering.
   static_cast<void>(socket_.release().release());
   if (path_.empty() || !removes_) return;
   if (!is_passed_) ::unlink(path_.c_str());

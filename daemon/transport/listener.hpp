@@ -1,30 +1,28 @@
 // SPDX-License-Identifier: Apache-2.0
 //
-// Listener: the place where clients find the daemon, and proof that there is only one.
+// Listener: the socket where clients find the daemon, and proof that there is only one daemon.
 //
 //   SOCKET             where clients connect
-//   RUN/NAME.lock      held with flock as long as the daemon runs; NAME is the socket's last part.
-//   It
-//                      says how many daemons have begun here, each with nothing of the former's
+//   RUN/NAME.lock      locked with flock while the daemon runs; NAME is the socket's last part.
+//                      Counts the daemons that began here with nothing of an earlier one
 //   RUN/NAME.bells/    names of the doorbells, for the daemon's user alone
 //
 // RUN is the socket's directory unless the configuration names another one.
 //
-// The lock decides who may clear away what a previous run left; a socket that still answers
-// although nobody has the lock belongs to somebody else and is left alone. A clean end removes
+// Only the holder of the lock may remove what a previous run left; a socket that still answers
+// although the lock is free belongs to another program and is left alone. A clean end removes
 // socket and doorbells; the lock file stays (removing it would let two others each lock a file of
 // that name).
 //
 // All three outlive the process when a manager keeps descriptors: connections that come meanwhile
 // wait in the socket's queue, the lock stays taken, and doorbells keep their names.
 //
-// A socket that is passed (socket activation) is used before any other, where it is: its name,
-// owner and mode are the business of whoever made it, and it is neither kept in the store nor
-// removed.
+// A passed socket (socket activation) is used in preference to any other, where it is: its maker
+// decides its name, owner and mode, and it is neither kept in the store nor removed.
 //
-// Nobody can connect before the socket has its final owner and mode; until then it is as if no
-// daemon were there, which is a reason to try again. It is not made under another name and renamed:
-// it would keep that name (getsockname), and the next run finds the place by it.
+// No client can connect before the socket has its final owner and mode; until then clients see no
+// daemon, which is a reason to try again. It is not made under another name and renamed: it would
+// keep that name (getsockname), and the next run finds the place by it.
 //
 // Every complaint is one sentence for people, with the path in it.
 #pragma once
@@ -59,17 +57,17 @@ struct ListenerOptions {
 
 class Listener {
  public:
-  /// Where a passed socket listens. Complains unless it is one of packets (AF_UNIX, SOCK_SEQPACKET)
+  /// Returns the path of a passed socket. Complains unless it is an AF_UNIX, SOCK_SEQPACKET socket
   /// that listens and has a path.
   [[nodiscard]] static tl::expected<std::string, Complaint> place_of(const UniqueFd& passed);
 
-  /// `passed`, or a socket of our own if that is empty.
+  /// Listens at `passed`, or at a new socket if that is empty.
   [[nodiscard]] static tl::expected<Listener, Complaint> open(const ListenerOptions& options,
                                                               UniqueFd passed);
 
-  /// Socket and lock of a previous run, with its directory of doorbells; nothing is cleared.
-  /// `passed` takes the place of the socket. Without it a socket that was not kept, or that its
-  /// name does not lead to any more, is made anew: renewed(). So is a lock that was not kept.
+  /// Adopts socket and lock of a previous run, with its directory of doorbells; clears nothing.
+  /// `passed` takes the place of the socket. Without it, a socket that was not kept or has lost
+  /// its name is made anew: renewed(). So is a lock that was not kept.
   [[nodiscard]] static tl::expected<Listener, Complaint> adopt(const ListenerOptions& options,
                                                                UniqueFd passed, UniqueFd socket,
                                                                UniqueFd lock,
@@ -85,7 +83,7 @@ class Listener {
         lock_(std::move(other.lock_)),
         socket_(std::move(other.socket_)) {}
   Listener& operator=(Listener&&) = delete;
-  /// Removes socket and doorbells, if it is to.
+  /// Removes socket and doorbells, unless remove_names(false) was called.
   ~Listener();
 
   const PacketListener& socket() const noexcept { return socket_; }
@@ -93,16 +91,16 @@ class Listener {
   const std::string& doorbells_directory() const noexcept { return doorbells_; }
   bool renewed() const noexcept { return renewed_; }
   bool is_passed() const noexcept { return is_passed_; }
-  /// In what a passed socket is not as `options` want it, as a sentence; empty: in nothing, or it
-  /// is our own.
+  /// Returns how a passed socket differs from `options`, as a sentence; empty: in nothing, or it
+  /// was not passed.
   std::string differences(const ListenerOptions& options) const;
-  /// How many daemons began here before this one.
+  /// Returns how many daemons began here before this one.
   std::uint64_t former_count() const noexcept { return former_count_; }
-  /// Lock and socket go into the store, unless they are there, the socket last; a socket that is
-  /// renewed takes the place of the former one. A passed one is not put. A death in between leaves
-  /// the lock, which says that there was a life. Errors: as DescriptorStore::put.
+  /// Puts lock and socket into the store unless they are there, the socket last; a renewed socket
+  /// replaces the previous one. A passed one is not put. A death in between leaves the lock, which
+  /// shows that a daemon was here. Errors: as DescriptorStore::put.
   [[nodiscard]] Result<void> keep(DescriptorStore& store) const;
-  /// Whether socket and doorbells are removed at the end; if not, the next run goes on with them.
+  /// Sets whether the end removes socket and doorbells; if not, the next run continues with them.
   void remove_names(bool removes) noexcept { removes_ = removes; }
 
  private:

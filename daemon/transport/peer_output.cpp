@@ -25,12 +25,12 @@ void PeerOutput::reply(Peer& peer, Outgoing packet) {
     const MemoryReserve::MayFail may_fail;
     peer.session.push(std::move(packet));
   } catch (const std::bad_alloc&) {
-    // It comes back and is told everything again.
+    // It comes back and is notified of everything again.
     const MemoryReserve::MustNotFail ends;
     end(peer, no_memory_text);
     return;
   }
-  // While something waits for the socket there is nothing to gain from another try.
+  // While the queue waits for the socket, another try gains nothing.
   if (!waiting || peer.session.queued_count() > Session::queue_count_max) flush(peer);
   if (peer.session.is_over()) end_longest(peer.session.identity().uid);
   AGNOCAST_CRASH_POINT(B_sent);
@@ -41,7 +41,7 @@ void PeerOutput::reply(Peer& peer, std::span<const std::byte> packet, std::vecto
 }
 
 void PeerOutput::flush(Peer& peer) {
-  const MemoryReserve::MustNotFail completes;  // what is made for a packet is made once
+  const MemoryReserve::MustNotFail completes;  // a packet's own descriptors are made only once
   switch (peer.session.flush()) {
     case Session::Flushed::all:
       if (peer.wants_writable) dispatcher_.change(peer.connection, EPOLLIN);
@@ -70,8 +70,8 @@ void PeerOutput::go_on_flushing() {
   }
 }
 
-// Not disconnected: the caller may be in the middle of an announcement. The connection is shut, and
-// its end is read like any other.
+// Not disconnected: the caller may be in the middle of an announcement. The connection is shut
+// down, and the loop reads its end like any other.
 void PeerOutput::end(Peer& peer, std::string_view why) {
   const std::uint32_t uid = peer.session.identity().uid;
   log_.write_limited("output uid=" + std::to_string(uid), LogLevel::warning, "connection ended",
@@ -85,7 +85,7 @@ void PeerOutput::end(Peer& peer, std::string_view why) {
   peer.session.drop_output();
 }
 
-// Whoever has most of what waits for this user: it reads least.
+// The connection with the longest queue of this user reads least.
 void PeerOutput::end_longest(std::uint32_t uid) {
   Peer* most = nullptr;
   for (const auto& [id, peer] : connections_.all()) {
@@ -94,7 +94,7 @@ void PeerOutput::end_longest(std::uint32_t uid) {
       most = peer.get();
   }
   if (most != nullptr)
-    end(*most, "the processes of its user do not read, it least: [quota] queued_bytes is " +
+    end(*most, "the processes of its user do not read, this one least: [quota] queued_bytes is " +
                    std::to_string(limits_.bytes_of_user));
 }
 
@@ -102,7 +102,7 @@ void PeerOutput::end_old(std::uint64_t now) {
   if (!limits_.seconds) return;
   const std::uint64_t seconds = *limits_.seconds;
   for (const auto& [id, peer] : connections_.all()) {
-    // Of who was revoked only the word that says so is left, for whenever it reads again.
+    // A revoked process only has its last packet queued, for whenever it reads again.
     if (!peer->session.closed() && !peer->revoked && peer->session.waits_ms(now) > seconds * 1000)
       end(*peer, "the process does not read: [quota] queued_seconds is " + std::to_string(seconds));
   }

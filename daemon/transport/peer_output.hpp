@@ -1,12 +1,11 @@
 // SPDX-License-Identifier: Apache-2.0
 //
-// PeerOutput: what the daemon sends to processes, and what happens to a process that does not read
-// it.
+// PeerOutput: sends packets to processes, and ends connections of processes that do not read.
 //
 // A packet is sent at once, or waits in the queue of its session. The output of a connection ends
-// when its queue is too long, too old, or the longest one of a user who has too much waiting
-// altogether. Then the connection is shut, not closed: whoever called may be in the middle of an
-// announcement, and the end of the connection is read later like any other.
+// when its queue is too long, too old, or the longest one of a user with too much queued
+// altogether. Then the connection is shut down, not closed: the caller may be in the middle of an
+// announcement, and the loop reads the end of the connection later like any other.
 #pragma once
 
 #include <base/text/log.hpp>
@@ -36,14 +35,14 @@ class PeerOutput final : public ClientChannel {
 
   void reply(Peer& peer, Outgoing packet);
   void reply(Peer& peer, std::span<const std::byte> packet, std::vector<SharedFd> fds = {});
-  /// Sends what the socket takes.
+  /// Sends what the socket accepts.
   void flush(Peer& peer);
-  /// Whether go_on_flushing() is to be called soon: too many descriptors were under way.
+  /// Returns whether go_on_flushing() is to be called soon: too many descriptors were in flight.
   bool flushes_later() const noexcept { return flush_later_; }
   void go_on_flushing();
-  /// Nothing more is sent to it; its end is read like any other.
+  /// Sends nothing more to it; the loop reads its end like any other.
   void end(Peer& peer, std::string_view why);
-  /// Ends the output of the connection that has most waiting for this user: it reads least.
+  /// Ends the output of this user's connection with the longest queue: it reads least.
   void end_longest(std::uint32_t uid);
   /// Ends the output of every connection that has not read for longer than the limit.
   void end_old(std::uint64_t now);

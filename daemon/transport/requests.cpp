@@ -41,7 +41,8 @@ Rejected refuse(const wire::Header& header, Errc code, std::string text) {
   return {header.request, code, std::move(text), false};
 }
 
-// What an index may be at all; `topic` means nothing for a region.
+// Returns what is wrong with an index or generation; null: nothing. `topic` means nothing for a
+// region.
 const char* check_reference(wire::Kind kind, std::uint32_t topic, std::uint64_t index,
                             std::uint64_t generation, bool region_allowed) noexcept {
   if (generation == 0 || generation > generation_max) return "a generation is out of range";
@@ -53,11 +54,11 @@ const char* check_reference(wire::Kind kind, std::uint32_t topic, std::uint64_t 
       if (index >= abi::subscription_count_max) return "a subscription's index is out of range";
       break;
     case wire::Kind::region:
-      if (!region_allowed) return "this is not said of a region";
+      if (!region_allowed) return "this request does not apply to a region";
       if (index >= abi::client_count_max) return "a process's index is out of range";
       return nullptr;
     default:
-      return "an unknown kind of thing";
+      return "an unknown kind of endpoint";
   }
   return topic < abi::topic_count_max ? nullptr : "a topic's index is out of range";
 }
@@ -101,7 +102,7 @@ Request decode_executor(Packet packet) {
   return ExecutorRequest{is_asked_again(packet), body.header.request, body.executor};
 }
 
-/// As a node's full name is: with a slash in front.
+/// Returns a node's full name: with a slash in front.
 std::string absolute(std::string_view node) {
   return std::string(node.starts_with('/') ? "" : "/") + std::string(node);
 }
@@ -197,7 +198,7 @@ Request decode_withdrawn(Packet packet) {
 
 Request decode_observe(Packet packet) { return body_of<wire::Observe>(packet); }
 Request decode_dump(Packet packet) { return body_of<wire::Dump>(packet); }
-// Any numbers: what is not there is not sent.
+// Accepts any numbers: records that do not exist are not sent.
 Request decode_read_journal(Packet packet) { return body_of<wire::ReadJournal>(packet); }
 
 Request decode_revoke(Packet packet) {
@@ -212,7 +213,7 @@ Request decode_set_log_level(Packet packet) {
   const auto body = body_of<wire::SetLogLevel>(packet);
   if (body.level != 0 && (body.level < static_cast<std::uint64_t>(LogLevel::error) ||
                           body.level > static_cast<std::uint64_t>(LogLevel::debug)))
-    return refuse(body.header, Errc::invalid_argument, "an unknown level of the log");
+    return refuse(body.header, Errc::invalid_argument, "an unknown log level");
   return body;
 }
 
@@ -227,9 +228,9 @@ Request decode_ask_access(Packet packet) {
 struct Row {
   wire::Opcode opcode;
   std::size_t bytes;
-  Role role;  // of the connection that may say it
+  Role role;  // role of a connection that may send it
   Request (*decode)(Packet packet);
-  std::size_t descriptors = 0;  // that come with it
+  std::size_t descriptors = 0;  // descriptors that come with it
 };
 
 constexpr Row rows[] = {
@@ -254,13 +255,14 @@ constexpr Row rows[] = {
     {wire::Opcode::ask_access, sizeof(wire::AskAccess), Role::observer, decode_ask_access},
 };
 
-// Why a connection in this role does not say that.
+// Returns why a connection in this role must not send that.
 const char* out_of_place(Role role, wire::Opcode opcode) noexcept {
   if (role == Role::unknown) return "the first request must be hello";
-  if (role == Role::observer) return "an observer takes part in nothing";
-  if (opcode == wire::Opcode::hello) return "hello is said once";
-  return opcode == wire::Opcode::rejoin ? "this connection has a client already"
-                                        : "a client does not observe; observers connect for that";
+  if (role == Role::observer) return "an observer may not take part";
+  if (opcode == wire::Opcode::hello) return "hello may be sent only once";
+  return opcode == wire::Opcode::rejoin
+             ? "this connection has a client already"
+             : "a client may not observe; an observer needs a connection of its own";
 }
 
 }  // namespace
@@ -274,7 +276,7 @@ Request decode(std::span<const std::byte> packet, const Envelope& envelope, Role
   header.request &= ~wire::asked_again;
   if (envelope.truncated) return end(header.request, "a packet is too long");
   if (header.bytes != packet.size())
-    return end(header.request, "a packet is not as long as it says");
+    return end(header.request, "the length of a packet differs from its header");
   const Row* const row = std::find_if(std::begin(rows), std::end(rows),
                                       [&](const Row& r) { return r.opcode == header.opcode; });
   const std::size_t wanted = row != std::end(rows) ? row->descriptors : 0;

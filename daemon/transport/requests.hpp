@@ -1,11 +1,11 @@
 // SPDX-License-Identifier: Apache-2.0
 //
-// Requests: bytes of a packet to something that may be acted on. Pure.
+// Requests: from the bytes of a packet to a request. Pure.
 //
-// A table says for every opcode how long its body is, whether it may come before hello, and which
-// check its fields must pass. Everything in a packet is input: what comes out of decode() has names
-// that end, indexes inside the tables, a quality of service that exists. Whether an index belongs
-// to the sender is for the endpoint manager to know.
+// A table has for every opcode the length of its body, the role it needs, and the check of its
+// fields. Everything in a packet is input: a request from decode() has names that end, indexes
+// inside the tables, a quality of service that exists. The endpoint manager checks whether an
+// index belongs to the sender.
 #pragma once
 
 #include <agnocast/abi/observe.hpp>
@@ -24,7 +24,7 @@ namespace agnocast::daemon {
 
 namespace wire = abi::wire;
 
-// `again`: asked a second time, because the connection was lost before an answer came.
+// `again`: repeated, because the connection was lost before an answer came.
 struct CreateRequest {
   bool again = false;
   wire::Kind kind = wire::Kind::publisher;
@@ -33,7 +33,7 @@ struct CreateRequest {
   std::uint64_t layout_hash = 0;
   std::uint64_t executor = 0;
   std::uint64_t quota = 0;
-  bool quota_or_less = false;  // of publishers of other users
+  bool quota_or_less = false;  // for publishers of other users
   std::string topic;
   std::string type;
   std::string node;
@@ -52,8 +52,8 @@ struct DrainedRequest {
   wire::Reference reference;
 };
 
-/// Why a packet is not acted on. It is answered with `refused`, or, when nothing in it can be
-/// believed (not even where its request id is), the connection ends.
+/// Why a packet is not served. The daemon answers `refused`, or ends the connection when nothing
+/// in the packet can be trusted (not even the position of its request id).
 struct Rejected {
   std::uint64_t request = 0;
   Errc code = Errc::protocol_violation;
@@ -67,7 +67,7 @@ using Request =
                  wire::BringWindow, wire::Observe, wire::Dump, wire::ReadJournal, wire::Revoke,
                  wire::SetLogLevel, wire::AskAccess, Rejected>;
 
-/// How far a connection has come, and so what may be said on it: hello or rejoin makes it a client,
+/// The role of a connection decides which requests it may send: hello or rejoin makes it a client,
 /// observe an observer, for good.
 enum class Role : std::uint8_t { unknown, client, observer };
 
@@ -78,20 +78,20 @@ struct Envelope {
   bool descriptors_lost = false;
 };
 
-/// Never reads beyond `packet`. Request ids come out without wire::asked_again.
+/// Parses a packet and never reads beyond it. Request ids come out without wire::asked_again.
 Request decode(std::span<const std::byte> packet, const Envelope& envelope, Role role);
 
-/// The id by which a request is answered; 0 when there is none.
+/// Returns the id by which a request is answered; 0 when there is none.
 std::uint64_t request_id_of(const Request& request) noexcept;
 
-/// The text of a name, or nothing when no NUL ends it.
+/// Gets the text of a name. Returns false when no NUL ends it.
 bool text_of(const wire::Name& name, std::string_view& text) noexcept;
-/// A text for a packet: cut where it must be, always ended.
+/// Returns a text for a packet: truncated if necessary, always ended.
 wire::Name name_of(std::string_view text) noexcept;
-/// For people: control characters and broken bytes replaced, so that no client writes into our
-/// terminal.
+/// Returns a text for people: control characters and broken bytes are replaced, so that no client
+/// writes into the user's terminal.
 std::string printable(std::string_view text);
-/// A hash or an address, as 0x and 16 digits.
+/// Returns a hash or an address as 0x and 16 digits.
 std::string hexadecimal(std::uint64_t value);
 
 }  // namespace agnocast::daemon

@@ -15,7 +15,7 @@ std::uint64_t Session::push(std::span<const std::byte> bytes, std::vector<Shared
 }
 
 void Session::push(Outgoing packet) {
-  // About: with what malloc and the function add.
+  // Approximate: includes the overhead of malloc and the function.
   packet.cost_bytes =
       sizeof packet + packet.bytes.size() + packet.fds.size() * sizeof(SharedFd) + 128;
   queue_.push_back(std::move(packet));

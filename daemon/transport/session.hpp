@@ -1,16 +1,17 @@
 // SPDX-License-Identifier: Apache-2.0
 //
-// Session: one connection. Who is at its other end, how far it has come, what still has to be sent.
+// Session: one connection. The process at its other end, its role, and the packets still to be
+// sent.
 //
 //   accepted ──identity confirmed and hello──▶ greeted ──end of connection, overflow──▶ closed
 //            ──identity confirmed and observe──▶ observing ──────────────────────────▶ closed
 //
-// Packets leave in the order in which they were handed in, each counted; the number of a packet is
-// what `seen` in an `unlinked` refers to, so the session also remembers in which packet each thing
-// was announced last. What does not fit into the socket waits in a bounded queue; a client that
-// does not read until the bound is reached is disconnected. A closed session is not a dead process:
-// that is the reaper's to find out. An observer is sent one whole dump at a time, however long, and
-// has to read it before it asks for the next.
+// Packets leave in the order in which they were pushed, each counted; `seen` in an `unlinked` is
+// the number of a packet, so the session also remembers in which packet each thing was announced
+// last. Packets that do not fit into the socket wait in a bounded queue; a client that does not
+// read until the bound is reached is disconnected. A closed session is not a dead process: the
+// reaper finds that out. An observer is sent one whole dump at a time, however long, and has to
+// read it before it asks for the next.
 //
 // The queue and the book of announcements are pure; only flush() touches the socket.
 #pragma once
@@ -39,7 +40,7 @@
 
 namespace agnocast::daemon {
 
-/// What an announcement is about: an endpoint, or (kind region) a process's region and windows.
+/// The subject of an announcement: an endpoint, or (kind region) a process's region and windows.
 struct Announced {
   abi::wire::Kind kind = abi::wire::Kind::region;
   std::uint32_t topic = 0;
@@ -49,16 +50,15 @@ struct Announced {
   }
 };
 
-/// What the daemon keeps for all processes of one user.
+/// Amounts kept for all processes of one user.
 struct KeptForUser {
-  std::uint64_t bytes = 0;               // of packets that wait
-  std::uint64_t peak = 0;                // since somebody has last looked
+  std::uint64_t bytes = 0;               // of waiting packets
+  std::uint64_t peak = 0;                // since the last check
   std::uint64_t bytes_max = UINT64_MAX;  // [quota] queued_bytes
   std::uint64_t book_bytes = 0;          // of the books below
 };
 
-/// What one thing costs, as a part of what all such things of its user cost. It goes with the
-/// thing.
+/// The cost of one object, as a part of the total of its user. It is subtracted with the object.
 class BytesOfUser {
  public:
   using Sum = std::uint64_t KeptForUser::*;
@@ -88,13 +88,13 @@ class BytesOfUser {
   std::uint64_t own_ = 0;
 };
 
-/// Of one book of a session.
+/// The cost of one book of a session.
 class BookBytes : public BytesOfUser {
  public:
-  // As much as packets that wait by default: two million announcements. The processes
-  // that are told of more than this pay with connections that begin anew, so the number has no key.
+  // As much as the default for waiting packets: two million announcements. The processes with more
+  // pay with connections that begin anew, so the number has no key.
   static constexpr std::uint64_t of_user_max = std::uint64_t{96} << 20;
-  // Of each book, whatever the others of its user cost: 1,536 processes of one user (its default
+  // For each book, whatever the others of its user cost: 1,536 processes of one user (its default
   // quota) with two books each have 96 MiB of this.
   static constexpr std::uint64_t own_max = std::uint64_t{32} << 10;
 
@@ -106,12 +106,12 @@ class BookBytes : public BytesOfUser {
   }
 };
 
-/// In which packet of one connection each thing was announced last. Where there is no room for
-/// more, the older half of it is forgotten. A statement that was made before what was forgotten
-/// cannot be judged any more: its process is told everything again, on a new connection.
+/// The packet of one connection in which each thing was announced last. If there is no room for
+/// more, the older half is forgotten. A statement that was made before what was forgotten cannot
+/// be judged any more: its process is notified of everything again, on a new connection.
 class AnnouncementNumbers {
  public:
-  // A node of 24 bytes with what malloc adds, and its part of the buckets.
+  // A node of 24 bytes with malloc's overhead, and its part of the buckets.
   static constexpr std::uint64_t entry_bytes = 48;
 
   explicit AnnouncementNumbers(std::shared_ptr<KeptForUser> user) : bytes_(std::move(user)) {}
@@ -126,12 +126,13 @@ class AnnouncementNumbers {
     last_.emplace(key_of(subject), packet);
     bytes_.set(last_.size() * entry_bytes);
   }
-  /// A statement made after `seen` packets is void when the subject was announced in a later one.
+  /// Returns whether a statement made after `seen` packets is void: the subject was announced in a
+  /// later one.
   bool is_void(const Announced& subject, std::uint64_t seen) const {
     const auto found = last_.find(key_of(subject));
     return found != last_.end() && found->second > seen;
   }
-  /// The subject may have been announced in a later packet, and that was forgotten.
+  /// Returns whether the subject may have been announced in a later packet that was forgotten.
   bool may_be_void(const Announced& subject, std::uint64_t seen) const {
     return seen < forgotten_ && !last_.contains(key_of(subject));
   }
@@ -159,17 +160,17 @@ class AnnouncementNumbers {
   }
 
   std::unordered_map<std::uint64_t, std::uint64_t> last_;
-  std::uint64_t forgotten_ = 0;  // the latest packet of which something was forgotten
+  std::uint64_t forgotten_ = 0;  // the latest packet with a forgotten announcement
   BookBytes bytes_;
 };
 
-/// Of which collisions a process was told on one connection. A reader that comes back again and
-/// again has nothing new to say to its publishers.
+/// The collisions that a process was notified of on one connection. A reader that comes back again
+/// and again causes no new notices to its publishers.
 class CollisionsNotified {
  public:
-  // Pairs of endpoints. A process that has more is told of some twice, and costs the daemon 2 MB.
+  // Pairs of endpoints. A process with more is notified of some twice, and costs the daemon 2 MB.
   static constexpr std::size_t count_max = 16 * 1024;
-  // A node, with what malloc adds.
+  // A node, with malloc's overhead.
   static constexpr std::uint64_t entry_bytes = 128;
   struct Collision {
     std::uint64_t own_generation = 0, other_generation = 0, window = 0;
@@ -178,7 +179,7 @@ class CollisionsNotified {
   };
   explicit CollisionsNotified(std::shared_ptr<KeptForUser> user) : bytes_(std::move(user)) {}
 
-  /// Whether this is news about the endpoint of the process and the other one.
+  /// Returns whether this is news about the endpoint of the process and the other one.
   bool tell(const Announced& own, const Announced& other, const Collision& what) {
     const bool is_full = notified_.size() >= count_max || !bytes_.has_room_for(entry_bytes);
     if (is_full && !notified_.contains({own, other})) notified_.clear();
@@ -196,19 +197,19 @@ class CollisionsNotified {
 struct Outgoing {
   std::vector<std::byte> bytes;
   std::vector<SharedFd> fds;
-  // Called once, just before it is sent. Whatever is made for this packet alone is made here: in
-  // the queue of a client that does not read it would be one more descriptor of ours for each
-  // packet.
+  // Called once, just before the packet is sent. Descriptors for this packet alone are made here:
+  // in the queue of a client that does not read, each packet would cost the daemon one more
+  // descriptor.
   std::function<void(Outgoing&)> complete = {};
-  std::uint64_t since_ms = 0;    // when it was handed in
-  std::uint64_t cost_bytes = 0;  // of the session, as long as it waits
+  std::uint64_t since_ms = 0;    // when it was pushed
+  std::uint64_t cost_bytes = 0;  // charged to the session while it waits
 };
 
 class Session {
  public:
-  // Of one client that does not read, some 10 MB; [quota] queued_bytes bounds those of all clients
-  // of a user together. Who comes back is told in parts of half of this, and of one endpoint or
-  // topic more; each is at most 1,022 packets.
+  // For one client that does not read, some 10 MB; [quota] queued_bytes bounds the sum of a user's
+  // clients. A process that comes back is notified in parts of half of this, plus one endpoint or
+  // topic; each of those is at most 1,022 packets.
   static constexpr std::size_t queue_count_max = 16 * 1024;
 
   Session(PacketSocket socket, PeerIdentity identity,
@@ -230,52 +231,54 @@ class Session {
   Role role() const noexcept {
     return observing_ ? Role::observer : greeted() ? Role::client : Role::unknown;
   }
-  /// After this nothing is sent and nothing is read. The connection is the caller's to close, which
-  /// takes as long as the client likes unless may_carry() is false.
+  /// Ends sending and reading. The caller closes the returned connection, which takes as long as
+  /// the client likes unless may_carry() is false.
   [[nodiscard]] UniqueFd close() noexcept {
     drop_output();
     return socket_.release();
   }
-  /// Whether descriptors may be in the queue of the connection, or come into it.
+  /// Returns whether descriptors may be in the queue of the connection, or come into it.
   bool may_carry() const noexcept { return may_carry_; }
   void set_may_carry(bool may_carry) noexcept { may_carry_ = may_carry; }
   bool closed() const noexcept { return !socket_; }
   void drop_output() noexcept {
-    std::deque<Outgoing>().swap(queue_);  // and its memory
+    std::deque<Outgoing>().swap(queue_);  // frees its memory too
     queued_.set(0);
   }
 
-  /// Appends a packet; its number. Sends nothing yet.
+  /// Appends a packet and returns its number. Sends nothing yet.
   std::uint64_t push(std::span<const std::byte> bytes, std::vector<SharedFd> fds);
   void push(Outgoing packet);
   enum class Flushed : std::uint8_t {
     all,
-    blocked,  ///< go on when the socket is writable
-    later,    ///< too many descriptors are under way, whatever the socket says; go on in a while
-    gone,     ///< the peer has closed; the end of the connection will be read like any other
+    blocked,  ///< continue when the socket is writable
+    later,    ///< too many descriptors are in flight, whatever the socket reports; continue a
+              /// little later
+    gone,     ///< the peer has closed; the loop reads the end of the connection like any other
     over,     ///< the queue is too long, or the kernel refuses
   };
-  /// Sends what the socket takes.
+  /// Sends what the socket accepts.
   [[nodiscard]] Flushed flush();
   bool has_output() const noexcept { return !queue_.empty(); }
   std::size_t queued_count() const noexcept { return queue_.size(); }
   std::uint64_t queued_bytes() const noexcept { return queued_.own(); }
-  /// How long the first packet has waited for the reader; 0: none does.
+  /// Returns how long the first packet has waited for the reader; 0: none waits.
   std::uint64_t waits_ms(std::uint64_t now) const noexcept {
     return queue_.empty() || held_back_ ? 0 : now - std::min(now, queue_.front().since_ms);
   }
-  /// More than half of what this user may have waits already: what can wait elsewhere is to do so.
+  /// Returns whether this user's queues are more than half full: other work that can wait should
+  /// wait.
   bool is_crowded() const noexcept { return queued_.user().bytes >= queued_.user().bytes_max / 2; }
   bool is_over() const noexcept { return queued_.user().bytes > queued_.user().bytes_max; }
-  /// Not the reader's fault: the last flush() said `later`.
+  /// Returns whether the last flush() returned `later`: not the reader's fault.
   bool held_back() const noexcept { return held_back_; }
-  /// Packets handed in so far, sent or not.
+  /// Returns the number of packets pushed so far, sent or not.
   std::uint64_t packet_count() const noexcept { return packet_count_; }
 
   AnnouncementNumbers& announcements() noexcept { return announcements_; }
   CollisionsNotified& collisions() noexcept { return collisions_; }
 
-  /// Requests refused because they broke the protocol; the log speaks only of the first ones.
+  /// Requests refused because they broke the protocol; the log reports only the first ones.
   std::uint64_t violation_count = 0;
   /// User namespace of the process, 0 when unknown.
   std::uint64_t user_namespace = 0;
@@ -286,7 +289,7 @@ class Session {
   std::optional<ClientIndex> client_;
   bool observing_ = false, held_back_ = false, may_carry_ = true;
   std::deque<Outgoing> queue_;
-  BytesOfUser queued_;  // by what waits
+  BytesOfUser queued_;  // bytes of waiting packets
   std::uint64_t packet_count_ = 0;
   AnnouncementNumbers announcements_;
   CollisionsNotified collisions_;

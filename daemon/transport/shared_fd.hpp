@@ -1,8 +1,8 @@
 // SPDX-License-Identifier: Apache-2.0
 //
-// SharedFd: a descriptor with several holders. A packet that waits in a queue holds what it will
-// pass on; a bare number could have been closed and given to something else meanwhile, and the
-// client would receive a descriptor that is not its own.
+// SharedFd: a descriptor with several holders. A packet in a queue holds the descriptors that it
+// will pass on; a bare number could have been closed and reused meanwhile, and the client would
+// receive a descriptor that is not its own.
 #pragma once
 
 #include <base/descriptors/unique_fd.hpp>

@@ -276,7 +276,7 @@ TEST(DaemonObserver, MaySendNothingElse) {
   EXPECT_EQ(early.observe(1).refused_code(), Errc::layout_mismatch);
   EXPECT_EQ(early.observe().opcode(), Opcode::observed) << "it may try again";
   EXPECT_EQ(early.observe().refused_code(), Errc::protocol_violation);
-  EXPECT_EQ(early.wire.hello().refused_text(), "an observer takes part in nothing");
+  EXPECT_EQ(early.wire.hello().refused_text(), "an observer may not take part");
   EXPECT_EQ(early.wire.open_window(0).refused_code(), Errc::protocol_violation);
   EXPECT_EQ(early.wire.create_publisher("/x").refused_code(), Errc::protocol_violation);
   EXPECT_EQ(early.wire.ask(Opcode::dump, wire::Observe{}).refused_code(), Errc::protocol_violation)

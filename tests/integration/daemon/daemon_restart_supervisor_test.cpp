@@ -265,7 +265,7 @@ TEST(DaemonRestart, IsOneProcessWithoutAStoreIfConfigured) {
   const Ended alone = run_daemon({"--fd-store=manager", "--socket", "/nowhere/agnocastd.sock"});
   EXPECT_EQ(alone.status, 1);
   EXPECT_EQ(alone.err.substr(0, alone.err.find('\n')),
-            "agnocastd: --fd-store=manager: nobody is there who keeps descriptors");
+            "agnocastd: --fd-store=manager: no service manager is there to keep descriptors");
   EXPECT_EQ(run_daemon({"--fd-store=everybody"}).status, 2);
 }
 

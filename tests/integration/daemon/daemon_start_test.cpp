@@ -385,7 +385,7 @@ TEST(DaemonStart, NamesTheFaultOfAPassedSocket) {
   for (const int wrong : {mute->fd(), stream.get(), nameless.get()}) {
     const Ended ended = run_daemon(alone, {}, {}, {wrong});
     EXPECT_EQ(ended.status, 1);
-    EXPECT_NE(ended.err.find("cannot use the socket that is passed: it must be of AF_UNIX and "
+    EXPECT_NE(ended.err.find("cannot use the passed socket: it must be of AF_UNIX and "
                              "SOCK_SEQPACKET, listen, and have an absolute path"),
               std::string::npos)
         << ended.err;

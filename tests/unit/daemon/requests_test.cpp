@@ -132,7 +132,7 @@ TEST(Requests, RefusesParsablePacketsWithWrongContent) {
   EXPECT_EQ(rejected(decoded(window, {1, false, false})).code, Errc::protocol_violation);
   EXPECT_EQ(rejected(decoded(window, {0, false, true})).code, Errc::protocol_violation);
   EXPECT_EQ(rejected(decoded(window, {}, Role::unknown)).text, "the first request must be hello");
-  EXPECT_EQ(rejected(decoded(body<wire::Hello>(wire::Opcode::hello))).text, "hello is said once");
+  EXPECT_EQ(rejected(decoded(body<wire::Hello>(wire::Opcode::hello))).text, "hello may be sent only once");
   window.window = abi::window_count_max;
   EXPECT_EQ(rejected(decoded(window)).code, Errc::window_exhausted);
   EXPECT_EQ(rejected(decoded(window)).request, 77u);
@@ -158,7 +158,7 @@ TEST(Requests, AllowsEachRoleOnlyItsRequests) {
   for (const Role role : {Role::observer, Role::unknown})
     EXPECT_EQ(rejected(decoded(window, {}, role)).code, Errc::protocol_violation);
   EXPECT_EQ(rejected(decoded(window, {}, Role::observer)).text,
-            "an observer takes part in nothing");
+            "an observer may not take part");
 }
 
 TEST(Requests, RefusesUnterminatedNames) {
