@@ -1,7 +1,8 @@
 // SPDX-License-Identifier: Apache-2.0
 //
-// Log events: the numbers by which journald knows them (MESSAGE_ID=). `journalctl MESSAGE_ID=…` finds
-// every one of a kind, `journalctl -x` prints what systemd/agnocast.catalog says of it.
+// Log events: the ids by which the systemd journal knows them (MESSAGE_ID=). `journalctl
+// MESSAGE_ID=…` finds all events of a kind, `journalctl -x` prints the explanation in
+// systemd/agnocast.catalog.
 #pragma once
 
 #include <base/text/log.hpp>
@@ -15,7 +16,7 @@ struct LogEvent {
   std::string_view id;  // 32 hexadecimal digits; never given to another event
 };
 
-/// What is of level info or above. Events of level debug have no number.
+/// Events of level info or above. Events of level debug have no id.
 inline constexpr LogEvent log_events[] = {
     {"a descriptor was lost", "9566a3435c504d32bf679fca282f9adf"},
     {"addresses blocked", "3fe6cd7de60b4f68932a873979a59776"},
@@ -55,7 +56,7 @@ inline constexpr LogEvent log_events[] = {
     {"worker not started", "b5db630c364342d9bc9e90f21c4ed58b"},
 };
 
-/// Empty when it has none.
+/// Returns the id of an event; empty when it has none.
 constexpr std::string_view message_id_of(std::string_view words) noexcept {
   for (const LogEvent& event : log_events) {
     if (event.words == words) return event.id;

@@ -1,8 +1,8 @@
 // SPDX-License-Identifier: Apache-2.0
 //
-// agnocastd: options, configuration, and then one of two: the supervisor, or the daemon itself.
+// agnocastd: parses options and configuration, then becomes the supervisor or the daemon itself.
 //
-// Exit status: 0 ended by SIGTERM or SIGINT, or what was asked for is printed · 1 it cannot run
+// Exit status: 0 ended by SIGTERM or SIGINT, or the requested text is printed · 1 it cannot run
 // here · 2 wrong usage. A complaint is two lines on stderr; everything else goes through the log.
 
 #include <agnocast/error.hpp>
@@ -26,20 +26,21 @@
 namespace agnocast::daemon {
 namespace {
 
-// One place where complaints leave: what went wrong, and what to do.
+// Prints all complaints: what went wrong, and what to do. Returns exit status 1.
 int complain(const std::string& what, const std::string& hint) {
   say_on_stderr("agnocastd: " + what + "\nhint: " + hint + "\n");
   return 1;
 }
 
-// What was asked for, on stdout; a disk that is full is no success.
+// Prints the requested text on stdout. Returns `status`, or 1 if it cannot be written (full disk).
 int print(const std::string& text, int status) {
   std::fputs(text.c_str(), stdout);
   if (std::fflush(stdout) == 0 && std::ferror(stdout) == 0) return status;
   return complain("output: it cannot be written", "df");
 }
 
-// About nine descriptors per process; the soft limit of 1024 is select()'s, not ours.
+// A process needs about nine descriptors; the soft limit of 1024 exists for select(), which is not
+// used here.
 void raise_descriptor_limit() noexcept {
   rlimit limit{};
   if (::getrlimit(RLIMIT_NOFILE, &limit) != 0) return;
@@ -86,9 +87,9 @@ int run(int argc, const char* const* argv) {
   auto store = has_manager ? DescriptorStore::of_manager() : DescriptorStore::of_nobody();
   if (!store)
     return complain(store.error().code == Errc::invalid_argument
-                        ? "--fd-store=manager: nobody is there who keeps descriptors"
+                        ? "--fd-store=manager: no service manager is there to keep descriptors"
                         : "--fd-store: " + text_of(store.error()),
-                    "start it by systemd with FileDescriptorStoreMax, or with --fd-store=own");
+                    "start it with systemd and FileDescriptorStoreMax=, or with --fd-store=own");
   const auto trouble = serve(config, *socket, std::move(*store), log);
   return trouble ? complain(trouble->what, trouble->hint) : 0;
 }

@@ -1,7 +1,7 @@
 // SPDX-License-Identifier: Apache-2.0
 //
-// Writes agnocastd(8) when the project is built, from the tables that --help and the reader of the
-// configuration use.
+// Writes agnocastd(8) when the project is built, from the tables that --help and the configuration
+// reader use.
 
 #include <base/text/mdoc.hpp>
 #include <daemon/config/config_keys.hpp>
@@ -26,43 +26,44 @@ std::string options_section() {
 
 std::string configuration_section() {
   std::string text =
-      ".Sh CONFIGURATION\nA TOML file; every key may be left out.\n"
-      ".Ic agnocastd --print-config\nprints all of them with the values in force.\n"
+      ".Sh CONFIGURATION\nA TOML file; every key is optional.\n"
+      ".Ic agnocastd --print-config\nprints all of them with their effective values.\n"
       ".Bl -tag -width Ds\n";
   for (const config_keys::Key& key : config_keys::all()) {
     text += ".It Va " + key.full() + '\n';
     if (!key.meaning.empty()) text += mdoc::lines_of(std::string(key.meaning) + '.');
   }
-  return text + ".It Va access\nWho may use which topics: tables of an array.\n.El\n";
+  return text + ".It Va access\nRules for topics: an array of tables.\n.El\n";
 }
 
 std::string manual(const std::string& date) {
   return mdoc::heading("agnocastd", "8", "the daemon of agnocast", date) +
          ".Sh SYNOPSIS\n.Nm\n.Op Ar option ...\n"
          ".Sh DESCRIPTION\n.Nm\n"
-         "knows which process publishes or subscribes to what, makes the shared memory\n"
-         "and hands out its descriptors, and repairs what a dead process left.\n"
+         "registers publishers and subscriptions, makes the shared memory\n"
+         "and hands out its descriptors, and cleans up after dead processes.\n"
          "It is never on the data path: while it is down, messages flow.\n"
          "It stays in the foreground.\n"
-         ".Pp\nUnder systemd, which keeps its descriptors, it goes on after\n"
+         ".Pp\nUnder systemd, which keeps its descriptors, it continues after\n"
          ".Ic systemctl restart agnocastd\n"
          "as if nothing had happened;\n.Ic systemctl stop agnocastd\n"
-         "gives up everything that it knew.\n" +
+         "discards everything that it knew.\n" +
          options_section() + configuration_section() +
          ".Sh SIGNALS\n.Bl -tag -width Ds\n"
-         ".It Dv SIGTERM , SIGINT\nEnd.\n"
-         ".It Dv SIGHUP\nWithout systemd: start the program again, which keeps everything and\n"
-         "reads the configuration anew.\n.El\n"
+         ".It Dv SIGTERM , SIGINT\nEnds the daemon.\n"
+         ".It Dv SIGHUP\nWithout systemd: restarts the program, which keeps everything and\n"
+         "reads the configuration again.\n.El\n"
          ".Sh ENVIRONMENT\n.Bl -tag -width Ds\n"
-         ".It Ev AGNOCAST_SOCKET\nThe socket, where there is no\n.Fl Fl socket .\n"
-         ".It Ev NOTIFY_SOCKET , FDSTORE , LISTEN_FDS\nWhat a service manager says.\n.El\n"
+         ".It Ev AGNOCAST_SOCKET\nThe socket, unless\n.Fl Fl socket\nis given.\n"
+         ".It Ev NOTIFY_SOCKET , FDSTORE , LISTEN_FDS\nSet by a service manager.\n.El\n"
          ".Sh FILES\n.Bl -tag -width Ds\n"
          ".It Pa /etc/agnocast/agnocastd.toml\nThe configuration.\n"
          ".It Pa /run/agnocast/agnocastd.sock\nThe socket of root's daemon.\n"
-         "Who is in the group\n.Ql agnocast\nmay connect.\n"
-         ".It Pa $XDG_RUNTIME_DIR/agnocast/agnocastd.sock\nThat of another user's.\n.El\n"
+         "Members of the group\n.Ql agnocast\nmay connect.\n"
+         ".It Pa $XDG_RUNTIME_DIR/agnocast/agnocastd.sock\nThe socket of another user's "
+         "daemon.\n.El\n"
          ".Sh EXIT STATUS\n.Bl -tag -width Ds\n"
-         ".It 0\nended by a signal, or what was asked for is printed.\n"
+         ".It 0\nended by a signal, or the requested text is printed.\n"
          ".It 1\nit cannot run here.\n.It 2\nwrong usage.\n.El\n"
          ".Sh SEE ALSO\n.Xr agnocast-ctl 1 ,\n.Xr agnocast-run 1 ,\n.Xr agnocast-errors 7\n";
 }

@@ -16,11 +16,11 @@
 namespace agnocast::daemon {
 namespace {
 
-// Who connects and says nothing must not take the descriptors of those who ask.
+// Connections that send nothing must not take the descriptors of those that do.
 constexpr std::size_t caller_count_max = 64;
-// Whoever connects again and again is never done; signals must not wait for that.
+// A process that connects again and again would never let it end; signals must not wait for that.
 constexpr unsigned connections_per_slice = 8;
-// How long nobody is accepted when no descriptor is left.
+// How long no connection is accepted when no descriptor is left.
 constexpr std::uint64_t pause_ms = 100;
 
 }  // namespace
@@ -29,7 +29,7 @@ Refuser::~Refuser() {
   dispatcher_.remove(listening_);
   for (auto& [id, caller] : callers_) {
     dispatcher_.remove(caller.token);
-    // The end of the process closes it, and does not linger.
+    // The end of the process closes the socket without lingering.
     static_cast<void>(caller.socket.release().release());
   }
 }
@@ -58,7 +58,7 @@ void Refuser::accept_all() {
   for (unsigned round = 0; round < connections_per_slice; ++round) {
     auto socket = listener_.accept();
     if (!socket) {
-      // No descriptor was left, and whoever waits is told again and again.
+      // No descriptor was left, and the dispatcher reports waiting connections again and again.
       if (!callers_.empty()) drop(callers_.begin());
       dispatcher_.change(listening_, 0);
       listens_again_ms_ = monotonic_ms() + pause_ms;
@@ -82,7 +82,7 @@ void Refuser::answer(std::uint64_t id) {
   const auto found = callers_.find(id);
   if (found == callers_.end()) return;
   std::array<std::byte, wire::packet_bytes_max> buffer;
-  // What comes with descriptors is not taken, and goes with the connection.
+  // A packet with descriptors is not received and goes with the connection.
   if (const auto next = found->second.socket.peek(buffer); next && next->has_descriptors)
     return drop(found);
   const auto packet = found->second.socket.receive(buffer);
@@ -93,8 +93,8 @@ void Refuser::answer(std::uint64_t id) {
       std::memcpy(static_cast<void*>(&header), buffer.data(), sizeof header);
     auto refused =
         make_body<wire::Refused>(wire::Opcode::refused, header.request & ~wire::asked_again);
-    // Who comes back has a session that is kept. It has to try again: with a refusal
-    // it would be an orphaned session, although its session is kept.
+    // A process that rejoins has a stored session and must try again: a refusal would orphan that
+    // session.
     const Errc code = header.opcode == wire::Opcode::rejoin ? Errc::daemon_not_running : code_;
     refused.code = static_cast<std::uint32_t>(code);
     refused.text = name_of(why_);

@@ -1,11 +1,12 @@
 // SPDX-License-Identifier: Apache-2.0
 //
-// Refuser: what serves when a previous run cannot be gone on with.
+// Refuser: serves when the daemon cannot continue a previous run.
 //
-// Another build has left its tables, or they are damaged. Nothing of it is touched, every
-// descriptor stays where it is kept, and whoever connects is told what is wrong: `refused` with
-// layout_mismatch or store_damaged, to whatever he says; to `rejoin` with daemon_not_running, which
-// means later. The build that made the tables can be started again and goes on, with everybody.
+// Another build has left its tables, or they are damaged. The refuser touches nothing of them,
+// every descriptor stays in the store, and each client gets the reason: `refused` with
+// layout_mismatch or store_damaged to any request, but daemon_not_running to `rejoin`, which means
+// try later. The build that made the tables can be started again and continues, with all its
+// clients.
 #pragma once
 
 #include <base/sockets/packet_socket.hpp>
@@ -59,7 +60,7 @@ class Refuser {
   Errc code_;
   std::string why_;
   Dispatcher::Token listening_ = 0;
-  std::optional<std::uint64_t> listens_again_ms_;  // no descriptor was left
+  std::optional<std::uint64_t> listens_again_ms_;  // set while no descriptor is left
   Callers callers_;
   std::uint64_t last_caller_ = 0;
 };

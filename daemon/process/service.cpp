@@ -40,8 +40,7 @@ Trouble trouble_of(const Complaint& complaint) {
   return {complaint.what, remedy_of(complaint.code)};
 }
 
-// The stack lies at the top of the user's addresses, so one of its addresses says how many bits
-// there are.
+// The stack lies at the top of the user's addresses, so an address in it shows the number of bits.
 unsigned address_bits() noexcept {
   const int here = 0;
   return static_cast<unsigned>(std::bit_width(reinterpret_cast<std::uintptr_t>(&here)));
@@ -52,7 +51,7 @@ std::uint64_t memory_bytes() noexcept {
   return ::sysinfo(&info) == 0 ? std::uint64_t{info.totalram} * info.mem_unit : 0;
 }
 
-// Two lives of the daemon must not have the same, or a client would take a new board for its own.
+// Two incarnations must not have the same number, or a client would take a new board for its own.
 std::uint64_t random_incarnation() noexcept {
   std::uint64_t value = 0;
   if (::getrandom(&value, sizeof value, 0) != sizeof value || value == 0) {
@@ -65,13 +64,13 @@ std::uint64_t random_incarnation() noexcept {
 }
 
 std::optional<gid_t> group_of(const std::string& name) {
-  // getgrnam also reads files and may ask the network; once, at the start.
+  // getgrnam also reads files and may ask the network; called once, at the start.
   const group* const found = ::getgrnam(name.empty() ? "agnocast" : name.c_str());
   if (found == nullptr) return std::nullopt;
   return found->gr_gid;
 }
 
-// SIGTERM and SIGINT as events, so that the end happens between two others.
+// Makes SIGTERM and SIGINT events, so that the end comes between two other events.
 Result<UniqueFd> watch_signals() noexcept {
   sigset_t wanted;
   ::sigemptyset(&wanted);
@@ -84,7 +83,7 @@ Result<UniqueFd> watch_signals() noexcept {
   return fd;
 }
 
-/// The parts of one life, in the order in which they are made.
+/// The parts of one run, in the order of their construction.
 class Service {
  public:
   Service(const Config& config, DescriptorStore store, Log& log)
@@ -105,7 +104,7 @@ class Service {
   DescriptorStore store_;
   Log& log_;
   ListenerOptions place_;
-  UniqueFd passed_;  // the socket of the manager, until it is used
+  UniqueFd passed_;  // the manager's socket, until it is used
   Arena arena_;
   UniqueFd signals_;
   std::optional<Dispatcher> dispatcher_;
@@ -131,19 +130,19 @@ std::optional<Trouble> Service::prepare(const std::string& socket) {
   if (!group && !config_.daemon.socket_group.empty())
     return Trouble{"there is no group " + config_.daemon.socket_group,
                    "groupadd " + config_.daemon.socket_group};
-  // Only who may give files away gives the socket to the usual group; a configured one is a must.
+  // Only root can give the socket to the usual group; a configured group is mandatory.
   const bool wants_group = !config_.daemon.socket_group.empty() || ::geteuid() == 0;
   std::string listens_at = socket;
   std::vector<UniqueFd> passed = store_.take_passed_sockets();
   if (passed.size() > 1)
     return Trouble{"the service manager passes " + std::to_string(passed.size()) + " sockets",
-                   "have one ListenSequentialPacket= in agnocastd.socket"};
+                   "use only one ListenSequentialPacket= in agnocastd.socket"};
   if (!passed.empty()) {
     auto place = Listener::place_of(passed.front());
     if (!place) return trouble_of(place.error());
     listens_at = std::move(*place);
     passed_ = std::move(passed.front());
-    // systemd passes it as NonBlocking= says, which is off.
+    // systemd passes it in the mode of NonBlocking=, which is off.
     ::fcntl(passed_.get(), F_SETFL, ::fcntl(passed_.get(), F_GETFL) | O_NONBLOCK);
   }
   place_ = {socket, choose_runtime_directory(config_, listens_at),
@@ -172,7 +171,7 @@ std::optional<Trouble> Service::prepare(const std::string& socket) {
 }
 
 std::optional<Trouble> Service::begin() {
-  // What a start left that did not come to its end; nobody was served by it.
+  // Left by a start that did not complete; it served no client.
   store_.remove_left_over();
   auto listener = Listener::open(place_, std::move(passed_));
   if (!listener) return trouble_of(listener.error());
@@ -199,7 +198,7 @@ std::optional<Trouble> Service::go_on() {
   if (journal::decide_stored(stored::tables, board && journal, stored::none) ==
       journal::StoredDecision::start_anew) {
     log_.write(LogLevel::error, "previous incarnation lost",
-               {{"why", "a descriptor was not kept"}});
+               {{"why", "the store has lost a descriptor"}});
     for (const char* const name : {"listen", "lock", "board", "journal"}) store_.remove(name);
     socket.reset();
     lock.reset();
@@ -209,7 +208,7 @@ std::optional<Trouble> Service::go_on() {
   auto regions = Regions::adopt(store_, std::move(board), std::move(journal));
   if (!regions) return refuse(place_to_refuse(), regions.error());
   {
-    // Before anything else is made: the listener's place is in the tables.
+    // Before any other part is made: the tables have the place of the listener.
     const Registry registry(regions->memory());
     if (auto checked = registry.check(); !checked)
       return refuse(place_to_refuse(), checked.error());
@@ -247,15 +246,15 @@ std::optional<Trouble> Service::refuse(UniqueFd socket, const Failure& why) {
   log_.write(LogLevel::error, "refusing everybody",
              {{"why", text},
               {"hint", why.code == Errc::layout_mismatch
-                           ? "start the agnocastd that was there before, or stop this one and "
+                           ? "start the previous agnocastd again, or stop this one and "
                              "restart every process"
                            : remedy_of(why.code)}});
-  // Ready all the same: a manager that starts it again and again would change nothing.
+  // Ready all the same: a manager that restarted it again and again would change nothing.
   notify("READY=1\nSTATUS=refusing everybody: " + text);
   return wait();
 }
 
-// The unit of the socket decides; who has said something else in the configuration is to know.
+// The socket's unit decides; the log warns a user whose configuration differs.
 void Service::look_at_passed() const {
   const std::string differences = listener_->differences(place_);
   if (!differences.empty())
@@ -273,9 +272,8 @@ void Service::say_ready(bool resumed) {
         LogLevel::warning, "holes are allowed",
         {{"why", trouble_of(forbidden.error()).what},
          {"then",
-          "a process that punches holes into its region may keep this daemon, and the processes "
-          "that "
-          "it exchanges messages with, waiting"},
+          "a process that punches holes into its region can block this daemon, and the processes "
+          "that exchange messages with it"},
          {"hint",
           "it needs Linux 6.0 and CAP_LINUX_IMMUTABLE, which root in a container often lacks"}});
   const Arena& arena = broker_->arena();
@@ -285,7 +283,7 @@ void Service::say_ready(bool resumed) {
               {"arena_bytes", arena.bytes},
               {"window_bytes", arena.window_bytes},
               {"unprivileged", ::geteuid() == 0 ? "no" : "yes"}});
-  // One datagram: whoever waits for the first reads the second.
+  // One datagram: a reader that waits for the first line then reads the second.
   notify(std::string("READY=1\nSTATUS=serving") +
          (resumed ? "; goes on with what was there before" : ""));
 }
@@ -315,13 +313,14 @@ std::optional<Trouble> Service::wait() {
 std::optional<Trouble> Service::run(const std::string& socket) {
   if (auto trouble = prepare(socket)) return trouble;
   if (store_.is_refused())
-    log_.write(LogLevel::warning, "nothing is kept",
-               {{"why", "the service manager keeps no descriptors"},
-                {"then",
-                 "the end of this daemon is the end of its incarnation: the next one begins with "
-                 "nothing, and every process has to join it anew"},
-                {"hint", "set FileDescriptorStoreMax= in the unit, or use --fd-store=own"}});
-  // The lock goes into the store after board and journal, and stays there.
+    log_.write(
+        LogLevel::warning, "nothing is kept",
+        {{"why", "the service manager keeps no descriptors"},
+         {"then",
+          "the end of this daemon is the end of its incarnation: the next daemon begins with "
+          "nothing, and every process has to join it again"},
+         {"hint", "set FileDescriptorStoreMax= in the unit, or use --fd-store=own"}});
+  // The lock enters the store after board and journal, and stays there.
   return store_.has("listen") || store_.has("lock") ? go_on() : begin();
 }
 

@@ -1,15 +1,15 @@
 // SPDX-License-Identifier: Apache-2.0
 //
-// Service: one life of the daemon, from what it finds to its end.
+// Service: one run of the daemon, from what it finds in the store to its end.
 //
-//   nothing is kept                a new life: a fresh board, a new incarnation
-//   a previous run is kept          it goes on (requests/recovery.hpp)
-//   that life is of another        nothing of it is touched, everybody is refused (refuser.hpp)
-//   build, or damaged
+//   the store is empty             begin: a fresh board, a new incarnation
+//   it has a previous run          continue that (requests/recovery.hpp)
+//   that run is damaged, or of     touch nothing of it, refuse all clients (refuser.hpp)
+//   another build
 //
-// At the end socket and doorbells are removed; not when a manager keeps descriptors, because then
-// the next run goes on with them. SIGINT is the exception: our supervisor says with it that no life
-// follows.
+// At the end the daemon removes socket and doorbells, unless a manager keeps descriptors: then the
+// next run continues with them. SIGINT is the exception: with it the daemon's own supervisor
+// announces that no run follows.
 #pragma once
 
 #include <base/text/log.hpp>
@@ -21,13 +21,13 @@
 
 namespace agnocast::daemon {
 
-/// Why it cannot run here, and what can be done.
+/// Why the daemon cannot run here, and a remedy.
 struct Trouble {
   std::string what;
   std::string hint;
 };
 
-/// Runs until it is told to end.
+/// Runs until a signal ends it. Returns what prevented it from running, if anything did.
 std::optional<Trouble> serve(const Config& config, const std::string& socket, DescriptorStore store,
                              Log& log);
 

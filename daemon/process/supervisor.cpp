@@ -33,32 +33,32 @@ namespace {
 // Names the supervisor's pid to its worker.
 constexpr const char* supervisor_variable = "AGNOCASTD_SUPERVISOR";
 constexpr int first_passed = 3;                   // where LISTEN_FDS begins
-constexpr std::size_t datagram_bytes_max = 4096;  // as systemd takes them
+constexpr std::size_t datagram_bytes_max = 4096;  // the same limit as systemd's
 constexpr std::size_t descriptors_per_datagram_max = 253;
 constexpr std::uint64_t pause_first_ms = 20;
-// Whoever has been ready found nothing at its start that kills it: ten lives a second, at most.
+// A worker that has been ready found nothing at its start that kills it: at most ten runs a
+// second.
 constexpr std::uint64_t life_of_ready_ms = 100;
 constexpr std::uint64_t pause_most_ms = 5'000;
-// Who has lived so long did not die of what it found at its start.
+// A worker that lived so long did not die of what it found at its start.
 constexpr std::uint64_t settled_ms = 10'000;
 
-// How long a worker that is told to end may take until its loop says that it has heard of it, and
-// from then until it has ended. The first one is what a worker that hangs costs whoever waits: less
-// than a second.
+// How long a worker may take from the request to end until its loop reports it, and from then
+// until it has ended. A worker that hangs delays the end by the first one: less than a second.
 constexpr std::uint64_t stop_patience_ms = 800, end_patience_ms = 5'000;
-// How long a worker may take until it serves; systemd's own.
+// How long a worker may take until it serves; systemd's default.
 constexpr std::uint64_t start_patience_ms = 90'000;
-// How often a worker that is to end is looked at, and how long the end of the supervisor waits for
-// its end.
+// Interval of looks at a worker that is to end, and how long the end of the supervisor waits for
+// it.
 constexpr std::uint64_t look_interval_ms = 20, kill_patience_ms = 150;
-// How long a worker that holds nothing any more may take until it has ended; usually at once.
+// How long a worker that holds nothing any more may take until it has ended; usually no time.
 constexpr std::uint64_t remains_patience_ms = 500;
 
-/// A socket that can be reached through a descriptor of it and in no other way: it was bound in a
-/// directory of ours, and its name is gone.
+/// A socket that can be reached only through a descriptor of it: it was bound in a directory of
+/// ours, and its name is removed.
 struct HiddenSocket {
   UniqueFd socket;
-  UniqueFd way;  // O_PATH; /proc/self/fd/N of it is an address
+  UniqueFd way;  // O_PATH; its /proc/self/fd/N is an address
 };
 
 std::optional<HiddenSocket> hidden_socket() {
@@ -84,8 +84,8 @@ std::optional<HiddenSocket> hidden_socket() {
   return std::nullopt;
 }
 
-// However often a ready daemon has died before, its clients wait for the next one: only a row of
-// starts that fail makes the pause long.
+// Returns the pause before the next worker. Clients wait for it, however often a ready daemon has
+// died before: only a row of failed starts makes the pause long.
 std::uint64_t pause_after(unsigned deaths_before, unsigned failed_starts,
                           std::uint64_t lived_ms) noexcept {
   if (deaths_before == 0) return 0;
@@ -95,8 +95,7 @@ std::uint64_t pause_after(unsigned deaths_before, unsigned failed_starts,
                             : std::min(doubled(failed_starts - 1), pause_most_ms);
 }
 
-// Whoever starts a worker has all of them twice for a moment, and the worker needs about two for
-// each.
+// A fork has all descriptors twice for a moment, and the worker needs about two for each.
 std::size_t kept_limit() noexcept {
   constexpr rlim_t of_ourselves = 64;
   rlimit limit{};
@@ -105,7 +104,7 @@ std::size_t kept_limit() noexcept {
   return std::min<rlim_t>(pairs, kept_count_max);
 }
 
-// Whether the first thread of a child has ended. Others may not have.
+// Returns whether the first thread of a child has ended. Others may still run.
 bool first_thread_has_ended(pid_t pid) noexcept {
   const UniqueFd file(
       ::open(("/proc/" + std::to_string(pid) + "/stat").c_str(), O_RDONLY | O_CLOEXEC));
@@ -186,13 +185,14 @@ class Supervisor {
   void keep(const Notification& notification, std::vector<UniqueFd> fds, bool lost);
   void forward(const std::string& line) const noexcept;
   void on_worker_end(int status);
-  /// Ends it, or kills it when it does not.
+  /// Ends the worker with a signal, and sets when to kill it.
   void end_worker(int signal);
   void kill_worker(std::string_view why);
   void look_at_worker(std::uint64_t now);
-  /// A killed worker that cannot end, because somebody keeps a thread of it in the kernel.
+  /// Returns whether a killed worker cannot end, because a client keeps a thread of it in the
+  /// kernel.
   bool is_stuck(std::uint64_t now) const noexcept;
-  /// When look_at_worker() is due; nothing: no time.
+  /// Returns when look_at_worker() is due; nothing: never.
   std::optional<std::uint64_t> look_due_ms() const noexcept;
   std::uint64_t patience_ms() const noexcept {
     return is_ready_ ? watchdog_ms_ : std::max(watchdog_ms_, start_patience_ms);
@@ -203,29 +203,29 @@ class Supervisor {
 
   Log& log_;
   HiddenSocket socket_;
-  std::string outer_;  // the NOTIFY_SOCKET of whoever started us
+  std::string outer_;  // the NOTIFY_SOCKET of the parent process
   std::string program_;
   std::vector<std::string> arguments_;
   UniqueFd signals_;
   std::map<std::string, UniqueFd> kept_;
-  std::vector<UniqueFd> sockets_;  // of whoever started us, for every worker
+  std::vector<UniqueFd> sockets_;  // from the parent process, for every worker
   std::size_t kept_limit_ = kept_limit();
   pid_t worker_ = -1;
   UniqueFd life_line_;          // a pipe: its other end is in the worker's descriptor table
   std::vector<pid_t> remains_;  // workers that hold nothing any more and have not ended
-  std::uint64_t watchdog_ms_;   // 0: nobody looks
-  std::uint64_t heard_ms_ = 0;  // when the worker last said that it turns
-  std::optional<std::uint64_t> kill_due_ms_;  // of a worker that was told to end
+  std::uint64_t watchdog_ms_;   // 0: no watchdog
+  std::uint64_t heard_ms_ = 0;  // when the worker last sent a sign of life
+  std::optional<std::uint64_t> kill_due_ms_;  // when to kill a worker that was asked to end
   std::optional<std::uint64_t> killed_ms_;
-  std::optional<std::uint64_t> remains_since_ms_;  // since when it holds nothing any more
+  std::optional<std::uint64_t> remains_since_ms_;  // when it was found to hold nothing any more
   std::uint64_t started_ms_ = 0;
   std::optional<std::uint64_t> due_ms_;  // when the next worker begins
   unsigned failures_ = 0;                // deaths in a row
-  unsigned failed_starts_ = 0;           // those of them since a worker was ready last
+  unsigned failed_starts_ = 0;           // of those, since a worker was last ready
   bool was_ready_ = false;               // any worker
   bool is_ready_ = false;                // this one
-  bool is_stopping_ = false;             // this one said so
-  bool restarts_ = false;  // the end of the worker was asked for, and another is wanted
+  bool is_stopping_ = false;             // this one has reported it
+  bool restarts_ = false;                // the worker was asked to end, and another one is wanted
   bool stops_ = false;
   std::optional<int> result_;
 };
@@ -256,7 +256,7 @@ int Supervisor::run() {
     }
     pollfd entries[] = {{signals_.get(), POLLIN, 0},
                         {socket_.socket.get(), POLLIN, 0},
-                        {life_line_.get(), POLLIN, 0}};  // -1 is passed over
+                        {life_line_.get(), POLLIN, 0}};  // poll() ignores -1
     if (::poll(entries, 3, timeout_ms) < 0 && errno != EINTR) {
       log_.write(LogLevel::error, "cannot supervise", {{"errno", errno}});
       return 1;
@@ -269,7 +269,7 @@ int Supervisor::run() {
     on_signals();
     if (!look_due) continue;
     const std::uint64_t then = monotonic_ms();
-    // We were stopped ourselves, and so may the worker have been.
+    // The supervisor itself was stopped, and so may the worker have been.
     constexpr std::uint64_t late_ms = 1'000;
     if (then > *look_due + late_ms) heard_ms_ = then;
     if (then >= *look_due) look_at_worker(then);
@@ -287,8 +287,8 @@ void Supervisor::start() {
   remains_since_ms_.reset();
   life_line_.reset();
   int line[2] = {-1, -1};
-  // Without it a worker that is stuck in the kernel is not seen to be gone; no reason not to start
-  // one.
+  // Without it a worker that is stuck in the kernel is not seen to be gone; one is started all the
+  // same.
   if (::pipe2(line, O_CLOEXEC) == 0) life_line_.reset(line[0]);
   const UniqueFd other_end(line[1]);
   const pid_t parent = ::getpid();
@@ -303,10 +303,11 @@ void Supervisor::start() {
   log_.write(LogLevel::debug, "worker started", {{"pid", pid}, {"descriptors", kept_.size()}});
 }
 
-// In the child. Signals stay blocked over exec: what comes before the worker listens is not lost.
+// Runs in the child. Signals stay blocked over exec: those that come before the worker listens are
+// not lost.
 void Supervisor::become_worker(pid_t parent, int life_line) noexcept {
   ::prctl(PR_SET_PDEATHSIG, SIGKILL);
-  if (::getppid() != parent) ::_exit(1);  // it died before it would have been noticed
+  if (::getppid() != parent) ::_exit(1);  // the supervisor died before prctl()
   std::string names;
   std::vector<int> passed;
   for (const auto& [name, fd] : kept_) {
@@ -320,7 +321,7 @@ void Supervisor::become_worker(pid_t parent, int life_line) noexcept {
   const auto count = static_cast<int>(passed.size());
   passed.push_back(socket_.way.get());
   if (life_line >= 0) passed.push_back(life_line);
-  // Out of the way first: whatever lies where another one has to go.
+  // First moves descriptors away from the numbers that others have to get.
   const int end = first_passed + static_cast<int>(passed.size());
   for (int& fd : passed) {
     if (fd < end) fd = ::fcntl(fd, F_DUPFD_CLOEXEC, end);
@@ -346,7 +347,7 @@ void Supervisor::become_worker(pid_t parent, int life_line) noexcept {
   argv.push_back(nullptr);
   if (placed) {
     ::execv(program_.c_str(), argv.data());
-    ::execv("/proc/self/exe", argv.data());  // it was removed: what we are ourselves
+    ::execv("/proc/self/exe", argv.data());  // the file was removed: the supervisor's own program
   }
   say_on_stderr("agnocastd: cannot start " + program_ + ": " + std::strerror(errno) + "\n");
   ::_exit(1);
@@ -379,7 +380,7 @@ void Supervisor::on_signals() {
   if (::waitid(P_PID, static_cast<id_t>(worker_), &ended, WEXITED | WNOHANG | WNOWAIT) != 0 ||
       ended.si_pid == 0)
     return;
-  on_notifications();  // its last words, while its pid is still its own
+  on_notifications();  // its last datagrams, while its pid is still its own
   int status = 0;
   if (::waitpid(worker_, &status, WNOHANG) == worker_) on_worker_end(status);
 }
@@ -414,18 +415,18 @@ void Supervisor::look_at_worker(std::uint64_t now) {
                {{"pid", worker_}, {"why", "a thread of it is kept in the kernel"}});
     tell_worker(SIGKILL);
     remains_.push_back(worker_);
-    on_notifications();  // its last words
+    on_notifications();  // its last datagrams
     return on_worker_end(is_stopping_ && !killed_ms_ ? 0 : SIGKILL);
   }
   if (remains_since_ms_) return;
   if (!killed_ms_ && kill_due_ms_ && now >= *kill_due_ms_)
-    return kill_worker("it was told to end and does not");
+    return kill_worker("it was asked to end and does not");
   if (!killed_ms_ && !kill_due_ms_ && watchdog_ms_ > 0 && now >= heard_ms_ + patience_ms())
-    return kill_worker(is_ready_ ? "its loop does not turn" : "it does not begin to serve");
+    return kill_worker(is_ready_ ? "its loop does not run" : "it does not begin to serve");
   if (killed_ms_ && stops_ && now >= *killed_ms_ + kill_patience_ms) result_ = 1;
 }
 
-// Where a thread had to be kept in the worker's own table the life line says nothing.
+// If a thread had to stay in the worker's own table, the life line shows nothing.
 bool Supervisor::is_stuck(std::uint64_t now) const noexcept {
   return killed_ms_ && now >= *killed_ms_ + remains_patience_ms && first_thread_has_ended(worker_);
 }
@@ -524,9 +525,9 @@ void Supervisor::keep(const Notification& notification, std::vector<UniqueFd> fd
       }
     }
     if (lost || fds.empty())
-      log_.write(LogLevel::error, "a descriptor was lost",
-                 {{"name", notification.name},
-                  {"why", "as many are kept as may be, or LimitNOFILE is too low"}});
+      log_.write(
+          LogLevel::error, "a descriptor was lost",
+          {{"name", notification.name}, {"why", "the store is full, or LimitNOFILE is too low"}});
   }
   if (notification.ready) was_ready_ = is_ready_ = true;
   if (notification.ready || notification.watchdog) heard_ms_ = monotonic_ms();
@@ -538,7 +539,7 @@ void Supervisor::keep(const Notification& notification, std::vector<UniqueFd> fd
   if (notification.stopping && stops_) forward("STOPPING=1");
 }
 
-// Never waits for whoever started us.
+// Never waits for the parent process.
 void Supervisor::forward(const std::string& line) const noexcept {
   if (outer_.empty() || (outer_[0] != '/' && outer_[0] != '@')) return;
   sockaddr_un address{};
@@ -554,7 +555,7 @@ void Supervisor::forward(const std::string& line) const noexcept {
 
 }  // namespace
 
-// exec of a program with file capabilities clears what was asked for before it.
+// exec of a program with file capabilities clears an earlier PR_SET_PDEATHSIG.
 bool die_with_supervisor() noexcept {
   const char* const supervisor = std::getenv(supervisor_variable);
   if (supervisor == nullptr) return true;
@@ -566,7 +567,7 @@ int supervise(int argc, const char* const* argv, std::uint32_t watchdog_seconds,
   auto socket = hidden_socket();
   if (!socket) {
     log.write(LogLevel::error, "cannot supervise",
-              {{"why", "no directory to make a socket in"}, {"errno", errno}});
+              {{"why", "found no directory for its socket"}, {"errno", errno}});
     return 1;
   }
   return Supervisor(argc, argv, watchdog_seconds, log, std::move(*socket)).run();

@@ -182,7 +182,7 @@ TEST(DaemonRestart, AHangingWorkerIsReplacedWithoutAnOrder) {
   EXPECT_EQ(daemon.pid(), idle) << daemon.log();
   daemon.kill_worker(SIGSTOP);
   ASSERT_TRUE(daemon.wait_for_next(idle)) << daemon.log();
-  EXPECT_TRUE(daemon.wait_for_log("its loop does not turn"));
+  EXPECT_TRUE(daemon.wait_for_log("its loop does not run"));
   pair.exchange();
   EXPECT_EQ(wire_dump(daemon.socket_path()).incarnation, incarnation);
 }

@@ -394,7 +394,7 @@ TEST(DaemonStart, NamesTheFaultOfAPassedSocket) {
   EXPECT_EQ(ended.status, 1);
   EXPECT_EQ(ended.err,
             "agnocastd: the service manager passes 2 sockets\n"
-            "hint: have one ListenSequentialPacket= in agnocastd.socket\n");
+            "hint: use only one ListenSequentialPacket= in agnocastd.socket\n");
 }
 
 TEST(DaemonStart, ALogThatNobodyReadsStopsNothing) {
