@@ -37,7 +37,7 @@ std::uint64_t readers_of(std::span<const AccessRule> rules, std::uint64_t domain
                          std::string_view topic) noexcept {
   const AccessRule* const rule = deciding_rule(rules, domain, topic, Action::subscribe);
   if (rule == nullptr || rule->subscribe->everybody) return everybody_reads;
-  // A sum of one good number for each member that is not there twice: in any order.
+  // A sum of one good hash for each different member, so their order does not matter.
   const auto number_of = [](std::uint64_t kind, std::uint64_t id) {
     std::uint64_t x = (kind << 32 | id) + 0x9e3779b97f4a7c15;  // splitmix64
     x = (x ^ x >> 30) * 0xbf58476d1ce4e5b9;

@@ -1,14 +1,15 @@
 // SPDX-License-Identifier: Apache-2.0
 //
-// Access: may this user publish on, or subscribe to, this topic? Pure; the rules are the [[access]]
-// tables of the configuration in the order of the file.
+// Access: whether a user may publish on, or subscribe to, a topic. Pure; the rules are the
+// [[access]] tables of the configuration in the order of the file.
 //
-// The first rule whose topic pattern and domain match *and* that speaks of the action decides; when
-// none does, everybody may. So a restriction of everything is a last rule with topic = "**".
+// The first rule decides whose topic pattern and domain match *and* that has a list for the
+// action; without one, every user may. So a restriction of everything is a last rule with topic =
+// "**".
 //
 // Patterns are those of agnocast/topic_pattern.hpp.
 //
-// Nobody is exempt, root included: a rule says what it says.
+// The rules hold for all users, root included.
 #pragma once
 
 #include <sys/types.h>
@@ -25,7 +26,7 @@ namespace agnocast::daemon {
 
 enum class Action : std::uint8_t { publish, subscribe };
 
-/// Who is meant by one list of a rule.
+/// The users and groups in one list of a rule.
 struct Principals {
   bool everybody = false;
   std::vector<uid_t> uids;
@@ -39,7 +40,7 @@ struct Principals {
 struct AccessRule {
   std::string topic;                    // pattern
   std::optional<std::uint64_t> domain;  // any when absent
-  std::optional<Principals> publish;    // says nothing when absent
+  std::optional<Principals> publish;    // no rule for this action when absent
   std::optional<Principals> subscribe;
   std::uint32_t line = 0;  // of the file, for people; no part of the rule's meaning
 
@@ -56,20 +57,20 @@ struct Subject {
 
 struct Decision {
   bool allowed = true;
-  std::optional<std::size_t> rule;  // index of the one that decided; none: the default
+  std::optional<std::size_t> rule;  // index of the deciding rule; none: the default
   std::uint32_t line = 0;           // of that rule
 };
 
-/// The first rule that matches and speaks of the action; null: there is none.
+/// Returns the first rule that matches and has a list for the action; null: there is none.
 const AccessRule* deciding_rule(std::span<const AccessRule> rules, std::uint64_t domain,
                                 std::string_view topic, Action action) noexcept;
-/// `topic` is a fully qualified name. Linear in the rules.
+/// `topic` is a fully qualified name. Linear in the number of rules.
 Decision decide(std::span<const AccessRule> rules, const Subject& subject, std::uint64_t domain,
                 std::string_view topic, Action action) noexcept;
 
-/// Who may subscribe to this topic, as a number: equal for equal sets of users and groups, however
-/// the rules write them. Never 0; everybody_reads when everybody may. By it the daemon compares the
-/// readers of the topics of a process, whose messages lie in one heap.
+/// Returns a number for the set of users and groups who may subscribe to this topic: equal for
+/// equal sets, however the rules write them. Never 0; everybody_reads when every user may. By it
+/// the daemon compares the readers of a process's topics, whose messages lie in one heap.
 std::uint64_t readers_of(std::span<const AccessRule> rules, std::uint64_t domain,
                          std::string_view topic) noexcept;
 inline constexpr std::uint64_t everybody_reads = 1;

@@ -22,7 +22,7 @@ namespace {
 using config_keys::Key;
 using config_keys::Kind;
 
-constexpr std::uint64_t domain_count = std::uint64_t{1} << 32;  // ROS_DOMAIN_ID, with room
+constexpr std::uint64_t domain_count = std::uint64_t{1} << 32;  // larger than any ROS_DOMAIN_ID
 
 constexpr std::string_view sections[] = {"daemon", "heap", "limits", "quota", "access"};
 constexpr std::string_view access_keys[] = {"topic", "domain", "publish", "subscribe"};
@@ -77,7 +77,7 @@ class Reader {
     mistakes_.report(place, std::move(key), std::move(what), std::move(remedy));
   }
   void wrong_type(const toml::node& node, const std::string& key, std::string_view expected) {
-    report(node.source().begin, key, std::string(type_name(node.type())) + " cannot stand here",
+    report(node.source().begin, key, std::string(type_name(node.type())) + " is not allowed here",
            "write " + std::string(expected));
   }
   void unknown(const toml::key& key, const std::string& full,
@@ -107,10 +107,10 @@ class Reader {
   }
 
   void unknown_section(const toml::key& key) {
-    // A key that was written outside of its section is the likelier mistake.
+    // Checks first for a key outside of its section, the likelier mistake.
     for (const Key& known : config_keys::all()) {
       if (known.name != key.str()) continue;
-      report(key.source().begin, escaped(key.str()), "stands outside of its section",
+      report(key.source().begin, escaped(key.str()), "is outside of its section",
              "write it below [" + std::string(known.section) + "]");
       return;
     }
@@ -140,7 +140,7 @@ class Reader {
       } else if (const auto level = log_level_of(text->get())) {
         key.set_number(config_, static_cast<std::uint64_t>(*level));
       } else {
-        report(place, key.full(), in_quotes(text->get()) + " is no level",
+        report(place, key.full(), in_quotes(text->get()) + " is not a log level",
                "use " + std::string(log_level_names));
       }
       return;
@@ -152,7 +152,7 @@ class Reader {
       if (integer->get() < 0) return out_of_range(key, place, written);
       value = static_cast<std::uint64_t>(integer->get());
       if (key.kind == Kind::mode && (value < key.least || value > key.most)) {
-        report(place, key.full(), written + " is no mode of a socket",
+        report(place, key.full(), written + " is not a socket mode",
                "write it octal, with the owner's rights in it: \"0660\" or 0o660");
         return;
       }
@@ -164,7 +164,7 @@ class Reader {
       }
       const auto parsed = number_in(key, text->get());
       if (!parsed) {
-        report(place, key.full(), written + " is no " + noun_of(key), "write " + form_of(key));
+        report(place, key.full(), written + " is not a " + noun_of(key), "write " + form_of(key));
         return;
       }
       value = *parsed;
@@ -174,7 +174,7 @@ class Reader {
     }
     if (value < key.least || value > key.most) return out_of_range(key, place, written);
     if (key.unit != 0 && value % key.unit != 0) {
-      report(place, key.full(), written + " is no multiple of " + bytes_text(key.unit),
+      report(place, key.full(), written + " is not a multiple of " + bytes_text(key.unit),
              "the next ones are " + bytes_text(value / key.unit * key.unit) + " and " +
                  bytes_text((value / key.unit + 1) * key.unit));
       return;
@@ -193,9 +193,7 @@ class Reader {
     return mode;
   }
   static std::string noun_of(const Key& key) {
-    return key.kind == Kind::bytes  ? "size"
-           : key.kind == Kind::mode ? "mode of a socket"
-                                    : "number";
+    return key.kind == Kind::bytes ? "size" : key.kind == Kind::mode ? "socket mode" : "number";
   }
   static std::string form_of(const Key& key) {
     std::string form = "an integer";
@@ -285,9 +283,9 @@ class Reader {
       }
     }
     if (!table.contains("topic"))
-      report(place, "access.topic", "is missing", "say which topics: topic = \"/lidar/**\"");
+      report(place, "access.topic", "is missing", "name the topics: topic = \"/lidar/**\"");
     if (!table.contains("publish") && !table.contains("subscribe"))
-      report(place, "access", "the rule says nothing", "add publish or subscribe with a list");
+      report(place, "access", "the rule has no effect", "add publish or subscribe with a list");
     if (mistakes_.count() != mistakes_before) return;
     check_shadowed(rule, place);
     config_.access.push_back(std::move(rule));
@@ -346,13 +344,13 @@ class Reader {
       std::uint32_t number = 0;
       const auto end = name.data() + name.size();
       const auto parsed = std::from_chars(name.data(), end, number);
-      // The largest number means "nobody" to the kernel's calls.
+      // The kernel's calls use the largest number for "no user".
       if (parsed.ec == std::errc() && parsed.ptr == end && !name.empty() && number != UINT32_MAX) {
         kind == "uid" ? who.uids.push_back(number) : who.gids.push_back(number);
         return true;
       }
       report(place, key,
-             in_quotes(text) + " has no number of a " + (kind == "uid" ? "user" : "group"),
+             in_quotes(text) + " is not the id of a " + (kind == "uid" ? "user" : "group"),
              "use 0 to 4294967294");
       return false;
     }
@@ -374,12 +372,12 @@ class Reader {
              "correct the name, or use gid:NUMBER");
       return false;
     }
-    report(place, key, in_quotes(text) + " names nobody",
+    report(place, key, in_quotes(text) + " names no user or group",
            "write " + std::string(principal_examples));
     return false;
   }
 
-  // A rule that never decides is a mistake about the order.
+  // A rule that never decides shows that the order is wrong.
   void check_shadowed(const AccessRule& rule, const Place& place) {
     for (const AccessRule& earlier : config_.access) {
       const bool covers =
@@ -397,7 +395,7 @@ class Reader {
     }
   }
 
-  // What is wrong only together; reported at the place of the key that the file has.
+  // Conflicts between keys are reported at the place of the key that the file has.
 
   Place place_of(std::string_view section, std::string_view name) const {
     for (const auto& [key, place] : places_) {
@@ -421,7 +419,7 @@ class Reader {
     if (limits.slots_per_publisher <= limits.depth_max) {
       conflict("limits", "slots_per_publisher", "depth_max",
                "slots_per_publisher (" + std::to_string(limits.slots_per_publisher) +
-                   ") has no room beside a history of depth_max (" +
+                   ") leaves no room beside a history of depth_max (" +
                    std::to_string(limits.depth_max) + ")",
                "make slots_per_publisher larger than depth_max");
     } else if (const std::uint64_t needed = std::uint64_t{limits.depth_max} + slots_beside_history +
@@ -429,7 +427,7 @@ class Reader {
                limits.slots_per_publisher < needed) {
       conflict("limits", "slots_per_publisher", "subscriptions_per_topic",
                "slots_per_publisher (" + std::to_string(limits.slots_per_publisher) +
-                   ") has no room for a message of each of subscriptions_per_topic (" +
+                   ") leaves no room for a message of each of subscriptions_per_topic (" +
                    std::to_string(limits.subscriptions_per_topic) +
                    ") beside a history of depth_max (" + std::to_string(limits.depth_max) + ")",
                "make it at least " + std::to_string(needed) + ", or one of the others less");
@@ -446,7 +444,7 @@ class Reader {
       conflict("quota", "heap_bytes", "heap_bytes",
                "heap_bytes (" + bytes_text(config_.quota.heap_bytes) +
                    ") is less than one window (" + bytes_text(heap.window_bytes) + ")",
-               "nobody could publish; use a multiple of heap.window_bytes");
+               "no process could publish; use a multiple of heap.window_bytes");
     }
   }
 
@@ -459,9 +457,9 @@ class Reader {
   std::vector<std::pair<const Key*, Place>> places_;
 };
 
-// Where a character beyond ASCII stands outside a comment: line and column from 1, or nothing. TOML
-// allows them in strings too, but toml++ 3.3 has undefined behaviour for them wherever a space may
-// stand, and none of our values needs them (a string may say \uXXXX).
+// Returns line and column (from 1) of a character beyond ASCII outside a comment, or nothing. TOML
+// allows them in strings too, but toml++ 3.3 has undefined behaviour for them wherever a space is
+// allowed, and no value here needs them (a string may use \uXXXX).
 std::optional<std::pair<std::uint32_t, std::uint32_t>> foreign_character(std::string_view text) {
   std::uint32_t line = 1, column = 0;
   char quote = '\0';

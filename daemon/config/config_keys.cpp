@@ -13,7 +13,7 @@ namespace {
 constexpr std::uint64_t granule = abi::window_granule_bytes;
 constexpr std::uint64_t mib = std::uint64_t{1} << 20;
 constexpr std::uint64_t tib = std::uint64_t{1} << 40;
-// A doorbell is a socket two names below: "/doorbells/" and up to 16 bytes.
+// Leaves room for the names of doorbells below it; Listener checks the exact length.
 constexpr std::size_t runtime_directory_bytes_max = socket_path_bytes_max - 27;
 
 #define AGNOCAST_NUMBER(field)                                                   \
@@ -25,36 +25,39 @@ constexpr std::size_t runtime_directory_bytes_max = socket_path_bytes_max - 27;
 #define AGNOCAST_TEXT(field) \
   nullptr, nullptr, [](Config& config) -> std::string& { return config.field; }
 
-constexpr std::uint64_t many = std::uint64_t{1} << 32;  // beyond anything; keeps sums from overflow
+constexpr std::uint64_t many = std::uint64_t{1} << 32;  // beyond any real value; sums do not
+                                                        // overflow
 
 constexpr Key keys[] = {
     {"daemon", "socket", Kind::path, 0, socket_path_bytes_max, 0, "auto", 0,
      AGNOCAST_TEXT(daemon.socket),
-     "where clients connect; auto: /run/agnocast/agnocastd.sock, of another user than root "
-     "$XDG_RUNTIME_DIR/agnocast/agnocastd.sock"},
+     "where clients connect; auto: /run/agnocast/agnocastd.sock for root, "
+     "$XDG_RUNTIME_DIR/agnocast/agnocastd.sock for other users"},
     {"daemon", "runtime_directory", Kind::path, 0, runtime_directory_bytes_max, 0, "auto", 0,
-     AGNOCAST_TEXT(daemon.runtime_directory), "for doorbells; auto: the directory of the socket"},
+     AGNOCAST_TEXT(daemon.runtime_directory),
+     "directory of the doorbells; auto: the directory of the socket"},
     {"daemon", "socket_mode", Kind::mode, 0600, 0777, 0, "", 0, AGNOCAST_NUMBER(daemon.socket_mode),
-     "who may connect, as chmod has it"},
+     "permissions to connect, as for chmod"},
     {"daemon", "socket_group", Kind::group, 0, 0, 0, "auto", 0, AGNOCAST_TEXT(daemon.socket_group),
-     "group of the socket; auto: agnocast where there is such a group"},
+     "group of the socket; auto: agnocast if that group exists"},
     {"daemon", "log_level", Kind::level, 0, 0, 0, "", 0, AGNOCAST_NUMBER(daemon.log_level),
      "error, warning, notice, info or debug"},
     {"daemon", "watchdog_seconds", Kind::count, 1, 3600, 0, "off", 0,
      AGNOCAST_NUMBER(daemon.watchdog_seconds),
-     "without systemd: a daemon whose loop has not turned for so long is killed and started again"},
+     "without systemd: the supervisor kills and restarts a daemon whose loop has not run for so "
+     "long"},
 
     {"heap", "window_bytes", Kind::bytes, 64 * mib, 16 * tib, granule, "auto", 0,
      AGNOCAST_NUMBER(heap.window_bytes),
-     "addresses of one heap window, memory only as it is used; auto: 16GiB, at most a quarter of "
+     "addresses of one heap window (memory only as it is used); auto: 16GiB, at most a quarter of "
      "the memory"},
     {"heap", "windows_per_process", Kind::count, 1, abi::window_count_max, 0, "", 0,
-     AGNOCAST_NUMBER(heap.windows_per_process), "the first and its growth"},
-    // Below 4 GiB lie programs that are not position-independent; 2^56 is more than any machine
-    // has.
+     AGNOCAST_NUMBER(heap.windows_per_process),
+     "heap windows of one process, the first one included"},
+    // Programs that are not position-independent lie below 4 GiB; no machine has more than 2^56.
     {"heap", "arena_base", Kind::bytes, std::uint64_t{1} << 32, std::uint64_t{1} << 56, granule,
      "auto", 0, AGNOCAST_NUMBER(heap.arena_base),
-     "where the range of all windows begins in every client; auto: what this machine leaves free"},
+     "start of the range of all windows, the same in every client; auto: from the address bits"},
     {"heap", "arena_bytes", Kind::bytes, 64 * mib, std::uint64_t{1} << 55, granule, "auto", 0,
      AGNOCAST_NUMBER(heap.arena_bytes), "length of that range; auto: from the address bits"},
 
@@ -82,32 +85,34 @@ constexpr Key keys[] = {
      AGNOCAST_NUMBER(quota.subscriptions), ""},
     {"quota", "publishers_per_topic", Kind::count, 1, many, 0, "auto", 0,
      AGNOCAST_NUMBER(quota.publishers_per_topic),
-     "publishers of one user in one topic; auto: three quarters of what [limits] allows, or "
+     "publishers of one user in one topic; auto: three quarters of the value in [limits], or "
      "unlimited",
      "unlimited", unlimited},
     {"quota", "subscriptions_per_topic", Kind::count, 1, many, 0, "auto", 0,
-     AGNOCAST_NUMBER(quota.subscriptions_per_topic), "likewise", "unlimited", unlimited},
+     AGNOCAST_NUMBER(quota.subscriptions_per_topic), "the same for subscriptions", "unlimited",
+     unlimited},
     {"quota", "heap_bytes", Kind::bytes, 64 * mib, std::uint64_t{1} << 55, 0, "auto", 0,
      AGNOCAST_NUMBER(quota.heap_bytes),
-     "sum of the lengths of all heap windows of one user; auto: three quarters of the arena, or "
+     "total length of the heap windows of one user; auto: three quarters of the arena, or "
      "unlimited",
      "unlimited", unlimited},
     {"quota", "held_messages", Kind::count, 1, many, 0, "unlimited", unlimited,
      AGNOCAST_NUMBER(quota.held_messages),
-     "sum of what the subscriptions of one user may hold at most"},
+     "total of the messages that the subscriptions of one user may hold"},
     {"quota", "executors", Kind::count, 1, many, 0, "unlimited", unlimited,
-     AGNOCAST_NUMBER(quota.executors), "each costs the daemon two descriptors"},
+     AGNOCAST_NUMBER(quota.executors),
+     "executors of one user; each costs the daemon two descriptors"},
     {"quota", "queued_bytes", Kind::bytes, 1 * mib, std::uint64_t{1} << 40, 0, "unlimited",
      unlimited, AGNOCAST_NUMBER(quota.queued_bytes),
-     "what the daemon keeps for the processes of one user that do not read what it says to them; "
-     "beyond that the one with most of it loses its connection"},
+     "packets queued for processes of one user that do not read; beyond that, the process with the "
+     "longest queue loses its connection"},
     {"quota", "queued_seconds", Kind::count, 1, 86'400, 0, "unlimited", unlimited,
      AGNOCAST_NUMBER(quota.queued_seconds),
-     "how long it is kept; then the process loses its connection, and is told again when it comes "
-     "back"},
+     "how long a packet is queued; then the process loses its connection, and gets everything "
+     "again when it comes back"},
     {"quota", "dumps_per_second", Kind::count, 1, 1000, 0, "unlimited", unlimited,
      AGNOCAST_NUMBER(quota.dumps_per_second),
-     "how often observers of one user are answered at length; beyond that they wait"},
+     "long answers to observers of one user; further requests wait"},
 };
 
 #undef AGNOCAST_NUMBER
@@ -134,7 +139,7 @@ using config_keys::Kind;
 
 constexpr std::string_view section_meanings[] = {
     "The process itself.", "Shared heaps: addresses that every client reserves.",
-    "Bounds of the whole, for everybody together.", "Bounds for each user (uid)."};
+    "Limits of the daemon, for all users together.", "Limits for each user (uid)."};
 
 std::string mode_text(std::uint64_t mode) {
   std::string text = "0";
@@ -143,7 +148,8 @@ std::string mode_text(std::uint64_t mode) {
   return text;
 }
 
-// A TOML string; what is in it comes from a checked configuration, so there is little to escape.
+// Returns a TOML string; the text comes from a checked configuration, so there is little to
+// escape.
 std::string toml_string(std::string_view text) {
   std::string result = "\"";
   for (const char c : text) {
@@ -194,9 +200,9 @@ constexpr std::pair<std::string_view, std::uint64_t> units[] = {{"TiB", std::uin
 
 std::string to_toml(const Config& config) {
   std::string text =
-      "# Configuration of agnocastd; every key may be left out. agnocastd --check-config looks "
-      "for\n"
-      "# mistakes, agnocastd --print-config prints what is in force.\n";
+      "# Configuration of agnocastd; every key is optional. agnocastd --check-config finds "
+      "mistakes,\n"
+      "# agnocastd --print-config prints the effective values.\n";
   std::size_t section = 0;
   std::string_view current;
   for (const Key& key : config_keys::all()) {
@@ -209,16 +215,17 @@ std::string to_toml(const Config& config) {
     text += std::string(key.name) + " = " + value_text(key, config) + '\n';
   }
   text +=
-      "\n# Who may use which topics. The first rule that matches the topic and speaks of the "
-      "action\n"
-      "# decides; without one, everybody may. * and ? stand for characters of one name between\n"
-      "# slashes, ** for anything. A list that is empty means nobody. A process publishes on "
-      "topics\n"
-      "# with the same subscribers only: they share its memory.\n"
+      "\n# Rules for topics. The first rule that matches the topic and has a list for the action "
+      "(publish\n"
+      "# or subscribe) decides; without one, every user may. * and ? stand for characters of one "
+      "name\n"
+      "# between slashes, ** for anything. An empty list means no user. A process may publish only "
+      "on\n"
+      "# topics with the same subscribers, because they share its memory.\n"
       "#\n"
       "# [[access]]\n"
       "# topic = \"/lidar/**\"\n"
-      "# domain = 0                          # ROS_DOMAIN_ID; every one if left out\n"
+      "# domain = 0                          # ROS_DOMAIN_ID; all domains if left out\n"
       "# publish = [\"user:lidar\", \"uid:1000\"]\n"
       "# subscribe = [\"group:perception\", \"gid:1000\", \"*\"]\n";
   for (const AccessRule& rule : config.access) {

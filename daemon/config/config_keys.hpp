@@ -1,7 +1,7 @@
 // SPDX-License-Identifier: Apache-2.0
 //
-// Config keys: the one table of everything the configuration can say. Used by the reader and the
-// printer of config.hpp, and by nobody else.
+// Config keys: the one table of all keys of the configuration. Only the reader and the printer of
+// config.hpp, and the manual page, use it.
 #pragma once
 
 #include <daemon/config/config.hpp>
@@ -21,7 +21,7 @@ struct Key {
   std::string_view section;
   std::string_view name;
   Kind kind;
-  // Of numbers: bounds, what they must be a multiple of, and words with the numbers they stand for.
+  // For numbers: bounds, the unit of which they must be a multiple, and words with their numbers.
   std::uint64_t least;
   std::uint64_t most;
   std::uint64_t unit;
@@ -29,7 +29,7 @@ struct Key {
   std::uint64_t word_value;
   std::uint64_t (*number)(const Config&);
   void (*set_number)(Config&, std::uint64_t);
-  // Of texts: "auto" is the empty one.
+  // For texts: "auto" is the empty one.
   std::string& (*text)(Config&);
   std::string_view meaning;
   std::string_view other_word = {};
@@ -41,7 +41,7 @@ struct Key {
     if (written == other_word) return other_value;
     return std::nullopt;
   }
-  /// The words of a number as alternatives: ", or "auto"".
+  /// Returns the words of a number as alternatives: ", or "auto"".
   std::string or_words() const {
     std::string words;
     for (const std::string_view one : {word, other_word}) {
@@ -52,9 +52,9 @@ struct Key {
   std::string full() const { return std::string(section) + '.' + std::string(name); }
 };
 
-/// In the order in which they are printed, each section in one piece.
+/// Returns the keys in the order of printing, each section in one piece.
 std::span<const Key> all() noexcept;
-/// The names of a section.
+/// Returns the names in a section.
 std::vector<std::string_view> names_in(std::string_view section);
 
 }  // namespace agnocast::daemon::config_keys

@@ -48,14 +48,14 @@ tl::expected<std::string, UsageError> checked(std::string path, const char* what
   return path;
 }
 
-// What the parser writes to.
+// The variables that the parser writes to.
 struct Values {
   std::string socket, config, level, fd_store;
   bool foreground = false, check_config = false, print_config = false, version = false;
 };
 
 void describe_options(CLI::App& app, Values& values) {
-  app.allow_extras();  // so that we can say what is unknown, and what was meant
+  app.allow_extras();  // so that the error can name the unknown option, and the one that was meant
   app.add_option("--socket", values.socket, "where clients connect")->type_name("PATH");
   app.add_option("--config", values.config,
                  std::string("configuration; ") + default_config_file + " if it exists")
@@ -64,13 +64,12 @@ void describe_options(CLI::App& app, Values& values) {
                "stay in the foreground; it always does, so this changes nothing");
   app.add_option("--log-level", values.level, std::string(log_level_names))->type_name("LEVEL");
   app.add_option("--fd-store", values.fd_store,
-                 "who keeps memory and identities over the daemon's death: own (a supervisor, the "
-                 "default), manager (systemd; the default where it sets $FDSTORE), none")
+                 "keeper of memory and identities across restarts: own (a supervisor, the "
+                 "default), manager (systemd; the default if it sets $FDSTORE), none")
       ->type_name("WHO")
       ->take_last();
-  app.add_flag("--check-config", values.check_config,
-               "look for mistakes in the configuration and end");
-  app.add_flag("--print-config", values.print_config, "print the configuration in force and end");
+  app.add_flag("--check-config", values.check_config, "check the configuration and end");
+  app.add_flag("--print-config", values.print_config, "print the effective configuration and end");
   app.add_flag("--version", values.version, "print version and layout of shared memory and end");
   app.set_help_flag("--help", "print this and end");
   for (CLI::Option* const option : app.get_options()) {
@@ -99,8 +98,10 @@ std::vector<OptionText> option_texts() {
 
 std::variant<Options, Exit> parse_options(int argc, const char* const* argv) {
   Values values;
-  CLI::App app("The daemon of agnocast: who publishes what, and repair after those who die.",
-               "agnocastd");
+  CLI::App app(
+      "The daemon of agnocast: registers publishers and subscriptions, cleans up after dead "
+      "processes.",
+      "agnocastd");
   describe_options(app, values);
   try {
     app.parse(argc, argv);
@@ -134,7 +135,7 @@ std::variant<Options, Exit> parse_options(int argc, const char* const* argv) {
        {std::tuple("--socket", &values.socket, &options.socket),
         std::tuple("--config", &values.config, &options.config)}) {
     if (app.count(name) == 0) continue;
-    // "--socket --foreground": the value was forgotten. A path like that is written ./--foreground.
+    // "--socket --foreground": the value is missing. A path like that is written ./--foreground.
     if (value->empty() || value->starts_with("--"))
       return wrong_usage(name, "needs exactly one value", help_hint);
     *target = *value;
@@ -143,7 +144,7 @@ std::variant<Options, Exit> parse_options(int argc, const char* const* argv) {
     options.log_level = log_level_of(values.level);
     if (!options.log_level) {
       const std::string why =
-          in_quotes(values.level) + " is no level; known: " + std::string(log_level_names);
+          in_quotes(values.level) + " is not a log level; known: " + std::string(log_level_names);
       return wrong_usage("--log-level", why, "agnocastd --log-level info");
     }
   }
@@ -157,7 +158,7 @@ std::variant<Options, Exit> parse_options(int argc, const char* const* argv) {
     options.fd_store = FdStore::none;
   } else {
     const std::string why =
-        in_quotes(values.fd_store) + " is nobody; known: " + std::string(fd_store_names);
+        in_quotes(values.fd_store) + " is not valid; known: " + std::string(fd_store_names);
     return wrong_usage("--fd-store", why, "agnocastd --fd-store=own");
   }
   return options;
@@ -170,7 +171,8 @@ Surroundings Surroundings::of_process() {
 std::optional<std::string> choose_config_file(const Options& options,
                                               const std::string& default_file) {
   if (options.config) return options.config;
-  // A file that exists but cannot be read is an error for whoever reads it, not a reason to go on.
+  // A file that exists but cannot be read is an error for its reader, not a reason to use the
+  // defaults.
   if (::access(default_file.c_str(), F_OK) != 0) return std::nullopt;
   return default_file;
 }

@@ -6,7 +6,7 @@
 //   agnocastd [--socket PATH] [--config FILE] [--foreground] [--log-level LEVEL]
 //             [--fd-store=own|manager|none] [--check-config] [--print-config] [--version] [--help]
 //
-// Nothing here prints or exits: what to print and the status are values, main() does the rest.
+// Nothing here prints or exits: texts and exit status are values for main().
 #pragma once
 
 #include <daemon/config/config.hpp>
@@ -24,11 +24,11 @@
 
 namespace agnocast::daemon {
 
-/// Who keeps descriptors over the daemon's death.
+/// The keeper of descriptors across a death of the daemon.
 enum class FdStore : std::uint8_t {
-  own,      // our supervisor, which this process is to become
-  manager,  // whoever started this process: systemd, or our supervisor
-  none,     // nobody
+  own,      // the daemon's own supervisor, which this process becomes
+  manager,  // the parent process: systemd, or the daemon's supervisor
+  none,     // no keeper
 };
 inline constexpr std::string_view fd_store_names = "own, manager, none";
 
@@ -49,7 +49,7 @@ struct Exit {
   std::string err;  // for stderr
 };
 
-/// What a user did that cannot be, in the two lines that all our programs use.
+/// A mistake on the command line, in the two lines that all programs of agnocast use.
 struct UsageError {
   std::string what;
   std::string why;
@@ -67,31 +67,31 @@ struct OptionText {
 };
 std::vector<OptionText> option_texts();
 
-/// Exit status 0 for --help and --version, 2 for wrong usage.
+/// Returns exit status 0 for --help and --version, 2 for wrong usage.
 std::variant<Options, Exit> parse_options(int argc, const char* const* argv);
 
-/// What is outside of us and decides where things lie.
+/// The environment that decides where things lie.
 struct Surroundings {
   uid_t euid = 0;
   std::optional<std::string> xdg_runtime_dir;
   std::optional<std::string> agnocast_socket;
-  /// Of this process: geteuid, XDG_RUNTIME_DIR, AGNOCAST_SOCKET.
+  /// Returns that of this process: geteuid, XDG_RUNTIME_DIR, AGNOCAST_SOCKET.
   static Surroundings of_process();
 };
 
 inline constexpr const char* default_config_file = "/etc/agnocast/agnocastd.toml";
 
-/// --config, else `default_file` if it exists; empty: the defaults.
+/// Returns --config, else `default_file` if it exists; nothing: use the defaults.
 std::optional<std::string> choose_config_file(
     const Options& options, const std::string& default_file = default_config_file);
 
-/// --socket, else AGNOCAST_SOCKET, else [daemon] socket, else by user: root has
-/// /run/agnocast/agnocastd.sock, others $XDG_RUNTIME_DIR/agnocast/agnocastd.sock.
+/// Returns --socket, else AGNOCAST_SOCKET, else [daemon] socket, else the user's default:
+/// /run/agnocast/agnocastd.sock for root, $XDG_RUNTIME_DIR/agnocast/agnocastd.sock for others.
 [[nodiscard]] tl::expected<std::string, UsageError> choose_socket(const Options& options,
                                                                   const Config& config,
                                                                   const Surroundings& around);
 
-/// [daemon] runtime_directory, else the directory of the socket.
+/// Returns [daemon] runtime_directory, else the directory of the socket.
 std::string choose_runtime_directory(const Config& config, std::string_view socket);
 
 }  // namespace agnocast::daemon

@@ -163,31 +163,32 @@ TEST(Config, MistakesAreReportedWithPositionAndRemedy) {
       {"[limit]\n", "f.toml:1:2: limit: unknown key; did you mean \"limits\"?"},
       {"[network]\n",
        "f.toml:1:2: network: unknown key; known here: daemon, heap, limits, quota, access"},
-      {"topics = 5\n",
-       "f.toml:1:1: topics: stands outside of its section; write it below [limits]"},
+      {"topics = 5\n", "f.toml:1:1: topics: is outside of its section; write it below [limits]"},
       {"[daemon]\n\"a\\nb\" = 1\n",
        "f.toml:2:1: daemon.a\\nb: unknown key; known here: socket, runtime_directory, socket_mode, "
        "socket_group, log_level, watchdog_seconds"},
       // wrong type
       {"limits = 5\n",
-       "f.toml:1:10: limits: an integer cannot stand here; write a section: [limits]"},
+       "f.toml:1:10: limits: an integer is not allowed here; write a section: [limits]"},
       {"[limits]\ntopics = \"5\"\n",
-       "f.toml:2:10: limits.topics: \"5\" is no number; write an integer"},
+       "f.toml:2:10: limits.topics: \"5\" is not a number; write an integer"},
       {"[limits]\ntopics = 5.5\n",
-       "f.toml:2:10: limits.topics: a number with a fraction cannot stand here; write an integer"},
+       "f.toml:2:10: limits.topics: a number with a fraction is not allowed here; write an "
+       "integer"},
       {"[limits]\ntopics = true\n",
-       "f.toml:2:10: limits.topics: true or false cannot stand here; write an integer"},
+       "f.toml:2:10: limits.topics: true or false is not allowed here; write an integer"},
       {"[limits]\ntopics = [1]\n",
-       "f.toml:2:10: limits.topics: a list cannot stand here; write an integer"},
+       "f.toml:2:10: limits.topics: a list is not allowed here; write an integer"},
       {"[limits]\ntopics = 2026-01-01\n",
-       "f.toml:2:10: limits.topics: a date or time cannot stand here; write an integer"},
+       "f.toml:2:10: limits.topics: a date or time is not allowed here; write an integer"},
       {"[daemon]\nsocket = 5\n",
-       "f.toml:2:10: daemon.socket: an integer cannot stand here; write a path, or \"auto\""},
+       "f.toml:2:10: daemon.socket: an integer is not allowed here; write a path, or \"auto\""},
       {"[daemon]\nlog_level = 7\n",
-       "f.toml:2:13: daemon.log_level: an integer cannot stand here; write one of error, warning, "
+       "f.toml:2:13: daemon.log_level: an integer is not allowed here; write one of error, "
+       "warning, "
        "notice, info, debug"},
       {"[quota]\nclients = \"many\"\n",
-       "f.toml:2:11: quota.clients: \"many\" is no number; write an integer, or \"unlimited\""},
+       "f.toml:2:11: quota.clients: \"many\" is not a number; write an integer, or \"unlimited\""},
       // out of range, or without meaning for the key
       {"[limits]\ndepth_max = 1001\n",
        "f.toml:2:13: limits.depth_max: 1001 is out of range; use 1 to 1000"},
@@ -202,28 +203,30 @@ TEST(Config, MistakesAreReportedWithPositionAndRemedy) {
       {"[heap]\nwindow_bytes = 0\n",
        "f.toml:2:16: heap.window_bytes: 0 is out of range; use 64MiB to 16TiB, or \"auto\""},
       {"[heap]\nwindow_bytes = 67108865\n",
-       "f.toml:2:16: heap.window_bytes: 67108865 is no multiple of 2MiB; the next ones are "
+       "f.toml:2:16: heap.window_bytes: 67108865 is not a multiple of 2MiB; the next ones are "
        "64MiB and 66MiB"},
       {"[heap]\narena_base = 0x300000001000\n",
-       "f.toml:2:14: heap.arena_base: 52776558137344 is no multiple of 2MiB; the next ones are "
+       "f.toml:2:14: heap.arena_base: 52776558137344 is not a multiple of 2MiB; the next ones are "
        "48TiB and 50331650MiB"},
       {"[heap]\narena_bytes = \"1048577MiB\"\n",
-       "f.toml:2:15: heap.arena_bytes: \"1048577MiB\" is no multiple of 2MiB; the next ones are "
+       "f.toml:2:15: heap.arena_bytes: \"1048577MiB\" is not a multiple of 2MiB; the next ones are "
        "1TiB and 1048578MiB"},
       {"[heap]\nwindow_bytes = \"16GB\"\n",
-       "f.toml:2:16: heap.window_bytes: \"16GB\" is no size; write an integer of bytes, or a size "
+       "f.toml:2:16: heap.window_bytes: \"16GB\" is not a size; write an integer of bytes, or a "
+       "size "
        "like \"16GiB\" (B, KiB, MiB, GiB, TiB), or \"auto\""},
       {"[quota]\nheap_bytes = \"1KiB\"\n",
        "f.toml:2:14: quota.heap_bytes: \"1KiB\" is out of range; use 64MiB to 32768TiB, or "
        "\"auto\", or \"unlimited\""},
       {"[daemon]\nlog_level = \"loud\"\n",
-       "f.toml:2:13: daemon.log_level: \"loud\" is no level; use error, warning, notice, info, "
+       "f.toml:2:13: daemon.log_level: \"loud\" is not a log level; use error, warning, notice, "
+       "info, "
        "debug"},
       {"[daemon]\nsocket_mode = 660\n",
-       "f.toml:2:15: daemon.socket_mode: 660 is no mode of a socket; write it octal, with the "
+       "f.toml:2:15: daemon.socket_mode: 660 is not a socket mode; write it octal, with the "
        "owner's rights in it: \"0660\" or 0o660"},
       {"[daemon]\nsocket_mode = \"0060\"\n",
-       "f.toml:2:15: daemon.socket_mode: \"0060\" is no mode of a socket; write it octal, with the "
+       "f.toml:2:15: daemon.socket_mode: \"0060\" is not a socket mode; write it octal, with the "
        "owner's rights in it: \"0660\" or 0o660"},
       {"[daemon]\nsocket_group = \"nobodies\"\n",
        "f.toml:2:16: daemon.socket_group: there is no group \"nobodies\"; create it (groupadd "
@@ -240,10 +243,11 @@ TEST(Config, MistakesAreReportedWithPositionAndRemedy) {
        "bound for sockets)"},
       // contradictions
       {"[limits]\nslots_per_publisher = 1000\n",
-       "f.toml:2:23: limits.slots_per_publisher: slots_per_publisher (1000) has no room beside a "
+       "f.toml:2:23: limits.slots_per_publisher: slots_per_publisher (1000) leaves no room beside "
+       "a "
        "history of depth_max (1000); make slots_per_publisher larger than depth_max"},
       {"[limits]\nslots_per_publisher = 1500\n",
-       "f.toml:2:23: limits.slots_per_publisher: slots_per_publisher (1500) has no room for a "
+       "f.toml:2:23: limits.slots_per_publisher: slots_per_publisher (1500) leaves no room for a "
        "message "
        "of each of subscriptions_per_topic (768) beside a history of depth_max (1000); make it at "
        "least 1803, or one of the others less"},
@@ -251,17 +255,19 @@ TEST(Config, MistakesAreReportedWithPositionAndRemedy) {
        "f.toml:3:15: heap.arena_bytes: arena_bytes (512MiB) is less than one window_bytes (1GiB); "
        "use one window for each process at least"},
       {"[heap]\nwindow_bytes = \"1GiB\"\n[quota]\nheap_bytes = \"512MiB\"\n",
-       "f.toml:4:14: quota.heap_bytes: heap_bytes (512MiB) is less than one window (1GiB); nobody "
+       "f.toml:4:14: quota.heap_bytes: heap_bytes (512MiB) is less than one window (1GiB); no "
+       "process "
        "could publish; use a multiple of heap.window_bytes"},
       // access rules
       {"[access]\ntopic = \"/a\"\n",
-       "f.toml:1:1: access: a table cannot stand here; write each rule as a table: [[access]]"},
+       "f.toml:1:1: access: a table is not allowed here; write each rule as a table: [[access]]"},
       {"access = [1]\n",
-       "f.toml:1:11: access: an integer cannot stand here; write each rule as a table: [[access]]"},
+       "f.toml:1:11: access: an integer is not allowed here; write each rule as a table: "
+       "[[access]]"},
       {"[[access]]\npublish = []\n",
-       "f.toml:1:1: access.topic: is missing; say which topics: topic = \"/lidar/**\""},
+       "f.toml:1:1: access.topic: is missing; name the topics: topic = \"/lidar/**\""},
       {"[[access]]\ntopic = \"/a\"\n",
-       "f.toml:1:1: access: the rule says nothing; add publish or subscribe with a list"},
+       "f.toml:1:1: access: the rule has no effect; add publish or subscribe with a list"},
       {"[[access]]\ntopic = \"a\"\npublish = []\n",
        "f.toml:2:9: access.topic: \"a\": a pattern starts with a slash or with **, at character 1; "
        "write a pattern of topic names: \"/lidar/**\""},
@@ -270,15 +276,17 @@ TEST(Config, MistakesAreReportedWithPositionAndRemedy) {
       {"[[access]]\ntopic = \"/a\"\ndomain = -1\npublish = []\n",
        "f.toml:3:10: access.domain: -1 is out of range; use 0 to 4294967295"},
       {"[[access]]\ntopic = \"/a\"\ndomain = \"x\"\npublish = []\n",
-       "f.toml:3:10: access.domain: a string cannot stand here; write an integer, a ROS_DOMAIN_ID"},
+       "f.toml:3:10: access.domain: a string is not allowed here; write an integer, a "
+       "ROS_DOMAIN_ID"},
       {"[[access]]\ntopic = \"/a\"\npublish = \"*\"\n",
-       "f.toml:3:11: access.publish: a string cannot stand here; write a list: [\"user:NAME\", "
+       "f.toml:3:11: access.publish: a string is not allowed here; write a list: [\"user:NAME\", "
        "\"group:NAME\", \"uid:1000\", \"gid:1000\" or \"*\"]"},
       {"[[access]]\ntopic = \"/a\"\npublish = [1000]\n",
-       "f.toml:3:12: access.publish: an integer cannot stand here; write strings: \"user:NAME\", "
+       "f.toml:3:12: access.publish: an integer is not allowed here; write strings: \"user:NAME\", "
        "\"group:NAME\", \"uid:1000\", \"gid:1000\" or \"*\""},
       {"[[access]]\ntopic = \"/a\"\npublish = [\"alice\"]\n",
-       "f.toml:3:12: access.publish: \"alice\" names nobody; write \"user:NAME\", \"group:NAME\", "
+       "f.toml:3:12: access.publish: \"alice\" names no user or group; write \"user:NAME\", "
+       "\"group:NAME\", "
        "\"uid:1000\", \"gid:1000\" or \"*\""},
       {"[[access]]\ntopic = \"/a\"\npublish = [\"user:bob\"]\n",
        "f.toml:3:12: access.publish: there is no user \"bob\"; correct the name, or use "
@@ -287,10 +295,10 @@ TEST(Config, MistakesAreReportedWithPositionAndRemedy) {
        "f.toml:3:14: access.subscribe: there is no group \"bob\"; correct the name, or use "
        "gid:NUMBER"},
       {"[[access]]\ntopic = \"/a\"\npublish = [\"uid:4294967295\"]\n",
-       "f.toml:3:12: access.publish: \"uid:4294967295\" has no number of a user; use 0 to "
+       "f.toml:3:12: access.publish: \"uid:4294967295\" is not the id of a user; use 0 to "
        "4294967294"},
       {"[[access]]\ntopic = \"/a\"\npublish = [\"gid:x\"]\n",
-       "f.toml:3:12: access.publish: \"gid:x\" has no number of a group; use 0 to 4294967294"},
+       "f.toml:3:12: access.publish: \"gid:x\" is not the id of a group; use 0 to 4294967294"},
       {"[[access]]\ntopic = \"/a\"\npublish = []\n[[access]]\ntopic = \"/a\"\ndomain = 3\npublish "
        "= "
        "[\"*\"]\n",

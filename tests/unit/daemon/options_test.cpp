@@ -66,7 +66,8 @@ TEST(Options, WrongUsageIsTwoLinesAndStatusTwo) {
       {{"--socket", "/a", "--socket", "/b"},
        "agnocastd: --socket: needs exactly one value\nhint: agnocastd --help\n"},
       {{"--log-level", "loud"},
-       "agnocastd: --log-level: \"loud\" is no level; known: error, warning, notice, info, debug\n"
+       "agnocastd: --log-level: \"loud\" is not a log level; known: error, warning, notice, info, "
+       "debug\n"
        "hint: agnocastd --log-level info\n"},
   };
   for (const auto& row : rows) {

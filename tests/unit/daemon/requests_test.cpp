@@ -132,7 +132,8 @@ TEST(Requests, RefusesParsablePacketsWithWrongContent) {
   EXPECT_EQ(rejected(decoded(window, {1, false, false})).code, Errc::protocol_violation);
   EXPECT_EQ(rejected(decoded(window, {0, false, true})).code, Errc::protocol_violation);
   EXPECT_EQ(rejected(decoded(window, {}, Role::unknown)).text, "the first request must be hello");
-  EXPECT_EQ(rejected(decoded(body<wire::Hello>(wire::Opcode::hello))).text, "hello may be sent only once");
+  EXPECT_EQ(rejected(decoded(body<wire::Hello>(wire::Opcode::hello))).text,
+            "hello may be sent only once");
   window.window = abi::window_count_max;
   EXPECT_EQ(rejected(decoded(window)).code, Errc::window_exhausted);
   EXPECT_EQ(rejected(decoded(window)).request, 77u);
@@ -157,8 +158,7 @@ TEST(Requests, AllowsEachRoleOnlyItsRequests) {
     EXPECT_EQ(rejected(decoded(dump, {}, role)).code, Errc::protocol_violation);
   for (const Role role : {Role::observer, Role::unknown})
     EXPECT_EQ(rejected(decoded(window, {}, role)).code, Errc::protocol_violation);
-  EXPECT_EQ(rejected(decoded(window, {}, Role::observer)).text,
-            "an observer may not take part");
+  EXPECT_EQ(rejected(decoded(window, {}, Role::observer)).text, "an observer may not take part");
 }
 
 TEST(Requests, RefusesUnterminatedNames) {
