@@ -46,14 +46,11 @@ struct Peer {
   bool revoked = false;   // its client is dead in the tables; its packets are ignored
   bool counts_as_observer = false;
   std::uint64_t parked = 0;                      // it waits for the errand with this ticket
-  bool brings_windows = false;                   // it may, until its first request for something
-                                                 // new
-  std::uint64_t refuses_since_ms = 0;            // when the kernel began to refuse descriptors
-                                                 // again
+  bool brings_windows = false;                   // it may, until its first other request
+  std::uint64_t refuses_since_ms = 0;            // since when the kernel refuses them again
   std::uint64_t asked_ms = 0;                    // observer: when its last answer was made
   std::optional<wire::Dump> awaits_change = {};  // observer: dump to answer at the next change
-  std::optional<LongRequest> asked = {};         // observer: request to answer in its user's time
-                                                 // slice
+  std::optional<LongRequest> asked = {};         // observer: to answer in its user's slice
   std::uint64_t looked_ns = 0;                   // when tick() last looked for its region
   bool looking = false;                          // a thread looks right now
   // Before hello: whether the process was looked at, and what it has of a revoked region.
@@ -108,8 +105,7 @@ class ConnectionTable {
   std::uint64_t detached_count() const noexcept { return detached_count_; }
   std::uint64_t observer_count() const noexcept { return observer_count_; }
 
-  /// Returns freed pages to the system, which malloc keeps, once most of the queued output is
-  /// gone.
+  /// Returns freed pages from malloc to the system once most of the queued output is gone.
   void give_memory_back();
 
  private:

@@ -252,8 +252,7 @@ class Session {
   enum class Flushed : std::uint8_t {
     all,
     blocked,  ///< continue when the socket is writable
-    later,    ///< too many descriptors are in flight, whatever the socket reports; continue a
-              /// little later
+    later,    ///< too many descriptors are in flight, even if it is writable; continue later
     gone,     ///< the peer has closed; the loop reads the end of the connection like any other
     over,     ///< the queue is too long, or the kernel refuses
   };
