@@ -36,11 +36,9 @@ class AccessControl {
   /// Checks that the process may create this endpoint. Errors: access_denied, readers_differ.
   [[nodiscard]] Result<void> check_endpoint(const PeerIdentity& who, ClientIndex client,
                                             const CreateRequest& request) const;
-  /// Logs a warning if the users who have the process's memory are not those who may subscribe
-  /// now.
+  /// Logs a warning if users have the process's memory who may not subscribe now, or the reverse.
   void warn_of_other_readers(ClientIndex client);
-  /// Returns a sentence about an endpoint of the process that the current rules forbid; empty:
-  /// none.
+  /// Returns a sentence about an endpoint that the current rules forbid; empty: none.
   std::string forbidden_endpoint(ClientIndex client, const PeerIdentity& identity) const;
 
  private:

@@ -71,8 +71,7 @@ Result<void> AddressConflicts::add_obstacle(const PeerIdentity& identity, Client
   const std::size_t before = obstacles_.of(client).size();
   if (auto added = obstacles_.add(client, identity.uid, range.base, range.bytes, what); !added)
     return added;
-  // A repeated report: its publishers know it, and every further notice would go to other
-  // processes.
+  // A repeated report: its publishers know it, and further notices would go to others.
   if (obstacles_.of(client).size() == before) return {};
   log_for_user(log_, LogLevel::info, identity.uid, "addresses blocked",
                {{"pid", identity.pid},

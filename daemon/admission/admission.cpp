@@ -133,8 +133,8 @@ Result<void> Admission::check_places(const ClientRecord& record, const CreateReq
 }
 
 // Refuses a number that the user has set and that no existing publisher can grant. With a
-// publisher of its own user the number holds for that one, so a user who also publishes cannot be
-// kept out.
+// publisher of its own user the number holds for that one, so a user who publishes too is not kept
+// out.
 Result<void> Admission::check_hold_quota(const ClientRecord& record, const CreateRequest& request) {
   const auto known = registry_.find_topic(record.domain, request.topic);
   if (request.quota_or_less || !known) return {};

@@ -38,12 +38,12 @@ class Admission {
   [[nodiscard]] Result<void> admit_client(std::uint32_t uid, bool counts_as_observer);
   /// `used`: the user's number of observers. Errors: quota_exceeded.
   [[nodiscard]] Result<void> admit_observer(std::uint64_t used);
-  /// Errors: quota_exceeded.
+  /// Checks the number of executors. Errors: quota_exceeded.
   [[nodiscard]] Result<void> admit_executor(std::uint32_t uid);
-  /// Errors: window_exhausted, quota_exceeded.
+  /// Check a new heap window. Errors: window_exhausted, quota_exceeded.
   [[nodiscard]] Result<void> admit_window(const ClientRecord& record);
   [[nodiscard]] Result<void> admit_brought_window(const ClientRecord& record, std::uint64_t bytes);
-  /// Errors: depth_refused, access_denied, readers_differ, quota_exceeded.
+  /// Checks a creation. Errors: depth_refused, access_denied, readers_differ, quota_exceeded.
   [[nodiscard]] Result<void> admit_endpoint(const PeerIdentity& who, ClientIndex client,
                                             const CreateRequest& request);
 

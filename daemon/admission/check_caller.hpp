@@ -11,7 +11,7 @@
 
 namespace agnocast::daemon {
 
-/// Errors: layout_mismatch, permission_denied.
+/// Checks the caller. Errors: layout_mismatch, permission_denied.
 [[nodiscard]] Result<void> check_caller(const PeerIdentity& who, std::uint64_t fingerprint);
 
 }  // namespace agnocast::daemon

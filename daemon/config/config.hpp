@@ -122,8 +122,7 @@ struct NameLookup {
 [[nodiscard]] ConfigResult parse_config(std::string_view text, const std::string& file,
                                         const NameLookup& names = NameLookup::system());
 
-/// Returns the configuration as a file with explanations, which parse_config reads back to the
-/// same.
+/// Returns the configuration as a file with explanations; parse_config reads the same back.
 std::string to_toml(const Config& config);
 
 /// Returns the number of "16GiB"; nothing when it is none. Units: B, KiB, MiB, GiB, TiB.

@@ -148,8 +148,7 @@ std::string mode_text(std::uint64_t mode) {
   return text;
 }
 
-// Returns a TOML string; the text comes from a checked configuration, so there is little to
-// escape.
+// Returns a TOML string; the text is from a checked configuration, so little needs escapes.
 std::string toml_string(std::string_view text) {
   std::string result = "\"";
   for (const char c : text) {

@@ -171,8 +171,7 @@ Surroundings Surroundings::of_process() {
 std::optional<std::string> choose_config_file(const Options& options,
                                               const std::string& default_file) {
   if (options.config) return options.config;
-  // A file that exists but cannot be read is an error for its reader, not a reason to use the
-  // defaults.
+  // A file that exists but cannot be read is an error, not a reason to use the defaults.
   if (::access(default_file.c_str(), F_OK) != 0) return std::nullopt;
   return default_file;
 }

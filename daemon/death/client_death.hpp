@@ -80,9 +80,8 @@ class ClientDeath {
   /// `client` is dead in the tables.
   ClientDeath(ClientIndex client, const Registry& registry);
 
-  /// Returns the next step; nothing: it is forgotten. The caller has carried out the earlier
-  /// steps; it may have served others meanwhile, to whom the rest of the client looks as if it
-  /// lived.
+  /// Returns the next step; nothing: it is forgotten. The caller has carried out earlier steps; to
+  /// others that it served meanwhile, the rest of the client looks alive.
   std::optional<DeathStep> next();
   DeathState state() const noexcept { return state_; }
   ClientIndex client() const noexcept { return client_; }

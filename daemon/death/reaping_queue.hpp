@@ -29,8 +29,7 @@ class ReapingQueue {
   /// Records the end and does a part of the work now; calls `then` when all of it is done.
   void begin(ClientIndex client, journal::DeathReason reason, AfterReaping then,
              std::uint64_t budget_ns = budget_ns_of_slice);
-  /// Appends `then` to the callback of begin() if that end is not done yet. Returns false if it
-  /// is.
+  /// Appends `then` to the callback of begin(). Returns false if that end is done already.
   bool append(ClientIndex client, AfterReaping then);
   /// Continues one of the ends for a while.
   void go_on();

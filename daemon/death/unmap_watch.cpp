@@ -15,8 +15,7 @@ namespace {
 // long for a thread that only has to read a packet.
 constexpr unsigned deaf_looks_needed = 5;
 // The same for any other process. A refused library asks every five seconds
-// (Reconnection::pause_refused), and a slow machine has hundreds of them to take back and to
-// notify.
+// (Reconnection::pause_refused), and a slow machine may have hundreds of them to notify.
 constexpr unsigned looks_needed = 30;
 // Records and words of shared memory that one call reads: below a millisecond. An endpoint that is
 // begun is finished: another 25,000 at most.

@@ -59,8 +59,7 @@ class UnmapWatch {
     unsigned deaf = 0;
     std::uint64_t sent = 0;  // packets sent on its connection
   };
-  /// The look at one user's endpoints that is under way, the generation it has reached, and its
-  /// findings.
+  /// The running look at one user's endpoints, the generation reached, and its findings.
   struct Round {
     std::uint64_t next = 0;
     std::map<ClientIndex, Finding> debts;

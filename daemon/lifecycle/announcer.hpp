@@ -31,9 +31,8 @@ class Announcer {
   /// Called with a publisher and the subscription it was just announced for.
   std::function<void(const EndpointRef&, const EndpointRef&)> on_matched;
 
-  /// Records that the process is about to be notified of the endpoint; it has to unmap it before
-  /// the place is used again. Returns its connection; null: it has none, and is notified when it
-  /// is back.
+  /// Records that the process is about to be notified of the endpoint, and has to unmap it before
+  /// the place is used again. Returns its connection; null: none, it is notified when it is back.
   Session* record_member(const EndpointRef& ref, ClientIndex to);
   /// Announces the endpoint `subject` to the process of `receiver`, an endpoint of the other kind.
   void announce(const EndpointRef& subject, const EndpointRef& receiver);

@@ -58,8 +58,7 @@ struct FreeTopic {
 struct FreeClient {
   ClientIndex client{};
 };
-/// The process is to be notified of the endpoint; it has to unmap it before the place is used
-/// again.
+/// The process is to be notified of the endpoint, and to unmap it before the place is reused.
 struct RecordMember {
   EndpointRef ref;
   ClientIndex to{};

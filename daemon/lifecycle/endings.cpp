@@ -160,8 +160,7 @@ Effects Endings::give_up_all_of(ClientIndex client) {
 }
 
 // Living processes keep half of the places and half of the arena. The user with most of the rest
-// makes room for the others: no user loses unread messages because of another user's dead
-// processes.
+// makes room for the others: no user loses unread messages to another user's dead.
 Effects Endings::give_up_gone() {
   struct Gone {
     std::vector<std::pair<std::uint64_t, ClientIndex>> clients;  // by generation
@@ -284,7 +283,7 @@ Effects Endings::free_unused_clients() const {
   return effects;
 }
 
-// --- for a daemon that goes on
+// --- for a daemon that continues
 
 Effects Endings::owed_acknowledgements(Kind kind, TopicIndex topic) const {
   Effects effects;

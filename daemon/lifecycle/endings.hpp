@@ -35,8 +35,8 @@ class Endings {
  public:
   explicit Endings(const Registry& registry) noexcept : registry_(registry) {}
 
-  /// Ends a publisher: changes the board, rings every subscription and notifies each process that
-  /// knows it.
+  /// Ends a publisher: changes the board, rings subscriptions, notifies each process that knows
+  /// it.
   Effects orphan(const EndpointRef& ref, std::uint64_t final_head, journal::LeaveCause cause) const;
   /// Ends a subscription whose process is without a session.
   Effects close_subscription(const EndpointRef& ref) const;
@@ -46,15 +46,13 @@ class Endings {
   Effects kick_publishers_of(const EndpointRef& subscription) const;
   Effects acknowledge(const EndpointRef& ref, ClientIndex by) const;
 
-  /// Frees the endpoint if it is over and all processes have unmapped it, then its topic and its
-  /// process.
+  /// Frees the endpoint if it is over and unmapped everywhere, then its topic and process.
   Effects free_unused(const EndpointRef& ref);
   Effects free_unused_topic(TopicIndex topic) const;
   Effects free_unused_client(ClientIndex client) const;
   Effects free_unused_clients() const;
 
-  /// Give up the oldest publishers, and subscriptions, of a topic that are over when there are too
-  /// many.
+  /// When too many publishers, or subscriptions, of a topic are over: give up the oldest.
   Effects give_up_orphans(TopicIndex topic);
   Effects give_up_subscriptions(TopicIndex topic);
   /// When there are too many processes that are gone but still mapped by others, gives up the
@@ -69,9 +67,9 @@ class Endings {
   tl::unexpected<Failure> explain_full(TopicIndex topic, const Failure& why,
                                        std::optional<std::uint32_t> uid) const;
 
-  // --- for a daemon that goes on Returns acknowledgements that the previous daemon may have died
-  // before recording: a process that has drained its last endpoint that met another one has
-  // unmapped that one too.
+  // --- for a daemon that continues
+  /// Returns acknowledgements that the previous daemon may have died before recording: a process
+  /// that has drained its last endpoint that met another one has unmapped that one too.
   Effects owed_acknowledgements(Kind kind, TopicIndex topic) const;
   /// Checks every endpoint of a topic, and the topic itself, for places to free.
   Effects free_all_unused(TopicIndex topic) const;

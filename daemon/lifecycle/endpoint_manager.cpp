@@ -90,7 +90,7 @@ Result<void> EndpointManager::create_subscription(ClientIndex client, TopicIndex
   const auto plan = registry_.plan_subscription(client, topic, request.qos, quota);
   if (!plan) return tl::unexpected(plan.error());
   if (auto ready = make_ready(topic, *plan, client, plan->extent); !ready) return ready;
-  // Publishers can keep the history that this one may ask for before it joins (docs/protocol.md,
+  // Before it joins, publishers can keep the history that it may ask for (docs/protocol.md,
   // slots).
   for (const SlotRaise& raise : plan->raises) registry_.raise_slots(topic, raise);
   registry_.add_subscription(client, topic, request.qos, quota, request.executor, *plan,

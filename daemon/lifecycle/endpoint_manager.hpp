@@ -53,17 +53,16 @@ class EndpointManager {
   /// Creates an endpoint, answers and announces. The caller has checked rights and quotas, and
   /// answers a failure: type_mismatch, limit_reached, invalid_argument, os_failure.
   [[nodiscard]] Result<void> create(ClientIndex client, const CreateRequest& request);
-  /// Handles a repeated creation: answers and announces as before. Returns false if it was not
-  /// carried out.
+  /// Handles a repeated creation: answers and announces as before. Returns false if there was
+  /// none.
   bool answer_again(ClientIndex client, const CreateRequest& request);
-  /// Errors: protocol_violation.
+  /// Carry out requests about ends of endpoints. Errors: protocol_violation.
   [[nodiscard]] Result<void> leave(ClientIndex client, const LeaveRequest& request);
   [[nodiscard]] Result<void> drained(ClientIndex client, const DrainedRequest& request);
   [[nodiscard]] Result<void> unlinked(ClientIndex client, const wire::Unlinked& statement);
   /// Announces the newest window of `owner` to every process that has its region.
   void announce_window(ClientIndex owner) { announcer_.announce_window(owner); }
-  /// Announcements sent without doorbells for lack of descriptors; announce_renewed() repeats
-  /// them.
+  /// Announcements without doorbells, for lack of descriptors; announce_renewed() repeats them.
   bool has_waiting() const noexcept { return announcer_.has_waiting(); }
   void announce_waiting() { announcer_.move_waiting_to(renewed_); }
   /// The doorbells of an executor have changed: its subscriptions are announced to publishers once
@@ -83,17 +82,17 @@ class EndpointManager {
     announcer_.notice(ref, code, text);
   }
 
-  // --- the end of a process (death/client_death.hpp has the states) Returns the decisions about
-  // ends; run() carries out their effects.
+  // --- the end of a process (death/client_death.hpp has the states)
+  /// Returns the decisions about ends; run() carries out their effects.
   Endings& endings() noexcept { return endings_; }
   const Endings& endings() const noexcept { return endings_; }
   void run(const Effects& effects) { runner_.run(effects); }
   /// Removes the process from the announce sets of regions. It has left those of all topics.
   void forget_client(ClientIndex client);
 
-  // --- for a daemon that goes on Carries out what follows from the records of the previous run
-  // and has no record yet: acknowledgements of processes that have drained, and the release of
-  // unused places.
+  // --- for a daemon that continues
+  /// Carries out what follows from the records of the previous run and has no record yet:
+  /// acknowledgements of processes that have drained, and the release of unused places.
   void carry_out_what_is_owed();
 
  private:

@@ -1,8 +1,7 @@
 // SPDX-License-Identifier: Apache-2.0
 //
-// Leaving: decides about reports of processes on the end of endpoints: that one of their own
-// leaves, that it has drained, that they have unmapped another one. A core without I/O, as
-// endings.hpp.
+// Leaving: decides about reports of processes on the end of endpoints: one of their own leaves, it
+// has drained, they have unmapped another one. A core without I/O, as endings.hpp.
 //
 // A client may repeat a request whose answer was lost with the connection. A request that was
 // carried out gets the same answer as before (journal/cases.hpp, Q).
@@ -29,7 +28,7 @@ class Leaving {
   Leaving(const Registry& registry, const Endings& endings) noexcept
       : registry_(registry), endings_(endings) {}
 
-  /// `final_head` counts for a publisher only. Errors: protocol_violation.
+  /// Return the effects of a request. `final_head` is for a publisher. Errors: protocol_violation.
   [[nodiscard]] Result<Effects> leave(ClientIndex client, const LeaveRequest& request,
                                       std::uint64_t final_head) const;
   [[nodiscard]] Result<Effects> drained(ClientIndex client, const DrainedRequest& request) const;

@@ -69,8 +69,8 @@ Result<void> clear_memory(int fd, std::byte* region, const Regions::Extent& exte
   ::madvise(region + extent.offset, extent.bytes, MADV_DONTNEED);
   return {};
 }
-// Lengthening waits for the lock of the file, which the process holds while it writes to it by
-// system calls.
+// Lengthening waits for the lock of the file, which the process holds while it writes by system
+// calls.
 Result<void> clear_extent(int fd, const std::weak_ptr<Mapping>& region,
                           const Regions::Extent& extent) noexcept {
   AGNOCAST_CRASH_POINT(B_clear);
@@ -136,8 +136,7 @@ Result<void> Regions::map_region(ClientMemory& memory, UniqueFd writer) const {
   auto mapping =
       Mapping::map(writer.get(), Registry::client_region_bytes, Mapping::Access::read_write);
   if (!mapping) return tl::unexpected(mapping.error());
-  // Mapping does not exclude writable mappings from core dumps; this one is memory of other
-  // processes.
+  // Mapping leaves writable mappings in core dumps; this one is memory of other processes.
   ::madvise(mapping->base(), mapping->bytes(), MADV_DONTDUMP);
   AGNOCAST_CRASH_POINT(B_region_made);
   struct stat file {};

@@ -49,8 +49,7 @@ namespace agnocast::daemon {
 
 class Regions {
  public:
-  /// Makes board and tables, empty and not in the store yet: see keep(). Errors: os_failure with
-  /// errno.
+  /// Makes board and tables, empty and not in the store yet: see keep(). Errors: os_failure.
   [[nodiscard]] static Result<Regions> create(DescriptorStore& store);
   /// Adopts board and journal of a previous run. Errors: layout_mismatch, store_damaged (they have
   /// the wrong sizes), os_failure.
@@ -116,9 +115,8 @@ class Regions {
   [[nodiscard]] Result<void> renew(ClientIndex client, const Extent& extent,
                                    std::uint64_t backed_bytes);
 
-  /// Makes a heap window for the addresses at `base`, puts it into the store and keeps a
-  /// descriptor for readers. Returns the writable descriptor, for its owner alone. Errors:
-  /// os_failure.
+  /// Makes a heap window for the addresses at `base`, stores it and keeps a descriptor for
+  /// readers. Returns the writable one, for its owner alone. Errors: os_failure.
   [[nodiscard]] Result<SharedFd> open_window(ClientIndex client, std::uint64_t base, uid_t owner);
   /// Checks that an agnocastd of this user made `window` as the window at `base` for a process of
   /// `owner`: sealed memory of that name, no longer than `bytes`, which no other user can make;
@@ -139,8 +137,7 @@ class Regions {
   /// Descriptors for readers stay while its place is taken: a process that was without a
   /// connection at the death still gets the last messages, and observers look at the region.
   void unmap_client(ClientIndex client) noexcept;
-  /// The process is over, or never came to life: closes everything. Its memory is freed a little
-  /// later.
+  /// The process is over, or never began: closes everything. Its memory is freed a little later.
   void close_client(ClientIndex client) noexcept;
 
   /// Returns how many processes can have a region mapped here if the kernel allows

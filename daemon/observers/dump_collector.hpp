@@ -1,7 +1,7 @@
 // SPDX-License-Identifier: Apache-2.0
 //
-// DumpCollector: collects, from every part of the daemon, the facts of a dump that are not in the
-// tables.
+// DumpCollector: collects the facts of a dump that are not in the tables from all parts of the
+// daemon.
 #pragma once
 
 #include <base/text/log.hpp>

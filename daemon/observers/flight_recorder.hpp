@@ -5,8 +5,8 @@
 //
 // A record names places (topic 3, process 7), and places are used again. One counter gives out all
 // generations: a place still has the same owner as at the time of the record exactly if its
-// present owner is not younger than the generation in the record. A pid in the record itself is
-// always sent.
+// present owner is not younger than the generation in the record. A record's own pid is always
+// sent.
 #pragma once
 
 #include <agnocast/abi/observe.hpp>

@@ -1,7 +1,6 @@
 // SPDX-License-Identifier: Apache-2.0
 //
-// ObserverAnswers: long answers to observers: dumps, the journal, and dumps that wait for a
-// change.
+// ObserverAnswers: long answers to observers: dumps, the journal, dumps that wait for a change.
 //
 // A small request asks for much work, so each user has an allowance of answers; a request beyond
 // it waits, and the answer has the facts of its own time. An answer is made at once; the observer

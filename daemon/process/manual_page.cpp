@@ -1,7 +1,6 @@
 // SPDX-License-Identifier: Apache-2.0
 //
-// Writes agnocastd(8) when the project is built, from the tables that --help and the configuration
-// reader use.
+// Writes agnocastd(8) at build time, from the tables of --help and of the configuration reader.
 
 #include <base/text/mdoc.hpp>
 #include <daemon/config/config_keys.hpp>

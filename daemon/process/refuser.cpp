@@ -93,8 +93,7 @@ void Refuser::answer(std::uint64_t id) {
       std::memcpy(static_cast<void*>(&header), buffer.data(), sizeof header);
     auto refused =
         make_body<wire::Refused>(wire::Opcode::refused, header.request & ~wire::asked_again);
-    // A process that rejoins has a stored session and must try again: a refusal would orphan that
-    // session.
+    // A process that rejoins has a stored session and must try again: a refusal would orphan it.
     const Errc code = header.opcode == wire::Opcode::rejoin ? Errc::daemon_not_running : code_;
     refused.code = static_cast<std::uint32_t>(code);
     refused.text = name_of(why_);

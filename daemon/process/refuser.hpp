@@ -5,8 +5,7 @@
 // Another build has left its tables, or they are damaged. The refuser touches nothing of them,
 // every descriptor stays in the store, and each client gets the reason: `refused` with
 // layout_mismatch or store_damaged to any request, but daemon_not_running to `rejoin`, which means
-// try later. The build that made the tables can be started again and continues, with all its
-// clients.
+// try later. The build that made the tables can be started again and continues.
 #pragma once
 
 #include <base/sockets/packet_socket.hpp>
@@ -36,7 +35,7 @@ class Refuser {
   Refuser(const Refuser&) = delete;
   Refuser& operator=(const Refuser&) = delete;
 
-  /// Errors: os_failure.
+  /// Begins to listen. Errors: os_failure.
   [[nodiscard]] Result<void> start();
   /// Listens again when it is time; call it after at most due_ms() (-1: nothing is due).
   void tick();

@@ -284,8 +284,7 @@ void Service::say_ready(bool resumed) {
               {"window_bytes", arena.window_bytes},
               {"unprivileged", ::geteuid() == 0 ? "no" : "yes"}});
   // One datagram: a reader that waits for the first line then reads the second.
-  notify(std::string("READY=1\nSTATUS=serving") +
-         (resumed ? "; goes on with what was there before" : ""));
+  notify(std::string("READY=1\nSTATUS=serving") + (resumed ? "; continues the previous run" : ""));
 }
 
 std::optional<Trouble> Service::wait() {

@@ -36,8 +36,7 @@ constexpr int first_passed = 3;                   // where LISTEN_FDS begins
 constexpr std::size_t datagram_bytes_max = 4096;  // the same limit as systemd's
 constexpr std::size_t descriptors_per_datagram_max = 253;
 constexpr std::uint64_t pause_first_ms = 20;
-// A worker that has been ready found nothing at its start that kills it: at most ten runs a
-// second.
+// A worker that was ready found nothing at its start that kills it: at most ten runs a second.
 constexpr std::uint64_t life_of_ready_ms = 100;
 constexpr std::uint64_t pause_most_ms = 5'000;
 // A worker that lived so long did not die of what it found at its start.
@@ -48,8 +47,7 @@ constexpr std::uint64_t settled_ms = 10'000;
 constexpr std::uint64_t stop_patience_ms = 800, end_patience_ms = 5'000;
 // How long a worker may take until it serves; systemd's default.
 constexpr std::uint64_t start_patience_ms = 90'000;
-// Interval of looks at a worker that is to end, and how long the end of the supervisor waits for
-// it.
+// Interval of looks at a worker that is to end, and how long the supervisor's end waits for it.
 constexpr std::uint64_t look_interval_ms = 20, kill_patience_ms = 150;
 // How long a worker that holds nothing any more may take until it has ended; usually no time.
 constexpr std::uint64_t remains_patience_ms = 500;
@@ -189,8 +187,7 @@ class Supervisor {
   void end_worker(int signal);
   void kill_worker(std::string_view why);
   void look_at_worker(std::uint64_t now);
-  /// Returns whether a killed worker cannot end, because a client keeps a thread of it in the
-  /// kernel.
+  /// Returns whether a killed worker cannot end: a client keeps a thread of it in the kernel.
   bool is_stuck(std::uint64_t now) const noexcept;
   /// Returns when look_at_worker() is due; nothing: never.
   std::optional<std::uint64_t> look_due_ms() const noexcept;
@@ -287,7 +284,7 @@ void Supervisor::start() {
   remains_since_ms_.reset();
   life_line_.reset();
   int line[2] = {-1, -1};
-  // Without it a worker that is stuck in the kernel is not seen to be gone; one is started all the
+  // Without it a worker that is stuck in the kernel is not seen to be gone; it starts all the
   // same.
   if (::pipe2(line, O_CLOEXEC) == 0) life_line_.reset(line[0]);
   const UniqueFd other_end(line[1]);
@@ -303,8 +300,7 @@ void Supervisor::start() {
   log_.write(LogLevel::debug, "worker started", {{"pid", pid}, {"descriptors", kept_.size()}});
 }
 
-// Runs in the child. Signals stay blocked over exec: those that come before the worker listens are
-// not lost.
+// Runs in the child. Signals stay blocked over exec, so early ones are not lost.
 void Supervisor::become_worker(pid_t parent, int life_line) noexcept {
   ::prctl(PR_SET_PDEATHSIG, SIGKILL);
   if (::getppid() != parent) ::_exit(1);  // the supervisor died before prctl()

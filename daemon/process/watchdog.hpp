@@ -16,8 +16,7 @@ class Watchdog {
   /// Reads the manager's request (WATCHDOG_USEC, WATCHDOG_PID).
   Watchdog() noexcept;
 
-  /// Returns how long the loop may wait, in milliseconds, if it wants to wait `timeout_ms` (-1:
-  /// for ever).
+  /// Returns how many ms the loop may wait if it wants to wait `timeout_ms` (-1: for ever).
   int sooner(int timeout_ms) const noexcept;
   /// Call in every iteration of the loop; reports when it is time.
   void tick() noexcept;

@@ -1,8 +1,7 @@
 // SPDX-License-Identifier: Apache-2.0
 //
-// AcknowledgementRequests: reports of a process about things that the daemon has announced to it:
-// it has read a publisher to its end, unmapped something, cannot map a window, or serves a reader
-// no more.
+// AcknowledgementRequests: reports of a process about what was announced to it: it has read a
+// publisher to its end, unmapped something, cannot map a window, or withdraws from a reader.
 #pragma once
 
 #include <daemon/admission/address_conflicts.hpp>

@@ -83,8 +83,7 @@ class Broker final {
   [[nodiscard]] Result<void> resume();
   /// Begins to serve. Errors: os_failure.
   [[nodiscard]] Result<void> start();
-  /// Serves requests that the dispatcher has found, each user's share of them; the rest comes next
-  /// time.
+  /// Serves each user's share of the requests that the dispatcher has found; the rest comes next.
   void serve_waiting();
   /// Does periodic work; call it after at most due_ms() (-1: nothing is due).
   void tick();

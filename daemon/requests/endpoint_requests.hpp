@@ -52,12 +52,10 @@ class EndpointRequests {
     PeerId id = 0;
     std::uint64_t ticket = 0, request = 0, until_ms = 0;
   };
-  // It takes microseconds, unless its process keeps the file locked, or others keep every thread
-  // busy.
+  // Takes microseconds, unless its process keeps the file locked, or others keep all threads busy.
   static constexpr std::uint64_t clearing_ms = 10'000;
 
-  /// Returns true when memory for the endpoint is prepared first; the request is parked until
-  /// then.
+  /// Returns true if memory must be prepared first; the request is parked until then.
   [[nodiscard]] Result<bool> clear_before(Peer& peer, const CreateRequest& request);
 
   const Config& config_;

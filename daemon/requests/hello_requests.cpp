@@ -102,8 +102,7 @@ Result<void> HelloRequests::hello(Peer& peer, const wire::Hello& hello) {
     case RegionTrace::some:
       return fail_with(Errc::revoked, "the session of this process was revoked");
     case RegionTrace::unknown:
-      // It may have become another program since. A process that loses its connection says hello
-      // again.
+      // It may be another program by now. A process that loses its connection says hello again.
       of_.termination.disconnect(peer, "no time to look whether the process was revoked");
       return {};
   }

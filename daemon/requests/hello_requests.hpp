@@ -2,8 +2,7 @@
 //
 // HelloRequests: a process joins.
 //
-// If it has been here before, a thread first looks at its previous sessions; its hello is parked
-// until then.
+// If it has been here before, a thread first looks at its previous sessions; its hello is parked.
 #pragma once
 
 #include <base/text/log.hpp>

@@ -6,8 +6,7 @@
 // These records change nothing, and they lie in the ring that recovery needs and the flight
 // recorder shows. A publisher can report as often as it likes that it withdraws from a reader and
 // serves it again; so each pair of users has some records at once and then one a minute, and
-// further ones are only counted. They are no evidence: creations push them out of the ring like
-// any record.
+// further ones are only counted. They are no evidence: creations push them out of the ring.
 #pragma once
 
 #include <daemon/transport/allowance.hpp>

@@ -2,8 +2,8 @@
 //
 // ReaderReports: reports of readers that get less than others: those that a publisher no longer
 // serves, reported by its process, and those that cannot be rung, found by the daemon. Each change
-// is a record of the redo log and a line of the log, for people who ask later; it has no other
-// effect.
+// is a record of the redo log and a line of the log, for people who ask later; nothing else
+// follows.
 #pragma once
 
 #include <base/sockets/peer_identity.hpp>

@@ -54,7 +54,7 @@ class Recovery {
  public:
   explicit Recovery(const RecoveredParts& parts) noexcept : of_(parts) {}
 
-  /// Recovers. Call once, after the registry was opened and before serving. Errors: store_damaged,
+  /// Recovers. Call once, after opening the registry and before serving. Errors: store_damaged,
   /// os_failure.
   [[nodiscard]] Result<void> run();
 

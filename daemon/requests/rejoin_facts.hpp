@@ -16,8 +16,7 @@ struct Rejoiner {
   bool same_process = false;  // that process is the requester
 };
 
-/// Returns the facts for journal::decide_rejoin(). Reads nothing that the request names outside
-/// the tables.
+/// Returns the facts for journal::decide_rejoin(). Reads nothing outside the tables.
 journal::RejoinFacts rejoin_facts(const wire::Rejoin& request, const Registry& registry,
                                   const Rejoiner& who);
 

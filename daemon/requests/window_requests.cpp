@@ -37,7 +37,7 @@ Result<void> WindowRequests::open_window(Peer& peer, const wire::WindowRequest& 
     }
     AGNOCAST_CRASH_POINT(B_window_made);
     registry_.open_window(client, *window);
-    // Before the answer: so the announcement is in a subscriber's socket before the window has a
+    // Before the answer: a subscriber's socket has the announcement before the window has a
     // message.
     endpoint_manager_.announce_window(client);
     log_.write(LogLevel::debug, "window opened",

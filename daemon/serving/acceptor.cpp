@@ -82,8 +82,7 @@ void Acceptor::turn_away() {
   spare_.reset();
   {
     auto socket = of_.listener.socket().accept();
-    // The last connection is still being closed. The dispatcher reports waiting ones again and
-    // again.
+    // The last connection is still being closed. The dispatcher keeps reporting waiting ones.
     if (!socket) pause_listening();
     if (socket && *socket) {
       send_refused(**socket, Errc::limit_reached, "the daemon has no descriptor left");

@@ -57,11 +57,9 @@ class Acceptor {
   void pause_listening();
   void accept(PacketSocket socket);
   void refuse_over_quota(PacketSocket socket, const PeerIdentity& identity);
-  /// Watches the connection and its process from now on. `only_observes`: it cannot become a
-  /// client.
+  /// Watches the connection and its process. `only_observes`: it cannot become a client.
   void attach(PacketSocket socket, PeerIdentity identity, bool only_observes);
-  /// Accepts one waiting connection although no descriptor is left, and refuses it with the
-  /// reason.
+  /// Accepts one connection although no descriptor is left, and refuses it with the reason.
   void turn_away();
   void close(PacketSocket socket, std::uint32_t uid);
 

@@ -18,8 +18,7 @@ namespace agnocast::daemon {
 
 using journal::DeathReason;
 
-// The dispatcher reports a connection with more packets again; it then waits behind others of its
-// user.
+// The dispatcher reports a connection with more packets again; it waits behind its user's others.
 std::optional<unsigned> PacketReader::serve_slice(PeerId id, const TimeSlice& slice) {
   Peer* const found = connections_.find(id);
   if (found == nullptr) return std::nullopt;

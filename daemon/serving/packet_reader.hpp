@@ -1,11 +1,9 @@
 // SPDX-License-Identifier: Apache-2.0
 //
-// PacketReader: reads the packets of one connection, as many as its user's time slice has room
-// for.
+// PacketReader: reads as many packets of one connection as its user's time slice has room for.
 //
 // The loop receives packets directly only from a connection that cannot carry descriptors. On
-// others it peeks at the packet first, and Disposal receives a window while the connection is
-// parked.
+// others it peeks first, and Disposal receives a window while the connection is parked.
 #pragma once
 
 #include <daemon/death/client_termination.hpp>
@@ -36,8 +34,7 @@ class PacketReader {
         termination_(termination),
         server_(server) {}
 
-  /// Serves one connection, and the end of its process. Returns the number of packets; nothing: it
-  /// is gone.
+  /// Serves one connection, and its process's end. Returns the number of packets; nothing: gone.
   std::optional<unsigned> serve_slice(PeerId id, const TimeSlice& slice);
   /// Returns the number of packets.
   unsigned read(PeerId id, const TimeSlice& slice);

@@ -37,8 +37,7 @@ class RequestScheduler {
   std::uint64_t next_ticket() noexcept { return ++last_ticket_; }
   /// Reads nothing from it until unpark().
   void park(Peer& peer, std::uint64_t ticket);
-  /// Returns the connection parked with this ticket; null: there is none, or it is not to be
-  /// served.
+  /// Returns the connection parked with this ticket; null: none, or it is not to be served.
   Peer* unpark(PeerId id, std::uint64_t ticket);
 
  private:

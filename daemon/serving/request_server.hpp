@@ -1,7 +1,6 @@
 // SPDX-License-Identifier: Apache-2.0
 //
-// RequestServer: from a packet to an answer. Decodes the packet, calls its handler, and reports a
-// refusal.
+// RequestServer: from a packet to an answer. Decodes it, calls its handler, reports a refusal.
 //
 // A request is a parsed packet: its values are bounded, but the handler has to check them against
 // quotas, access rules and the tables. Its changes are recorded before it is answered.

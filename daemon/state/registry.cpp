@@ -18,8 +18,8 @@ namespace agnocast::daemon {
 namespace {
 
 // Every publisher gets at least these: it keeps all messages for a new subscription until its
-// control thread has mapped that one, so a busy process needs a reserve. Up to here hold bits cost
-// nothing more.
+// control thread has mapped that one, so a busy process needs a reserve. Up to here hold bits are
+// free.
 constexpr std::uint64_t slots_at_least = abi::near_slot_count;
 
 constexpr std::uint64_t round_up(std::uint64_t value, std::uint64_t unit) noexcept {

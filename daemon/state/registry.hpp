@@ -111,8 +111,7 @@ struct Capacity {
   std::uint32_t depth_max = abi::depth_max;
 };
 
-/// What one user has in use. A dead process counts as long as other processes have its memory
-/// mapped.
+/// What one user has in use. A dead process counts while others map its memory.
 struct Usage {
   std::uint64_t clients = 0;
   std::uint64_t publishers = 0;
@@ -175,7 +174,7 @@ class Registry {
   const TableHeader& header() const noexcept { return tables_.header; }
 
   // --- processes
-  /// Errors: limit_reached, store_damaged.
+  /// Chooses a place for a new process. Errors: limit_reached, store_damaged.
   [[nodiscard]] Result<ClientPlan> plan_client() const;
   void add_client(const NewClient& client, const ClientPlan& plan);
   /// Plans and adds a process.
@@ -194,8 +193,7 @@ class Registry {
   std::uint64_t used_bytes_of(ClientIndex index) const;
   /// Returns the offset in the process's region for an endpoint of `bytes`; nothing: no room.
   std::optional<std::uint64_t> lowest_extent(ClientIndex client, std::uint64_t bytes) const;
-  /// Returns what a user has in use. Asked before every creation, so it is maintained, not
-  /// counted.
+  /// Returns what a user has in use; maintained, because every creation asks for it.
   Usage usage_of(std::uint32_t uid) const;
   /// Returns whether a process of this user has an endpoint in the topic.
   bool takes_part(std::uint32_t uid, TopicIndex topic) const;
@@ -223,8 +221,7 @@ class Registry {
   /// Removes a dead process from the announce sets of all endpoints of this topic: what it had
   /// mapped there is unmapped.
   void acknowledge_topic(ClientIndex gone, TopicIndex topic);
-  /// Returns a topic with an endpoint that was announced to the process and that it has not
-  /// acknowledged.
+  /// Returns a topic with an endpoint announced to the process and not yet acknowledged by it.
   std::optional<TopicIndex> known_topic_of(ClientIndex index) const;
   /// Removes the process from the announce sets of all regions: it has then acknowledged
   /// everything that was ever announced to it. Only when known_topic_of() returns nothing.
@@ -234,8 +231,9 @@ class Registry {
   bool can_free(ClientIndex index) const;
   void free_client(ClientIndex index);
 
-  // --- the flight recorder Counters outlive the daemon. A record that counts something sets its
-  // counter; callers raise the others.
+  // --- the flight recorder
+  /// Counters outlive the daemon. A record that counts something sets its counter; callers raise
+  /// the others.
   abi::wire::DaemonCounters& counters() noexcept { return tables_.header.counters; }
   const abi::wire::DaemonCounters& counters() const noexcept { return tables_.header.counters; }
   /// Records that a daemon has taken over what another one left, once it serves.
@@ -266,7 +264,7 @@ class Registry {
   const SubscriptionRecord& subscription(TopicIndex topic, std::uint32_t index) const noexcept {
     return tables_.subscription[number(topic)][index];
   }
-  /// Errors: limit_reached (indexes of the topic, room in the client region), store_damaged.
+  /// Plan an endpoint. Errors: limit_reached (index or room in the client region), store_damaged.
   [[nodiscard]] Result<PublisherPlan> plan_publisher(ClientIndex client, TopicIndex topic,
                                                      const abi::Qos& qos) const;
   void add_publisher(ClientIndex client, TopicIndex topic, const abi::Qos& qos,
@@ -279,8 +277,7 @@ class Registry {
                         const HoldQuota& quota, std::uint64_t executor,
                         const SubscriptionPlan& plan, std::string_view node,
                         std::uint64_t creation = 0);
-  /// Returns what subscriptions of the topic have of the pool (hold_pool.hpp), as seen by this
-  /// user.
+  /// Returns what the topic's subscriptions use of the pool (hold_pool.hpp), seen by this user.
   HoldPool::Use pool_use(std::uint32_t uid, TopicIndex topic) const;
   HoldPool hold_pool() const noexcept {
     return {capacity_.slots_per_publisher, capacity_.depth_max, capacity_.subscriptions_per_topic};
@@ -302,8 +299,7 @@ class Registry {
   /// Changes the state to leaving, over or dead.
   void change_subscription(TopicIndex topic, std::uint32_t index, EndpointState state);
   void free_subscription(TopicIndex topic, std::uint32_t index);
-  /// Returns whether a publisher of the topic uses slots whose hold bits lie behind the link
-  /// lines.
+  /// Returns whether a publisher of the topic has slots with hold bits behind the link lines.
   bool uses_far_slots(TopicIndex topic) const;
 
   /// Returns whether there is an endpoint at this place. Check before every read: reading a hole
@@ -318,8 +314,7 @@ class Registry {
   const AnnounceSet& notified_of(const EndpointRef& ref) const noexcept;
   ClientIndex owner_of(const EndpointRef& ref) const noexcept;
   std::uint64_t generation_of(const EndpointRef& ref) const noexcept;
-  /// Records that `to` is about to be notified of the endpoint, and with it of its process's
-  /// region.
+  /// Records that `to` is about to be notified of the endpoint, and of its process's region.
   void tell(const EndpointRef& ref, ClientIndex to);
   void acknowledge_unmap(const EndpointRef& ref, ClientIndex by);
   void acknowledge_region_unmap(ClientIndex owner, ClientIndex by);

@@ -1,7 +1,6 @@
 // SPDX-License-Identifier: Apache-2.0
 //
-// Registry, the beginning of a life: a fresh one, or one that continues with the memory of an
-// earlier daemon.
+// Registry, the beginning of a run: a fresh one, or one with the memory of an earlier daemon.
 //
 // Only the daemon writes that memory. Still, no value in it is used as an index before it is
 // checked: an earlier build or a bug may have written it. The daemon reports damage and never

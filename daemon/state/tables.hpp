@@ -1,6 +1,6 @@
 // SPDX-License-Identifier: Apache-2.0
 //
-// Tables: everything the daemon has decided, as plain data in one sealed memfd that outlives its
+// Tables: all decisions of the daemon, as plain data in one sealed memfd that outlives its
 // process.
 //
 //   header · client[2048] · topic[4096] · publisher[4096][254] · subscription[4096][768]

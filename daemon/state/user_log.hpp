@@ -1,7 +1,6 @@
 // SPDX-License-Identifier: Apache-2.0
 //
-// Writes a log line that any client can cause. It is limited per user, unless the log level is
-// debug.
+// Writes a log line that any client can cause; limited per user, unless the log level is debug.
 #pragma once
 
 #include <base/text/log.hpp>

@@ -28,8 +28,8 @@ ConnectionTable::~ConnectionTable() {
   for (auto& [id, peer] : peers_) {
     dispatcher_.remove(peer->connection);
     dispatcher_.remove(peer->process);
-    // The end of the process closes the socket without lingering; shutdown() notifies the other
-    // end now.
+    // The end of the process closes the socket without lingering; shutdown() notifies its peer
+    // now.
     UniqueFd socket = peer->session.close();
     ::shutdown(socket.get(), SHUT_RDWR);
     static_cast<void>(socket.release());

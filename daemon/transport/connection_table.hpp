@@ -7,8 +7,7 @@
 //                        ──revoked──────────▶ detached
 //
 // A peer outlives its connection: as long as its process lives and has memory of the daemon, it
-// keeps its place here. A connection that waits to be closed has no peer: a thread of Disposal
-// closes it.
+// keeps its place here. A connection that waits to be closed by Disposal has no peer.
 #pragma once
 
 #include <agnocast/abi/observe.hpp>
@@ -55,9 +54,8 @@ struct Peer {
   bool looking = false;                          // a thread looks right now
   // Before hello: whether the process was looked at, and what it has of a revoked region.
   std::optional<RegionTrace> revoked_trace = {};
-  // Limits how often its process comes back: each time costs work. An honest one tries at most
-  // four times a second in the long run (client/session/reconnection.hpp), a few times more often
-  // at first.
+  // Limits how often its process comes back, which costs work. An honest one tries at most four
+  // times a second (client/session/reconnection.hpp), a few times more often at first.
   Allowance returns{20, 250};
 };
 /// Connections of one user.

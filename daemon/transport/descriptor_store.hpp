@@ -11,8 +11,7 @@
 //   wN.K   its window K, read-only                  eN.X   eventfd of its executor X
 //
 // A descriptor is put before the log record that makes it count, and removed after the record that
-// ends it. Descriptors left over by a death in between are those that the next start does not
-// take.
+// ends it. Those left over by a death in between are not taken by the next start.
 //
 // Without a manager, or with one that keeps nothing, nothing is kept, and every call succeeds.
 //
@@ -75,13 +74,11 @@ class DescriptorStore {
 
   // --- from the previous run
   bool has(const std::string& name) const { return former_.count(name) != 0; }
-  /// Takes a descriptor that was kept; it stays in the store. Returns an empty one when there is
-  /// none.
+  /// Returns a descriptor that was kept; it stays in the store. Empty when there is none.
   UniqueFd take(const std::string& name);
   /// Returns the names that were not taken.
   std::vector<std::string> left_over() const;
-  /// Removes descriptors that were not taken, and waits until the manager has done so. Returns
-  /// their number.
+  /// Removes descriptors that were not taken, and waits for the manager. Returns their number.
   std::size_t remove_left_over();
 
   /// Returns the sockets that the manager listens at for the daemon; normally one or none.
@@ -90,7 +87,7 @@ class DescriptorStore {
   // --- for the next run
   bool is_kept(const std::string& name) const { return kept_.count(name) != 0; }
   std::size_t kept_count() const noexcept { return kept_.size(); }
-  /// Errors: limit_reached (the manager keeps no more), os_failure.
+  /// Stores a descriptor. Errors: limit_reached (the manager keeps no more), os_failure.
   [[nodiscard]] Result<void> put(const std::string& name, int fd);
   /// Removes a name; it need not be kept.
   void remove(const std::string& name) noexcept;
@@ -111,8 +108,7 @@ class DescriptorStore {
 
 /// sd_notify: READY=1, STATUS=…, STOPPING=1. Does nothing without NOTIFY_SOCKET.
 void notify(const std::string& state) noexcept;
-/// Returns when the manager has handled the earlier messages, or after five seconds without an
-/// answer.
+/// Waits until the manager has handled the earlier messages, or for five seconds.
 void wait_for_manager() noexcept;
 
 }  // namespace agnocast::daemon

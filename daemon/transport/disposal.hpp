@@ -14,7 +14,7 @@
 // numbers. No other user waits for any of it.
 //
 // If the kernel refuses descriptors (SO_PASSRIGHTS, Linux 6.16), nothing is queued, and callers
-// close in place. If a filter forbids such threads, an errand of this user closes in the daemon's
+// close in place. If a filter forbids such threads, the user's errand closes in the daemon's
 // table.
 #pragma once
 

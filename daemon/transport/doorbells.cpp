@@ -32,8 +32,7 @@ bool is_shortage(int error) noexcept {
 
 }  // namespace
 
-// If the client never takes it, this copy is the last one, with packets of other processes in its
-// queue.
+// If the client never takes it, this copy is the last one, with others' packets in its queue.
 Result<SharedFd> Doorbells::duplicate_receiver(int fd, std::uint32_t uid) const {
   if (refuses_descriptors(fd) || !close_) return duplicate(fd);
   UniqueFd copy(::fcntl(fd, F_DUPFD_CLOEXEC, 0));

@@ -42,8 +42,7 @@ class Doorbells {
   Doorbells& operator=(const Doorbells&) = delete;
 
   /// Makes doorbells (eventfd and bound socket) for the executor's process, which is of this user.
-  /// Returns the same ones again if it never received them or they are on their way. Errors:
-  /// os_failure.
+  /// Returns the same ones again while they are on their way. Errors: os_failure.
   [[nodiscard]] Result<std::vector<SharedFd>> open(ClientIndex client, std::uint64_t executor,
                                                    std::uint32_t uid);
   /// Restores doorbells of a previous run from the store; their names are still in the directory.

@@ -12,12 +12,10 @@
 //
 // Each lane of each user runs one errand at a time, in order: an errand that never ends keeps one
 // thread and delays only later errands of the same lane and user. waiting() returns their number;
-// callers refuse requests that would make it too large. When all threads are busy, further users
-// wait.
+// callers refuse requests beyond a limit. When all threads are busy, further users wait.
 //
 // The daemon never waits for a thread, not even at its end: a stuck thread ends with the process.
-// So an errand touches only what it owns, and `then` runs in the loop, never after the pool is
-// gone.
+// So an errand touches only what it owns, and `then` runs in the loop, while the pool exists.
 #pragma once
 
 #include <agnocast/result.hpp>
@@ -36,7 +34,7 @@ class Errands {
   /// A user may block one for each lane; each costs a stack that is hardly touched.
   static constexpr std::size_t thread_count_max = 64;
 
-  /// Errors: os_failure.
+  /// Makes a pool. Errors: os_failure.
   [[nodiscard]] static Result<std::unique_ptr<Errands>> create(Dispatcher& dispatcher);
   ~Errands();
   Errands(const Errands&) = delete;

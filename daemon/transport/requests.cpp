@@ -41,8 +41,7 @@ Rejected refuse(const wire::Header& header, Errc code, std::string text) {
   return {header.request, code, std::move(text), false};
 }
 
-// Returns what is wrong with an index or generation; null: nothing. `topic` means nothing for a
-// region.
+// Returns what is wrong with an index or generation; null: nothing. A region has no `topic`.
 const char* check_reference(wire::Kind kind, std::uint32_t topic, std::uint64_t index,
                             std::uint64_t generation, bool region_allowed) noexcept {
   if (generation == 0 || generation > generation_max) return "a generation is out of range";

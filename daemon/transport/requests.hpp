@@ -71,7 +71,7 @@ using Request =
 /// observe an observer, for good.
 enum class Role : std::uint8_t { unknown, client, observer };
 
-/// What arrived with the bytes.
+/// Facts about a received packet beside its bytes.
 struct Envelope {
   std::size_t descriptor_count = 0;
   bool truncated = false;

@@ -1,7 +1,6 @@
 // SPDX-License-Identifier: Apache-2.0
 //
-// Session: one connection. The process at its other end, its role, and the packets still to be
-// sent.
+// Session: one connection: the process at its other end, its role, the packets still to be sent.
 //
 //   accepted ──identity confirmed and hello──▶ greeted ──end of connection, overflow──▶ closed
 //            ──identity confirmed and observe──▶ observing ──────────────────────────▶ closed
@@ -126,8 +125,8 @@ class AnnouncementNumbers {
     last_.emplace(key_of(subject), packet);
     bytes_.set(last_.size() * entry_bytes);
   }
-  /// Returns whether a statement made after `seen` packets is void: the subject was announced in a
-  /// later one.
+  /// Returns whether a later packet announced the subject: a statement after `seen` packets is
+  /// void.
   bool is_void(const Announced& subject, std::uint64_t seen) const {
     const auto found = last_.find(key_of(subject));
     return found != last_.end() && found->second > seen;
@@ -198,8 +197,7 @@ struct Outgoing {
   std::vector<std::byte> bytes;
   std::vector<SharedFd> fds;
   // Called once, just before the packet is sent. Descriptors for this packet alone are made here:
-  // in the queue of a client that does not read, each packet would cost the daemon one more
-  // descriptor.
+  // queued for a client that does not read, each packet would cost one more descriptor.
   std::function<void(Outgoing&)> complete = {};
   std::uint64_t since_ms = 0;    // when it was pushed
   std::uint64_t cost_bytes = 0;  // charged to the session while it waits
@@ -265,8 +263,7 @@ class Session {
   std::uint64_t waits_ms(std::uint64_t now) const noexcept {
     return queue_.empty() || held_back_ ? 0 : now - std::min(now, queue_.front().since_ms);
   }
-  /// Returns whether this user's queues are more than half full: other work that can wait should
-  /// wait.
+  /// Returns whether this user's queues are more than half full: further work should wait.
   bool is_crowded() const noexcept { return queued_.user().bytes >= queued_.user().bytes_max / 2; }
   bool is_over() const noexcept { return queued_.user().bytes > queued_.user().bytes_max; }
   /// Returns whether the last flush() returned `later`: not the reader's fault.

@@ -146,7 +146,7 @@ dpkg_quietly -i /opt/agnocast/next/*.deb
 [ "$(dpkg-query -W -f '${Version}' agnocastd)" != "$(dpkg-deb -f /opt/agnocast/first/agnocastd_*.deb Version)" ] || fail "it is no upgrade"
 [ "$(units is-active)" = active ] || fail "the daemon does not run after the upgrade"
 [ "$(main_pid)" != "$before" ] || fail "the upgrade has not restarted the daemon"
-eventually "serving; goes on with what was there before" systemctl show --value -p StatusText agnocastd
+eventually "serving; continues the previous run" systemctl show --value -p StatusText agnocastd
 flows_on
 bridge_is active "after the upgrade"
 [ "$(ask publisher create /later)" = ok ] && [ "$(ask subscriber create /later)" = ok ] || fail "nodes do not come back to the daemon"

@@ -68,7 +68,7 @@ inline bool eventually(Condition condition) {
   return condition();
 }
 inline bool goes_on_with_what_was() {
-  return property("StatusText") == "serving; goes on with what was there before";
+  return property("StatusText") == "serving; continues the previous run";
 }
 inline pid_t main_pid() { return static_cast<pid_t>(std::atoi(property("MainPID").c_str())); }
 /// kill(2) to one process: an unknown pid is no process, and 0 would be all processes in the
