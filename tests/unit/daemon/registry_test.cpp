@@ -275,7 +275,7 @@ TEST_F(RegistryTest, RefusesDamageAndDescribesIt) {
   refused_with([&] { tables.publisher[0][0].client = ClientIndex{77}; }, "a publisher");
   refused_with([&] { tables.publisher[0][0].state = EndpointState::free; }, "a publisher");
   refused_with([&] { tables.topic[0].subscriptions[3] = 1; }, "places of a topic");
-  refused_with([&] { log_word(16).store(2); }, "not of one incarnation");
+  refused_with([&] { log_word(16).store(2); }, "are of different incarnations");
 }
 
 TEST_F(RegistryTest, AssignsNoFreePlaceThatAProcessIsStillNotifiedOf) {
