@@ -156,7 +156,6 @@ class Regions {
     FileId file;
     std::vector<SharedFd> window_readers;
     std::map<std::uint64_t, std::weak_ptr<SharedFd::element_type>> window_writers;  // in answers
-                                                                                    // on their way
     std::optional<Cleared> cleared;
     std::uint64_t last_clear = 0;  // numbered; of several waiting ones the last counts
     std::map<std::uint64_t, std::uint64_t> backed_bytes;  // by offset of the extent

@@ -147,8 +147,7 @@ void Broker::tick() {
   reaping_.go_on();
   const std::uint64_t now = monotonic_ms();
   if (now - looked_ms_ >= short_interval_ms) look_around(now);  // however many events there are
-  answers_.answer_who_awaits_change();                          // changes by the events and by
-                                                                // look_around()
+  answers_.answer_who_awaits_change();                          // made above and by the events
   answers_.go_on();
 }
 
