@@ -25,8 +25,7 @@ constexpr std::size_t runtime_directory_bytes_max = socket_path_bytes_max - 27;
 #define AGNOCAST_TEXT(field) \
   nullptr, nullptr, [](Config& config) -> std::string& { return config.field; }
 
-constexpr std::uint64_t many = std::uint64_t{1} << 32;  // beyond any real value; sums do not
-                                                        // overflow
+constexpr std::uint64_t many = std::uint64_t{1} << 32;  // beyond real values; sums fit
 
 constexpr Key keys[] = {
     {"daemon", "socket", Kind::path, 0, socket_path_bytes_max, 0, "auto", 0,

@@ -209,7 +209,7 @@ Effects Endings::give_up_gone() {
 }
 
 // Names the process that keeps gone publishers. It holds messages of them, or UnmapWatch still
-// waits for it; any user may revoke it.
+// waits for it; its user or root may revoke it.
 tl::unexpected<Failure> Endings::explain_full(TopicIndex topic, const Failure& why,
                                               std::optional<std::uint32_t> uid) const {
   std::uint64_t orphans = 0;

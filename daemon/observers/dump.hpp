@@ -39,8 +39,7 @@ struct DumpFacts {
     std::uint64_t answers_ahead = 0;
   };
   abi::wire::DumpDaemon daemon{};       // without its header
-  std::map<std::uint32_t, User> users;  // users with connections; make_dump() adds owners of
-                                        // processes
+  std::map<std::uint32_t, User> users;  // with connections; make_dump() adds owners
   std::function<Process(ClientIndex)> process_of;
   std::span<const Refusals::Refusal> refusals;
   std::uint64_t now_ns = 0;  // CLOCK_MONOTONIC

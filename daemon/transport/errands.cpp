@@ -39,8 +39,7 @@ struct Errands::State {
 
   struct Queue {
     std::deque<Errand> errands;  // the first one is ready or running
-    std::list<Key> place;        // its node of `ready` while it is not there: a thread may have no
-                                 // memory for one
+    std::list<Key> place;        // its node of `ready` while not there; a thread may get no memory
   };
 
   std::mutex mutex;

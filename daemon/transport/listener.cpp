@@ -320,9 +320,7 @@ Result<void> Listener::keep(DescriptorStore& store) const {
   if (!store.is_kept("lock")) {
     if (auto kept = store.put("lock", lock_.get()); !kept) return kept;
   }
-  if (renewed_ || is_passed_)
-    store.remove("listen");  // the previous socket, which no client can
-                             // reach
+  if (renewed_ || is_passed_) store.remove("listen");  // the previous one, out of reach
   if (is_passed_) return {};
   return store.is_kept("listen") ? Result<void>() : store.put("listen", socket_.fd());
 }
