@@ -75,7 +75,7 @@ struct PublisherEndpoint::Work {
 };
 
 template <class Do>
-inline void PublisherEndpoint::turn(Do work, Work& left) noexcept {
+inline void PublisherEndpoint::run_locked(Do work, Work& left) noexcept {
   {
     const std::lock_guard lock(mutex_);
     work(left);
@@ -93,7 +93,7 @@ inline void PublisherEndpoint::destroy_all(const Work& left) noexcept {
 template <class Do>
 void PublisherEndpoint::with_queue(Do work) noexcept {
   Work left(*this, true);
-  turn(work, left);
+  run_locked(work, left);
   destroy_all(left);
 }
 
@@ -101,7 +101,7 @@ template <class Do>
 void PublisherEndpoint::in_control_thread(Do work) noexcept {
   const UserCode code;
   Work left(*this, code.may_run());
-  turn(work, left);
+  run_locked(work, left);
   if (left.destroy_count == 0) return;
   const UserSignals as_creator(identity_.signals);
   destroy_all(left);

@@ -51,7 +51,7 @@ void Departures::say_one(Connection& connection, const std::shared_ptr<const Con
     notify();
   };
   connection.request_later(Opcode::leave, who, on_answer);
-  departure.said();  // not before: there may be no memory for it
+  departure.reported();  // not before: there may be no memory for it
 }
 
 void Departures::say(Connection& connection, const std::shared_ptr<const ControlWake>& wake) {
