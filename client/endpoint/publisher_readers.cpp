@@ -45,7 +45,8 @@ void PublisherEndpoint::note_unmapped(const EndpointId& endpoint, PeerOwner owne
   in_control_thread([&](Work& work) {
     if (core_ == nullptr || moved_) return;
     core_->scan(work);  // from here on it counts
-    if (is_out && core_->withdraw(endpoint.index, endpoint.generation, abi::Withdrawal::not_attached))
+    if (is_out &&
+        core_->withdraw(endpoint.index, endpoint.generation, abi::Withdrawal::not_attached))
       core_->scan(work);
   });
 }
@@ -82,8 +83,9 @@ bool PublisherEndpoint::see_readers(std::vector<Seen>& seen) const {
   for (const Attached& one : attached_) {
     const abi::Withdrawal why = core_->withdrawal(one.index, one.generation);
     const auto known = watched_.find(one.index);
-    const bool is_notified = known != watched_.end() && known->second.generation == one.generation &&
-                         known->second.why == abi::Withdrawal::over_quota;
+    const bool is_notified = known != watched_.end() &&
+                             known->second.generation == one.generation &&
+                             known->second.why == abi::Withdrawal::over_quota;
     if (why != abi::Withdrawal::none && !is_notified)
       seen.push_back({{one.index, one.generation}, true, one.owner});
   }
@@ -103,9 +105,9 @@ void PublisherEndpoint::look_at_readers(ReaderShares::Clock::time_point now,
     const bool is_known =
         before != watched_.end() && before->second.generation == reader.id.generation;
     Watched& endpoint = watched
-                          .emplace(reader.id.index,
-                                   is_known ? before->second : Watched{reader.id.generation, now})
-                          .first->second;
+                            .emplace(reader.id.index,
+                                     is_known ? before->second : Watched{reader.id.generation, now})
+                            .first->second;
     if (reader.owner) endpoint.owner = reader.owner;
     look_at(reader, endpoint, look);
   }
@@ -132,7 +134,8 @@ void PublisherEndpoint::look_at(const Seen& reader, Watched& endpoint, const Loo
     } else if (reader.is_mapped && look.may_be_served_again(why, *endpoint.owner) &&
                core_->serve_again(index, generation, work)) {
       why = abi::Withdrawal::none;
-    } else if (!core_->is_disregarded(index) && look.now - endpoint.since >= ReaderShares::patience) {
+    } else if (!core_->is_disregarded(index) &&
+               look.now - endpoint.since >= ReaderShares::patience) {
       core_->disregard(index, generation);
     }
     core_->scan(work);
