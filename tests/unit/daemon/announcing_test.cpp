@@ -64,10 +64,10 @@ TEST_F(AnnouncingTest, RecordsMembersThenAnswersThenTellsReadersThenThePublisher
   const auto notified = all<effect::Announce>(effects);
   ASSERT_EQ(notified.size(), 4u);
   EXPECT_EQ(notified[0].subject, publisher);
-  EXPECT_EQ(notified[0].member, a);
-  EXPECT_EQ(notified[1].member, b);
+  EXPECT_EQ(notified[0].receiver, a);
+  EXPECT_EQ(notified[1].receiver, b);
   EXPECT_EQ(notified[2].subject, a) << "a reader has mapped the publisher before it is rung";
-  EXPECT_EQ(notified[2].member, publisher);
+  EXPECT_EQ(notified[2].receiver, publisher);
 }
 
 TEST_F(AnnouncingTest, TellsNobodyWhoLeavesOrIsOver) {
@@ -91,7 +91,7 @@ TEST_F(AnnouncingTest, AnswersAgainToItsProcessAlone) {
   const auto notified = all<effect::Announce>(effects);
   ASSERT_EQ(notified.size(), 1u);
   EXPECT_EQ(notified[0].subject, subscription);
-  EXPECT_EQ(notified[0].member, publisher);
+  EXPECT_EQ(notified[0].receiver, publisher);
 }
 
 TEST_F(AnnouncingTest, AReaderThatComesBackHearsOfAnOrphanThatItHadJoined) {
