@@ -44,7 +44,7 @@ class Peer {
       if (counted_) region_.keep_file(std::move(announced));
     }
     if (!count_mappings(extent))
-      return fail(Errc::limit_reached, "its user has no share of mappings left");
+      return fail(Errc::limit_reached, "the share of mappings of its user is used up");
     return region_.open(extent, bytes, announced.get());
   }
   bool has_file() const noexcept { return region_.has_file(); }
