@@ -17,7 +17,6 @@
 // socket. A statement (post) does not outlive its socket. It refers to announcements of its own
 // connection; on the next one the daemon announces all that it still believes, and the client
 // answers that.
-// daemon announces on the next one whatever it still believes: the answer to that is the statement.
 #pragma once
 
 #include <agnocast/abi/wire.hpp>
@@ -103,7 +102,6 @@ class Connection {
   /// earlier request. `fd`: sent along; it stays the caller's, and open until this returns; -1:
   /// none. Errors: the daemon's refusal, daemon_not_running (gone, or no answer in time), the
   /// failure given to refuse().
-  /// refuse() said.
   template <class T>
   [[nodiscard]] Result<void> request(abi::wire::Opcode opcode, T body, OnAnswer on_answer,
                                      OnAnswer on_late = nullptr, bool again = false, int fd = -1) {

@@ -121,7 +121,7 @@ class Context {
  private:
   friend class Reregistration;
 
-  /// Ends a session that has not become the present one.
+  /// Ends a session that has not become the current one.
   struct Drop {
     void operator()(Context* context) const noexcept;
   };

@@ -96,7 +96,7 @@ class ControlThread {
   void become_orphaned(const Failure& why) noexcept;
   void tell_state(ConnectionState state) noexcept;
 
-  // a former session
+  // a previous session
   bool is_former() const noexcept;
   void run_former_errands();
   bool unmap_everything();

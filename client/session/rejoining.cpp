@@ -11,7 +11,6 @@
 //
 // If the daemon refuses, this session is orphaned. If the daemon has lost its store, the process
 // begins another session (reregistration.hpp), and this one ends when it is unused.
-// process begins another session (reregistration.hpp), and this one ends when nobody uses it.
 
 #include <client/process/forked_child.hpp>
 #include <client/session/control_thread.hpp>

@@ -134,7 +134,7 @@ class SessionState {
   bool tell(ConnectionState connection) noexcept {
     return speaks() && connection_.exchange(connection, std::memory_order_acq_rel) != connection;
   }
-  /// Returns whether it is another reason than before.
+  /// Returns whether the reason has changed.
   bool give_reason(Errc reason) noexcept {
     return reason_.exchange(reason, std::memory_order_acq_rel) != reason;
   }
