@@ -1,8 +1,8 @@
 // SPDX-License-Identifier: Apache-2.0
 //
-// A publisher's readers as the control thread looks at them: what those of other users keep of its
-// messages, and which of them it serves no more, or again. Who decides that, and how long a reader
-// has: client/shares/reader_shares.hpp and client/shares/unmapped_users.hpp.
+// The control thread's look at a publisher's readers: what readers of other users keep of its
+// messages, and which readers it no longer serves, or serves again. The rules, and how long a
+// reader has: client/shares/reader_shares.hpp and client/shares/unmapped_users.hpp.
 
 #include <client/endpoint/publisher_work.hpp>
 
@@ -14,7 +14,7 @@ namespace agnocast {
 
 void PublisherEndpoint::list_foreign_readers(std::vector<Reader>& readers) const {
   readers.clear();
-  readers.reserve(SharedMemory::subscription_capacity);  // not below the mutex
+  readers.reserve(SharedMemory::subscription_capacity);  // no allocation under the mutex
   const std::lock_guard lock(mutex_);
   for (const Attached& attached : attached_) {
     if (!attached.owner.is_own)
@@ -44,21 +44,21 @@ void PublisherEndpoint::note_unmapped(const EndpointId& endpoint, PeerOwner owne
   watched.owner = owner;
   in_control_thread([&](Work& work) {
     if (core_ == nullptr || moved_) return;
-    core_->scan(work);  // from here on it counts
+    core_->scan(work);  // from here on the endpoint counts
     if (is_out &&
         core_->withdraw(endpoint.index, endpoint.generation, abi::Withdrawal::not_attached))
       core_->scan(work);
   });
 }
 
-/// An endpoint as one look sees it.
+/// An endpoint as seen in one look.
 struct PublisherEndpoint::Seen {
   EndpointId id;
   bool is_mapped;
-  std::optional<PeerOwner> owner;  // of one that is mapped
+  std::optional<PeerOwner> owner;  // if it is mapped
 };
 
-/// What a look is made with.
+/// The parameters of one look.
 struct PublisherEndpoint::Look {
   ReaderShares::Clock::time_point now;
   const ReaderShares& shares;
@@ -71,10 +71,10 @@ struct PublisherEndpoint::Look {
   }
 };
 
-/// First those that take part and are not mapped, then those that are and are withdrawn, but not
-/// for good. Returns false where nothing is published any more.
+/// Lists the endpoints that take part and are not mapped, then the mapped ones that are withdrawn,
+/// but not for good. Returns false if this publisher publishes nothing any more.
 bool PublisherEndpoint::see_readers(std::vector<Seen>& seen) const {
-  seen.reserve(2 * SharedMemory::subscription_capacity);  // not below the mutex
+  seen.reserve(2 * SharedMemory::subscription_capacity);  // no allocation under the mutex
   const std::lock_guard lock(mutex_);
   if (core_ == nullptr || moved_) return false;
   core_->for_each_unmapped([&](std::uint64_t index, std::uint64_t generation) {
@@ -100,7 +100,7 @@ void PublisherEndpoint::look_at_readers(ReaderShares::Clock::time_point now,
   const Look look{now, shares, unmapped_users, news};
   std::map<std::uint64_t, Watched> watched;
   for (const Seen& reader : seen) {
-    // What was seen at an earlier look goes on from there.
+    // Continue with what an earlier look has noted.
     const auto before = watched_.find(reader.id.index);
     const bool is_known =
         before != watched_.end() && before->second.generation == reader.id.generation;
@@ -111,7 +111,7 @@ void PublisherEndpoint::look_at_readers(ReaderShares::Clock::time_point now,
     if (reader.owner) endpoint.owner = reader.owner;
     look_at(reader, endpoint, look);
   }
-  // For good, and nothing is left to look at.
+  // Withdrawn for good: nothing is left to look at.
   for (const auto& [index, before] : watched_) {
     if (before.why == abi::Withdrawal::over_quota) watched.emplace(index, before);
   }
