@@ -33,6 +33,7 @@ std::vector<SystemName> of_pipeline() {
 
 }  // namespace
 
+/// Long because it is the table of all cases.
 const std::vector<Case>& cases() {
   using std::chrono::seconds;
   static const std::vector<Case> all = {

@@ -142,6 +142,7 @@ nlohmann::ordered_json times_of(const std::vector<std::string>& words) {
   return {{"median_ms", wall_ms[rounds / 2]}, {"slowest_ms", wall_ms.back()}};
 }
 
+/// Long because it sets up, measures and prints one system of a size, in that order.
 int measure(const Size& size, bool is_json, const char* self) {
   test::DaemonProcess daemon;
   ::setenv("AGNOCAST_SOCKET", daemon.socket_path().c_str(), 1);

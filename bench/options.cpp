@@ -169,6 +169,7 @@ std::string size_text(std::size_t bytes) {
   return text;
 }
 
+/// Long because each option has its branch.
 Options parse(const std::vector<std::string>& arguments, const std::vector<Case>& cases) {
   Options options;
   std::vector<std::string> names, systems;

@@ -1,6 +1,6 @@
-# Writes OUTPUT, with the revision of the tree SOURCE, if that has changed: cmake -DSOURCE=…
-# -DOUTPUT=… -P revision.cmake Neither waits for the lock of the index nor takes it: another
-# program may be using it.
+# Writes OUTPUT with the revision of the tree SOURCE, if it has changed: cmake -DSOURCE=… -DOUTPUT=…
+# -P revision.cmake. It neither waits for nor takes the lock of the git index: another program may be
+# using it.
 cmake_minimum_required(VERSION 3.25)
 set(ENV{GIT_OPTIONAL_LOCKS} 0)
 execute_process(COMMAND git describe --always --dirty WORKING_DIRECTORY ${SOURCE}

@@ -8,7 +8,7 @@ write_basic_package_version_file(${CMAKE_CURRENT_BINARY_DIR}/agnocastConfigVersi
 install(EXPORT agnocast NAMESPACE agnocast:: FILE agnocastTargets.cmake DESTINATION ${config_dir})
 install(FILES ${CMAKE_CURRENT_BINARY_DIR}/agnocastConfig.cmake ${CMAKE_CURRENT_BINARY_DIR}/agnocastConfigVersion.cmake
   DESTINATION ${config_dir})
-# What colcon and ament look for.
+# Files that colcon and ament look for.
 install(FILES package.xml DESTINATION ${CMAKE_INSTALL_DATADIR}/agnocast)
 file(TOUCH ${CMAKE_CURRENT_BINARY_DIR}/ament_index_marker)
 install(FILES ${CMAKE_CURRENT_BINARY_DIR}/ament_index_marker

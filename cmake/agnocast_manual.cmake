@@ -1,5 +1,6 @@
-# agnocast_manual(PAGE): a manual page in the build directory, made with everything else and installed as man and Debian have it:
-# compressed, and the same from the same page. agnocast_manual_date is for those who write one: that of the build, or SOURCE_DATE_EPOCH's.
+# agnocast_manual(PAGE): builds and installs a manual page from the build directory, compressed
+# reproducibly. agnocast_manual_date is the date for generated pages: that of the build, or of
+# SOURCE_DATE_EPOCH.
 string(TIMESTAMP agnocast_manual_date "%B %d, %Y" UTC)
 find_program(GZIP_PROGRAM gzip REQUIRED)
 

@@ -1,4 +1,5 @@
-# What every target of this tree shares: language level, warnings, sanitizers, coverage. None of it reaches a consumer.
+# Settings of every target in this tree: language level, warnings, sanitizers, coverage. None of
+# them reaches a consumer.
 
 set(CMAKE_CXX_STANDARD 20)
 set(CMAKE_CXX_STANDARD_REQUIRED ON)
@@ -12,7 +13,8 @@ if(NOT CMAKE_BUILD_TYPE AND NOT CMAKE_CONFIGURATION_TYPES)
 endif()
 find_program(CCACHE_PROGRAM ccache)
 if(CCACHE_PROGRAM AND PROJECT_IS_TOP_LEVEL)
-  # It keeps nothing that is compiled with precompiled headers unless it is told that __TIME__ and unused macros in them do not matter.
+  # ccache caches sources with precompiled headers only if it may ignore __TIME__ and unused macros
+  # in them.
   set(CMAKE_CXX_COMPILER_LAUNCHER ${CMAKE_COMMAND} -E env CCACHE_SLOPPINESS=pch_defines,time_macros ${CCACHE_PROGRAM})
   set(CMAKE_C_COMPILER_LAUNCHER ${CCACHE_PROGRAM})
 endif()
@@ -23,7 +25,8 @@ target_compile_options(agnocast_warnings INTERFACE
   -Werror=unused-result
   $<$<COMPILE_LANGUAGE:CXX>:-Wnon-virtual-dtor -Woverloaded-virtual -Wold-style-cast>
   $<$<CXX_COMPILER_ID:GNU>:-Wduplicated-cond -Wlogical-op>
-  # False alarms of GCC 12: atomics at computed addresses as out of bounds, std::string concatenation as overlapping.
+  # False alarms of GCC 12: it takes atomics at computed addresses for out of bounds, and
+  # std::string concatenation for overlapping.
   $<$<CXX_COMPILER_ID:GNU>:-Wno-array-bounds -Wno-stringop-overflow -Wno-restrict>
   $<$<BOOL:${AGNOCAST_WARNINGS_AS_ERRORS}>:-Werror>)
 
@@ -32,9 +35,10 @@ if(AGNOCAST_SANITIZE)
   string(REPLACE ";" "," sanitize_list "${AGNOCAST_SANITIZE}")
   target_compile_options(agnocast_sanitizers INTERFACE -fsanitize=${sanitize_list} -fno-sanitize-recover=all -fno-omit-frame-pointer)
   target_link_options(agnocast_sanitizers INTERFACE -fsanitize=${sanitize_list})
-  # ThreadSanitizer does not model fences. Payload accesses are ordered by acquire and release alone, so its verdict on them stands.
+  # ThreadSanitizer does not model fences. Payload accesses are ordered by acquire and release
+  # alone, so its reports about them are valid.
   target_compile_options(agnocast_sanitizers INTERFACE $<$<CXX_COMPILER_ID:GNU>:-Wno-tsan>)
-  # What a sanitizer adds hides from GCC that something is set (std::regex).
+  # Sanitizer instrumentation hides from GCC that a variable is set (std::regex).
   target_compile_options(agnocast_sanitizers INTERFACE $<$<CXX_COMPILER_ID:GNU>:-Wno-maybe-uninitialized>)
 endif()
 option(AGNOCAST_COVERAGE "Measure line coverage (gcov)" OFF)
@@ -44,23 +48,26 @@ if(AGNOCAST_COVERAGE)
 endif()
 
 # agnocast_target_defaults(TARGET): warnings and sanitizers for one of our own targets, privately.
-# Sanitizers make much code of little, so what runs for a moment only is not optimised under them: the directories that set
-# AGNOCAST_SANITIZED_LEVEL. That, and line numbers alone, is three quarters of the time to compile it.
+# Sanitizers produce much code, so short-lived programs are not optimised under them: their
+# directories set AGNOCAST_SANITIZED_LEVEL. That, and debug information with line numbers only
+# (-g1), reduces the compile time to three quarters.
 set(AGNOCAST_SANITIZED_LEVEL 1)
 function(agnocast_target_defaults target)
   if(AGNOCAST_SANITIZE)
     target_compile_options(${target} PRIVATE -O${AGNOCAST_SANITIZED_LEVEL} -g1)
   elseif(AGNOCAST_BUILD_TESTS)
-    # Line numbers alone are three quarters of the time to compile. The preset dev has what a debugger wants.
+    # Line numbers only: three quarters of the compile time. The preset dev has full debug
+    # information.
     target_compile_options(${target} PRIVATE $<$<CONFIG:RelWithDebInfo>:-g1>)
   endif()
   target_link_libraries(${target} PRIVATE $<BUILD_INTERFACE:agnocast_warnings> $<BUILD_INTERFACE:agnocast_sanitizers>)
 endfunction()
 
-# agnocast_precompile(TARGET [GROUP name] [HEADERS …]): where tests are built, what most sources of the tree include is read once for all targets of a
-# group, which are compiled alike. Headers of others only, so that a change in the tree compiles what includes it and no more.
-# It hides an #include that is missing. The preset fuzz is without, and has the same sources; where it has not, the sanitizers' builds are.
-# -DCMAKE_DISABLE_PRECOMPILE_HEADERS=ON is any build without.
+# agnocast_precompile(TARGET [GROUP name] [HEADERS …]): if tests are built, precompiles common
+# headers once for all targets of a group, which have the same compile options. Only headers from
+# outside this tree, so that a change in the tree recompiles only the sources that include it.
+# Precompiled headers hide a missing #include; the presets fuzz and release build without them, as
+# does -DCMAKE_DISABLE_PRECOMPILE_HEADERS=ON.
 function(agnocast_precompile target)
   if(NOT AGNOCAST_BUILD_TESTS)
     return()

@@ -1,23 +1,23 @@
 // SPDX-License-Identifier: Apache-2.0
 //
-// Publisher core: publish, retain, retire, free. docs/protocol.md §3.1 and §3.4 have the same
+// Publisher core: publish, retain, retire, free. docs/protocol.md §3.1 and §3.4 use the same
 // numbers.
 //
-// A publish is one commit (P5) between an intent and a scan. A scan looks at every subscription of
-// the topic once and decides what may go: it loads from peers and stores to its own memory only,
-// waits for nobody and takes no lock that another process could hold. The caller holds the
-// publisher's private mutex; everything in this object is memory of this process.
+// A publish is one commit (P5) between an intent and a scan. A scan looks once at every
+// subscription of the topic and decides what to free. It loads from peers and stores to its own
+// memory only, never waits, and takes no lock that another process could hold. The caller holds the
+// publisher's private mutex; this object is private memory of the process.
 //
 // Three numbers decide everything (h = newest sequence, H = history kept for late joiners, D = a
 // subscription's window):
-//   need  below it nobody may ask for an entry any more
+//   need  no subscription may ask for an entry below it
 //         min(h-H+1, min over active s of max(low_s, h-D_s+1))
-//   past  below it nobody will ever take an entry again
+//   past  no subscription will ever take an entry below it again
 //         min over active and leaving s of low_s
-//   unk   from it on an unmapped endpoint may have started
+//   unk   an unmapped endpoint may have started at it, or later
 //         min over unmapped s of since_s
-// An endpoint that is withdrawn takes nothing more: it counts in none of them, and what it holds
-// counts until it has let go of it once, or is disregarded.
+// A withdrawn endpoint takes no more: it counts in none of them. What it holds counts until it has
+// once held nothing, or is disregarded.
 //
 //            past            need                          h
 //   ---------|---------------|-----------------------------|--->  sequence
@@ -40,7 +40,7 @@ namespace agnocast::dataplane {
 
 enum class PublishOutcome : std::uint8_t { published, no_slot, would_block };
 
-/// A message as it enters the queue: the object in the shared heap, and when it was committed.
+/// A message as it enters the queue: the object in the shared heap, and its commit time.
 struct Entry {
   std::uint64_t address = 0;
   std::uint64_t size = 0;
@@ -51,8 +51,8 @@ struct Entry {
 template <class M>
 class PublisherCore {
  public:
-  /// What publishes without a look at links may keep back together, in bytes: so little that it
-  /// stays in the first-level cache beside what the process works with.
+  /// Bytes that publishes without a look at links may keep back together: so few that they stay in
+  /// the first-level cache beside the data that the process works with.
   static constexpr std::uint64_t kept_back_max = 16 * 1024;
 
   struct Identity {
@@ -60,11 +60,11 @@ class PublisherCore {
     region::PublisherWords<M> words;
     std::uint64_t index;  // of this publisher in the topic
     std::uint64_t generation;
-    std::uint64_t first_sequence;  // the queue is empty while head stands here
+    std::uint64_t first_sequence;  // the queue is empty while head has this value
     abi::Qos qos;
     std::uint64_t slot_count;
     std::uint64_t
-        deferred_limit;  // publishes in a row that may leave out the look at links; 0 = none
+        deferred_limit;  // consecutive publishes that may omit the look at links; 0 = none
   };
 
   explicit PublisherCore(const Identity& identity) noexcept
@@ -74,12 +74,12 @@ class PublisherCore {
         history_(identity.qos.transient_local ? identity.qos.depth : 0),
         slots_(std::min<std::uint64_t>(identity.slot_count, M::slot_capacity)) {}
 
-  /// Commits one message. `environment` is told which wait sets to ring and which messages to
-  /// destroy: ring(executor, armed) and freed(slot, address); and, if it has commits(entry), that
-  /// nothing can refuse the message any more, directly ahead of the commit. If it has scans_soon(),
-  /// that says behind the rings whether somebody else is about to make a whole scan. On an error
-  /// the caller keeps the message. One that `was_published` before, in another queue, waits for
-  /// nobody.
+  /// Commits one message. Calls ring(executor, armed) of `environment` for each wait set to ring,
+  /// and freed(slot, address) for each message to destroy. If it has commits(entry), that is called
+  /// directly before the commit, when nothing can refuse the message any more. If it has
+  /// scans_soon(), that is called after the rings and returns whether another thread is about to
+  /// make a full scan. On an error the caller keeps the message. A message that `was_published`
+  /// before, in another queue, does not wait for keep-all readers.
   template <class Environment>
   PublishOutcome publish(const Entry& entry, Environment& environment,
                          bool was_published = false) noexcept {
@@ -88,7 +88,7 @@ class PublisherCore {
       if (!room_for_one_more()) return PublishOutcome::would_block;
     }
     std::uint64_t slot = slots_.lowest_free();
-    // Behind deferred scans nothing has been retired yet: then the first look only retires.
+    // After deferred scans nothing has been retired yet: the first scan then only retires.
     for (int looks = self_.deferred_limit != 0 ? 2 : 1; slot == Slots::none && looks > 0; --looks) {
       scan(environment, false);
       slot = slots_.lowest_free();
@@ -103,8 +103,8 @@ class PublisherCore {
     words.slot_address(slot).store(entry.address, std::memory_order_relaxed);
     AGNOCAST_STEP(P2_stamp) words.slot_stamp(slot).store(entry.stamp_ns, std::memory_order_relaxed);
     AGNOCAST_STEP(P2_size) words.slot_size(slot).store(entry.size, std::memory_order_relaxed);
-    // [sync:publish] release, in this order; pairs with the acquires of T1, T2 and T3, so what lies
-    // at or below head is whole.
+    // [sync:publish] release, in this order; pairs with the acquires of T1, T2 and T3, so entries
+    // at or below head are complete.
     AGNOCAST_STEP(P3_id) words.slot_id(slot).store(sequence, std::memory_order_release);
     AGNOCAST_STEP(P4_order)
     words.order(sequence).store(abi::pack_entry(sequence, slot), std::memory_order_release);
@@ -119,18 +119,18 @@ class PublisherCore {
     return PublishOutcome::published;
   }
 
-  /// Looks at every endpoint once and frees what may go. Called by publish, and by the control
-  /// thread when an endpoint died, left or was mapped, and by its timer while anything outside the
-  /// history is allocated.
+  /// Looks at every endpoint once and frees messages. The publisher calls it in publish; the
+  /// control thread when an endpoint died, left or was mapped, and from its timer while anything
+  /// outside the history is allocated.
   template <class Environment>
   void scan(Environment& environment) noexcept {
     scan(environment, false);
   }
 
   /// The control thread has mapped the client region of the subscription with this index and
-  /// generation. `executor` numbers the wait sets of this publisher (below subscription_capacity):
+  /// generation. `executor` numbers the wait sets of this publisher (below subscription_capacity);
   /// subscriptions that share an executor share the number. Rings once: a commit between the
-  /// endpoint's join and here could not ring it. The caller makes a scan afterwards.
+  /// endpoint's join and now could not ring it. The caller scans afterwards.
   template <class Environment>
   void attach(std::uint64_t index, std::uint64_t generation, typename M::Region region,
               std::uint64_t extent, std::uint64_t armed_offset, std::uint64_t executor,
@@ -138,8 +138,8 @@ class PublisherCore {
     Endpoint& endpoint = endpoints_[index];
     endpoint.executor = executor;
     if (abi::generation_of(endpoint.word) != generation)
-      end_withdrawal(index);  // of the one before
-    // The number may have been another wait set's.
+      end_withdrawal(index);  // of the previous generation
+    // The number may have belonged to another wait set.
     AGNOCAST_STEP(J7_rung) rung_[executor] = 0;
     AGNOCAST_STEP(J7_member) {
       endpoint.attached_generation = generation;
@@ -151,21 +151,20 @@ class PublisherCore {
     if (index >= endpoint_high_) endpoint_high_ = index + 1;
     AGNOCAST_STEP(J7_ring) environment.ring(executor, 0);
   }
-  /// Behind attach(): of this publisher the endpoint may hold no more, whatever the board says that
-  /// it may hold of others.
+  /// Call after attach(): limits what the endpoint may hold of this publisher, whatever the board
+  /// allows it to hold of others.
   void limit_holds(std::uint64_t index, std::uint64_t quota) noexcept {
     endpoints_[index].limit = quota;
   }
-  /// The control thread is about to unmap it.
+  /// Call before the control thread unmaps it.
   void detach(std::uint64_t index, std::uint64_t generation) noexcept {
     if (endpoints_[index].attached_generation == generation)
       endpoints_[index].attached_generation = 0;
   }
 
-  /// E1. An endpoint gets nothing more: it takes nothing, and nothing is kept for it but what it
-  /// holds, or may hold while it is not mapped. That is looked at until it has let go of
-  /// everything, or disregard(). The caller makes a scan afterwards. False: it is no endpoint of
-  /// this generation.
+  /// E1. Withdraws an endpoint: it takes no more, and only messages that it holds, or may hold
+  /// while it is not mapped, are kept for it, until it has released everything or disregard() is
+  /// called. The caller scans afterwards. Returns false if it is no endpoint of this generation.
   bool withdraw(std::uint64_t index, std::uint64_t generation, abi::Withdrawal why) noexcept {
     Endpoint& endpoint = endpoints_[index];
     if (abi::generation_of(endpoint.word) != generation || !takes_part(endpoint.word)) return false;
@@ -174,15 +173,14 @@ class PublisherCore {
     say_withdrawal(index, why);
     return true;
   }
-  /// What a withdrawn endpoint holds counts no more: if it does hold something, it reads what it
-  /// likes.
+  /// Ignores the holds of a withdrawn endpoint: messages that it does hold may be overwritten.
   void disregard(std::uint64_t index, std::uint64_t generation) noexcept {
     Endpoint& endpoint = endpoints_[index];
     if (abi::generation_of(endpoint.word) == generation && endpoint.withdrawn_at != 0)
       endpoint.word = abi::pack_board_word(generation, abi::BoardState::free);
   }
-  /// It is mapped and served again. Who was disregarded not before it holds nothing: a slot that it
-  /// has held since may be another message's by now.
+  /// Serves a mapped endpoint again. A disregarded one must hold nothing: the slots that it still
+  /// holds may have other messages by now.
   template <class Environment>
   bool serve_again(std::uint64_t index, std::uint64_t generation,
                    Environment& environment) noexcept {
@@ -201,7 +199,7 @@ class PublisherCore {
     if (held != 0 && !takes_part(endpoint.word)) return false;
     end_withdrawal(index);
     endpoint.word = word;
-    M::fence();  // who is rung finds it so
+    M::fence();  // so that the rung wait set sees the change
     AGNOCAST_STEP(J7_ring) environment.ring(endpoint.executor, 0);
     return true;
   }
@@ -214,7 +212,7 @@ class PublisherCore {
   bool is_disregarded(std::uint64_t index) const noexcept {
     return endpoints_[index].withdrawn_at != 0 && !takes_part(endpoints_[index].word);
   }
-  /// function(index, generation) of each endpoint that takes part and is not mapped.
+  /// Calls function(index, generation) for each endpoint that takes part and is not mapped.
   template <class Function>
   void for_each_unmapped(Function function) const noexcept {
     for (std::uint64_t i = 0; i < endpoint_high_; ++i) {
@@ -223,10 +221,10 @@ class PublisherCore {
         function(i, generation);
     }
   }
-  /// Bytes of the messages that stay because of these mapped endpoints, with what belongs to them:
-  /// what one of them holds, or has not read and may still ask for. One that several keep counts
-  /// once, and one of the history that is kept for late joiners does not: it would stay without
-  /// them.
+  /// Returns the bytes of the messages, with all that they own, that these mapped endpoints keep:
+  /// messages that one of them holds, or has not read and may still ask for. A message that several
+  /// keep counts once. A message of the history for late joiners does not count: it would stay
+  /// without them.
   struct EndpointId {
     std::uint64_t index, generation;
   };
@@ -239,7 +237,7 @@ class PublisherCore {
       const region::LinkWords<M> link{endpoint.region, endpoint.extent, self_.index};
       for (std::size_t word = 0; word < slots_.words_in_use(); ++word)
         kept[word] |= link.hold(word).load(std::memory_order_relaxed) & slots_.allocated(word);
-      // `low` is what the last scan has seen.
+      // `low` is as seen by the last scan.
       if (abi::state_of(endpoint.word) == abi::BoardState::active)
         unread_from = std::min(
             unread_from,
@@ -255,10 +253,10 @@ class PublisherCore {
     return sum;
   }
 
-  /// Nothing is kept for late joiners any more. The caller makes a scan afterwards.
+  /// From now on nothing is kept for late joiners. The caller scans afterwards.
   void keep_no_history() noexcept { history_ = 0; }
-  /// The process of an endpoint is gone, and there is no daemon to say so: its holds and what it
-  /// has not read count no more. The caller makes a scan afterwards.
+  /// The process of an endpoint is gone, without a daemon to report it: its holds and its unread
+  /// messages count no more. The caller scans afterwards.
   void bury(std::uint64_t index, std::uint64_t generation) noexcept {
     Endpoint& endpoint = endpoints_[index];
     if (abi::generation_of(endpoint.word) == generation)
@@ -266,7 +264,7 @@ class PublisherCore {
     detach(index, generation);
   }
 
-  /// True while a message outside the history is allocated: a timer scan may free it.
+  /// Returns whether a message outside the history is allocated: a timer scan may free it.
   bool has_reclaimable() const noexcept {
     const std::uint64_t keep_from = region::minus_at_least(head_sequence_ + 1, history_, 0);
     bool found = false;
@@ -274,7 +272,7 @@ class PublisherCore {
         [&](std::uint64_t slot) { found = found || slots_.sequence(slot) < keep_from; });
     return found;
   }
-  /// The daemon has freed the index: nothing of it is read by anybody any more.
+  /// Returns whether the daemon has freed the index: no process reads anything of it any more.
   bool is_over() const noexcept { return over_ != 0; }
   std::uint64_t head_sequence() const noexcept { return head_sequence_; }
   std::uint64_t allocated_count() const noexcept { return slots_.count(); }
@@ -284,12 +282,12 @@ class PublisherCore {
   static constexpr std::uint64_t infinite = ~std::uint64_t{0};
 
   struct Endpoint {
-    // As last read from the board; of who is withdrawn leaving, and of who is disregarded free.
+    // As last read from the board; `leaving` for a withdrawn one, `free` for a disregarded one.
     std::uint64_t word = 0;
-    std::uint64_t since = 0;   // lower bound of where it starts, while it is not linked
+    std::uint64_t since = 0;   // lower bound of its start while it is not linked
     std::uint64_t window = 0;  // newest messages that it can still ask for
     std::uint64_t bound =
-        0;  // unread messages beyond which a keep-all publisher waits; 0 = it never limits us
+        0;  // unread messages beyond which a keep-all publisher waits; 0 = no limit
     std::uint64_t attached_generation = 0;  // 0 = not mapped
     std::uint64_t extent = 0;
     std::uint64_t armed_offset = 0;
@@ -297,13 +295,12 @@ class PublisherCore {
     std::uint64_t low = 0;           // of the last scan, for room_for_one_more
     std::uint64_t quota = 0;         // messages that it may hold at once
     std::uint64_t limit = infinite;  // likewise, of this publisher
-    std::uint64_t withdrawn_at =
-        0;  // head when it was told that it gets nothing more; 0 = it was not
+    std::uint64_t withdrawn_at = 0;  // head when it was withdrawn; 0 = it is not
     typename M::Region region{};
   };
 
-  /// keep-all: no reliable keep-all endpoint may be left with more unread messages than both sides
-  /// agreed to.
+  /// keep-all: returns whether one more message leaves no reliable keep-all endpoint with more
+  /// unread ones than both sides agreed to.
   bool room_for_one_more() const noexcept {
     bool room = true;
     for (std::uint64_t i = 0; i < endpoint_high_; ++i) {
@@ -315,18 +312,18 @@ class PublisherCore {
     return room;
   }
 
-  /// P7: learn who is an endpoint now. An endpoint seen for the first time may have started as
-  /// early as the head of the previous look: that look missed its J3, so its J6 reads a head at or
-  /// after it.
+  /// P7: reads the endpoints from the board. An endpoint seen for the first time may have started
+  /// as early as the head of the previous look: that look missed its J3, so its J6 reads a head at
+  /// or after it.
   void refresh_endpoints() noexcept {
     std::uint64_t epoch = epoch_seen_;
     // [sync:join] acquire; pairs with the daemon's seq_cst store at J3, behind the fence of P6.
     AGNOCAST_STEP(P7_epoch) epoch = self_.topic.epoch().load(std::memory_order_acquire);
     if (M::holds(steps::P7_changed, epoch != epoch_seen_)) {
       epoch_seen_ = epoch;
-      // The own word before the endpoints' words: once it says orphan no history is kept for late
-      // joiners, and whoever joined before that must be seen by the same scan. [sync:join] acquire;
-      // pairs with D3_word, which the daemon stores after every earlier J3.
+      // The own word is read before the endpoints' words: once it says orphan, no history is kept
+      // for late joiners, and this scan must see every endpoint that joined before that.
+      // [sync:join] acquire; pairs with D3_word, which the daemon stores after every earlier J3.
       std::uint64_t self_word = abi::pack_board_word(self_.generation, abi::BoardState::active);
       AGNOCAST_STEP(P7_self)
       self_word = self_.topic.publisher(self_.index, offsetof(abi::PublisherEntry, word))
@@ -340,10 +337,11 @@ class PublisherCore {
     AGNOCAST_STEP(P7_seen) seen_ = head_sequence_;
   }
 
-  /// After the endpoints: a first sight of one still counts with the history that it was promised.
+  /// Called after the endpoints: one seen for the first time still counts with its promised
+  /// history.
   void refresh_self(std::uint64_t word) noexcept {
-    // Free again, or already somebody else's: everybody it was announced to has unlinked or is dead
-    // (rule RU), so nobody holds anything.
+    // Free again, or reused: every notified process has unlinked or is dead (rule RU), so none
+    // holds anything.
     if (abi::generation_of(word) != self_.generation ||
         abi::state_of(word) == abi::BoardState::free) {
       over_ = 1;
@@ -408,7 +406,7 @@ class PublisherCore {
     say_withdrawal(index, abi::Withdrawal::none);
   }
 
-  /// P8: one ring per wait set and sleep.
+  /// P8: rings once per wait set and sleep.
   template <class Environment>
   void ring_wait_sets(Environment& environment) noexcept {
     for (std::uint64_t i = 0; i < endpoint_high_; ++i) {
@@ -432,7 +430,7 @@ class PublisherCore {
   bool may_defer_scan(const Environment& environment) noexcept {
     if (deferred_scans_ >= self_.deferred_limit) return false;
     if (kept_back_ <= kept_back_max) return true;
-    // Once: should nobody come to make that scan, the next publish does.
+    // Only once: if no other thread makes that scan, the next publish does.
     if constexpr (requires { environment.scans_soon(); })
       return std::exchange(left_, 1) == 0 && environment.scans_soon();
     return false;
@@ -440,8 +438,8 @@ class PublisherCore {
 
   template <class Environment>
   void scan(Environment& environment, bool after_commit) noexcept {
-    // [sync:hold] seq_cst; pairs with T4 and T5: a take that validated an entry is seen here, or
-    // sees the mark made before here.
+    // [sync:hold] seq_cst; pairs with T4 and T5: either this scan sees a take that validated an
+    // entry, or that take sees the mark made before this fence.
     AGNOCAST_STEP(P6_fence) M::fence();
     refresh_endpoints();
     if (after_commit) {
@@ -495,9 +493,9 @@ class PublisherCore {
     retire_and_free(environment, need, past, {unknown_from, unknown_to}, held);
   }
 
-  /// An honest subscription takes nothing while it holds its quota. One that holds more would take
-  /// all slots of this publisher; from then on its holds are not looked at, and it reads what it
-  /// likes.
+  /// An honest subscription takes nothing while it holds its quota. One that holds more could take
+  /// all slots of this publisher; from now on its holds are ignored, and its messages may be
+  /// overwritten.
   void collect_holds(const region::LinkWords<M>& link, std::uint64_t index,
                      typename Slots::Mask& held) noexcept {
     Endpoint& endpoint = endpoints_[index];
@@ -523,8 +521,8 @@ class PublisherCore {
     }
   }
 
-  /// Of an endpoint that is withdrawn. It was told before the fence of this scan, so it takes
-  /// nothing that this look has not seen.
+  /// Collects the holds of a withdrawn endpoint. It was notified before the fence of this scan, so
+  /// it takes nothing that this look has not seen.
   void collect_last_holds(const region::LinkWords<M>& link, Endpoint& endpoint,
                           typename Slots::Mask& held) const noexcept {
     std::uint64_t any = 0;
@@ -548,8 +546,8 @@ class PublisherCore {
                        Unknown unknown, const typename Slots::Mask& held) noexcept {
     slots_.for_each([&](std::uint64_t slot) {
       const std::uint64_t sequence = slots_.sequence(slot);
-      // By an earlier scan: this one marks a slot below, when it has decided about it. So the mark
-      // is older than the fence at P6.
+      // Retired by an earlier scan: this one marks a slot below, after its decision. So the mark is
+      // older than the fence at P6.
       const bool retired = slots_.is_retired(slot);
       if (!M::holds(steps::P10_needed, sequence < need) && !retired) return;
       const bool untouchable =
@@ -576,12 +574,12 @@ class PublisherCore {
   std::uint64_t over_ = 0;  // 1: the daemon has freed this publisher's index
   std::uint64_t deferred_scans_ = 0;
   std::uint64_t kept_back_ = 0;  // bytes published since the last look at links
-  std::uint64_t left_ = 0;       // 1: a look after a large message was left to somebody else
+  std::uint64_t left_ = 0;       // 1: the scan after a large message was left to another thread
   std::uint64_t endpoint_high_ = 0;
   Slots slots_;
   std::array<Endpoint, M::subscription_capacity> endpoints_{};
   std::array<std::uint64_t, M::subscription_capacity>
-      rung_{};  // per executor: the sleep that was rung last
+      rung_{};  // per executor: the last sleep that was rung
 };
 
 }  // namespace agnocast::dataplane

@@ -1,7 +1,7 @@
 // SPDX-License-Identifier: Apache-2.0
 //
 // Publisher slots: which slots of its queue a publisher has allocated, and what lies in each.
-// Memory of this process alone; what others see of a slot the publisher core stores
+// Private memory of the process; the publisher core stores what peers see of a slot
 // (dataplane/publisher_core.hpp).
 //
 //   free ──enter──▶ allocated ──retire──▶ retired ──free──▶ free
@@ -26,7 +26,7 @@ class PublisherSlots {
   using Mask = std::array<std::uint64_t, mask_words>;  // a bit for each slot
 
   explicit PublisherSlots(std::uint64_t count) noexcept : count_(count) {}
-  /// It may have so many by now; never less than before.
+  /// Raises the number of slots that may be used; it never falls.
   void grow(std::uint64_t count) noexcept {
     count_ = std::clamp<std::uint64_t>(count, count_, M::slot_capacity);
   }
@@ -34,20 +34,21 @@ class PublisherSlots {
   static bool test(const Mask& mask, std::uint64_t slot) noexcept {
     return (mask[slot / 64] >> slot % 64 & 1) != 0;
   }
-  /// Words of a mask that have a slot of this publisher; nothing is ever allocated beyond them.
+  /// Returns how many words of a mask have slots of this publisher; nothing is allocated beyond
+  /// them.
   std::size_t words_in_use() const noexcept { return (static_cast<std::size_t>(count_) + 63) / 64; }
   std::uint64_t allocated(std::size_t word) const noexcept { return allocated_[word]; }
   bool is_retired(std::uint64_t slot) const noexcept { return test(retired_, slot); }
   std::uint64_t sequence(std::uint64_t slot) const noexcept { return sequence_[slot]; }
   std::uint64_t address(std::uint64_t slot) const noexcept { return address_[slot]; }
   std::uint64_t bytes(std::uint64_t slot) const noexcept { return bytes_[slot]; }
-  /// How many are allocated.
+  /// Returns how many are allocated.
   std::uint64_t count() const noexcept {
     std::uint64_t count = 0;
     for (std::uint64_t word : allocated_) count += static_cast<std::uint64_t>(std::popcount(word));
     return count;
   }
-  /// Of each that is allocated. `function` may free the slot that it is given.
+  /// Calls `function` for each allocated slot; it may free that slot.
   template <class Function>
   void for_each(Function function) const noexcept {
     const std::size_t words = words_in_use();
@@ -57,7 +58,7 @@ class PublisherSlots {
       }
     }
   }
-  /// None: all are allocated.
+  /// Returns the lowest free slot, or `none` if all are allocated.
   std::uint64_t lowest_free() const noexcept {
     const std::size_t words = words_in_use();
     for (std::size_t word = 0; word < words; ++word) {
@@ -82,10 +83,10 @@ class PublisherSlots {
     clear(retired_, slot);
   }
 
-  // --- what others hold of them
+  // --- what peers hold of them
 
-  /// Of these bits of a word, those of messages up to this sequence number: who is served no more
-  /// has taken nothing that came later, whatever its bits say.
+  /// Returns the bits of this word that belong to messages up to this sequence number: a withdrawn
+  /// endpoint has taken no later ones, whatever its bits say.
   std::uint64_t published_before(std::uint64_t sequence, std::size_t word,
                                  std::uint64_t bits) const noexcept {
     std::uint64_t kept = 0;
@@ -96,21 +97,20 @@ class PublisherSlots {
     return kept;
   }
 
-  /// Does an endpoint hold more of them than its quota? Not what one look finds: while it lasts,
-  /// messages are released and others taken. Three looks decide, of which only what all have found
-  /// counts. An honest subscription takes one message after the other and none at its quota, so it
-  /// never has more bits at one moment. Were more of them set in all looks, a bit A would be clear
-  /// between the first two and be set by a take (T4) ahead of the third. That take begins below the
-  /// quota: another bit B is clear then, which the first look has found and the third will find. So
-  /// takes have undone A and B, and set them again later; what is released is not taken again. A
-  /// take undoes its bit
-  ///   - at T5, for the slot's former message. Nothing is published or freed during a scan, so only
-  ///   the take does that
-  ///     that was under way when the scan began, and it is the first one of the scan;
-  ///   - at T6, and leaves its message unread. The next take is of that message, and later ones are
-  ///   of newer ones.
-  /// So A was undone at T6 and B at T5, as the other way round, or both at T6, the take that sets A
-  /// would be of a message behind that of B, which nobody would take any more. Then the take that
+  /// Returns whether an endpoint holds more of them than its quota. One look cannot decide: while
+  /// it lasts, messages are released and others taken. Only bits that all three looks find count.
+  /// An honest subscription takes one message after the other, and none at its quota, so at no
+  /// moment has it more bits than that. If more were set in all looks, a bit A would be clear
+  /// between the first two looks and set by a take (T4) before the third. That take begins below
+  /// the quota: another bit B is clear then, which the first look has found and the third will
+  /// find. So takes have cleared A and B and set them again later; a released message is not taken
+  /// again. A take clears its bit
+  ///   - at T5, for the slot's previous message. Nothing is published or freed during a scan, so
+  ///     only the take that was under way when the scan began does that: the first of the scan;
+  ///   - at T6, and leaves its message unread. The next take is of that message, later takes are of
+  ///     newer ones.
+  /// So A was cleared at T6 and B at T5. The other way round, or with both at T6, the take that
+  /// sets A would be of a newer message than B's, and no take would set B again. Then the take that
   /// sets B begins below the quota as well, and a third bit has to be clear that is set again
   /// later: there is none.
   bool holds_too_many(const region::LinkWords<M>& link, std::uint64_t quota) const noexcept {

@@ -103,7 +103,8 @@ class LinkCore {
   }
   /// Takes a message by an earlier look(): like a take() that was slow between T1 and T2. If the
   /// publisher was faster, it looks again and updates `head`. With `only_next` it does not: it
-  /// returns the message that next_stamp(head) described, or counts a loss.
+  /// returns the message that next_stamp(head) described, or counts a loss. Not split: the steps T1
+  /// to T6 of docs/protocol.md stand in their order, and the hot path stays one function.
   template <bool only_next = false, class Windows>
   std::optional<Taken> take(Windows& windows, std::uint64_t& head) noexcept {
     const std::uint64_t stored_cursor = cursor_;

@@ -374,7 +374,7 @@ constexpr BroughtDecision decide_brought(const BroughtFacts& facts) noexcept {
       .decision;
 }
 
-// --- the words of docs/recovery.md
+// --- the texts of docs/recovery.md
 
 constexpr const char* word_of(IntentDecision it) noexcept {
   constexpr const char* words[] = {"nothing", "roll_back", "roll_forward", "corrupt"};

@@ -11,7 +11,8 @@ foreach(package IN LISTS CPACK_COMPONENTS_ALL)
 ")
   execute_process(COMMAND gzip -9 -n -f ${changelog} COMMAND_ERROR_IS_FATAL ANY)
 endforeach()
-# The programs name a path of libraries beside them; packages have these where the loader looks.
+# The programs have an RPATH to the libraries beside them; packages install these where the loader
+# looks.
 foreach(program agnocast-ctl/usr/libexec/agnocast/agnocast-ctl-topic agnocast-bridge/usr/bin/agnocast-bridge)
   if(EXISTS ${CPACK_TEMPORARY_DIRECTORY}/${program})
     file(RPATH_REMOVE FILE ${CPACK_TEMPORARY_DIRECTORY}/${program})

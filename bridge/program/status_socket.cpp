@@ -140,6 +140,8 @@ StatusSocket::~StatusSocket() {
   if (socket_ && !refuses_descriptors(socket_.get())) close_without_waiting(std::move(socket_));
 }
 
+/// Long because one loop waits for three things (the end, readers, the next client) and what each
+/// of them changes is when the others are looked at.
 void StatusSocket::serve() {
   std::vector<ReaderOf> readers;
   Closings closings;

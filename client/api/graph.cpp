@@ -60,7 +60,7 @@ QoS qos_of(std::uint64_t word) noexcept {
 }
 
 tl::unexpected<Failure> nonsense() noexcept {
-  return fail(Errc::protocol_violation, "an answer of agnocastd");
+  return fail(Errc::protocol_violation, "an answer from agnocastd");
 }
 
 bool takes_part(abi::BoardState state) noexcept { return state == abi::BoardState::active; }

@@ -1,7 +1,7 @@
 // SPDX-License-Identifier: Apache-2.0
 //
-// Departure: how far an endpoint has come in leaving. Its owner wants it, at any time; the control
-// thread says it, once (the connection repeats what was not answered); then the daemon knows.
+// Departure: an endpoint's progress in leaving. Its owner requests it, at any time. The control
+// thread reports it once (the connection repeats unanswered requests). Then the daemon knows.
 #pragma once
 
 #include <atomic>
@@ -12,20 +12,20 @@ class Departure {
  public:
   // --- any thread
   void want() noexcept { wanted_.store(true, std::memory_order_release); }
-  /// The daemon knows: its peers take no notice of the endpoint any more.
+  /// Returns whether the daemon knows: its peers then ignore the endpoint.
   bool is_known() const noexcept { return known_.load(std::memory_order_acquire); }
 
   // --- control thread
   bool is_wanted() const noexcept { return wanted_.load(std::memory_order_acquire); }
   void known() noexcept { known_.store(true, std::memory_order_release); }
-  /// It does not: it was somebody else who refused to hear of it. To be said again.
+  /// The answer was not the daemon's but a refusal in an orphaned session: report it again.
   void forgotten() noexcept {
     known_.store(false, std::memory_order_release);
     is_reported_ = false;
   }
-  /// Is it to be said now?
+  /// Returns whether it has to be reported now.
   bool is_due() const noexcept { return is_wanted() && !is_known() && !is_reported_; }
-  /// The connection has it.
+  /// Marks the report as handed to the connection.
   void reported() noexcept { is_reported_ = true; }
 
  private:

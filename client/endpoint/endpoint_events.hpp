@@ -3,11 +3,11 @@
 // EndpointEvents: what happened to one endpoint besides messages: matched, incompatible QoS,
 // incompatible type, the state of the process's connection, heap collision.
 //
-// The control thread counts; status getters read in any thread; callbacks are run by whoever runs
-// the callbacks of the node. Counts are cumulative, so an event that comes before anybody waits for
-// it (the daemon tells a new endpoint at once what is incompatible) is not missed: getters and
-// callbacks each remember what they have told. The callbacks themselves are kept elsewhere: an
-// endpoint may end in the control thread, where no user code is destroyed.
+// The control thread counts. Status getters read in any thread; the node's executor runs the
+// callbacks. Counts are cumulative, so an event is not missed if it comes before anyone waits for
+// it (the daemon reports incompatibilities to a new endpoint at once). Getters and callbacks each
+// remember which counts they have reported. The callbacks themselves are kept elsewhere: an
+// endpoint may end in the control thread, which must not destroy user code.
 #pragma once
 
 #include <agnocast/events.hpp>
@@ -35,10 +35,10 @@ class EndpointEvents {
   void incompatible_type() noexcept;
   void connection(const ConnectionInfo& info) noexcept;
   void heap_collision(const char* text) noexcept;
-  /// What was unread of a publisher that is gone is lost: a take has found nothing to deliver. Any
+  /// Notes that unread messages of a gone publisher were lost: a take found nothing to deliver. Any
   /// thread.
   void drained() noexcept;
-  /// What it has matched in a newer session counts from now on; that was told before.
+  /// Wakes the watch after a move: matches in the newer session count from now on.
   void moved() noexcept;
 
   // --- any thread
@@ -47,21 +47,21 @@ class EndpointEvents {
   IncompatibleQosInfo incompatible_qos_status() noexcept;
   IncompatibleTypeInfo incompatible_type_status() noexcept;
   HeapCollisionInfo heap_collision_status() noexcept;
-  /// From now on a change for which there is a callback ends the sleep of whoever runs them.
+  /// From now on a change that has a callback wakes this wait set.
   void wake_for(const detail::EventCallbacks& callbacks,
                 std::shared_ptr<WaitSet> wait_set) noexcept;
-  /// From now on it is told when what is matched has changed.
+  /// From now on a change of the matches notifies this watch.
   void tell(std::shared_ptr<Watch> watch) noexcept;
 
-  // --- whoever runs the callbacks of the node
+  // --- the executor of the node
 
   bool has_pending() const noexcept { return pending_.load(std::memory_order_acquire); }
-  /// At most one callback; true if there was one. Throws what it throws.
+  /// Runs at most one callback. Returns whether there was one. Throws what the callback throws.
   bool run_one(const detail::EventCallbacks& callbacks);
 
  private:
   struct Counts {
-    std::uint64_t matched = 0;  // ever
+    std::uint64_t matched = 0;  // total
     std::uint64_t ceased = 0;
     std::uint64_t qos = 0;
     std::uint64_t types = 0;

@@ -139,8 +139,8 @@ void EndpointTable::collect_subscriptions(const Unlinked& unlinked, const Draine
     const Key key = it->first;
     const std::shared_ptr<SubscriptionEndpoint>& subscription = it->second;
     for (const auto& link : subscription->collect_unlinked()) {
-      // What is said speaks for the whole process: not while another subscription of ours is linked
-      // to the same publisher.
+      // A report speaks for the whole process, so none is made while another subscription of this
+      // process is linked to the same publisher.
       const bool still =
           std::any_of(subscriptions_.begin(), subscriptions_.end(), [&](const auto& other) {
             return other.first.first == key.first &&
@@ -153,7 +153,7 @@ void EndpointTable::collect_subscriptions(const Unlinked& unlinked, const Draine
       continue;
     }
     const std::uint64_t generation = subscription->identity().generation;
-    // First its wait set comes back: whoever sees the place free may count on it.
+    // The wait set comes back first: a thread that sees the place free may use it.
     it = subscriptions_.erase(it);
     AGNOCAST_CRASH_POINT(C_erased);
     drained(key, generation);

@@ -1,13 +1,13 @@
 // SPDX-License-Identifier: Apache-2.0
 //
-// EndpointTable: the endpoints that this process has in one session, by their places on the board.
+// EndpointTable: the endpoints of this process in one session, by their places on the board.
 //
-// An endpoint is added in the control thread, by the answer to its creation, before the daemon can
-// say anything of it, and is taken out only there. So a reference that the control thread has found
-// stays good until it takes the endpoint out itself. Any thread may look.
+// The control thread adds an endpoint with the answer to its creation, before the daemon can send
+// anything about it, and only the control thread removes it. So a reference found by the control
+// thread stays valid until that thread removes the endpoint itself. Any thread may read.
 //
 // The mutex is not held while a publisher scans: scans destroy messages, and destructors are user
-// code. Subscriptions run no user code, so the control thread may go over them under it.
+// code. Subscriptions run no user code, so the control thread may visit them under the mutex.
 #pragma once
 
 #include <agnocast/abi/wire.hpp>
@@ -36,7 +36,7 @@ class EndpointTable {
   std::vector<std::shared_ptr<PublisherEndpoint>> publishers() const;
   std::vector<std::shared_ptr<SubscriptionEndpoint>> subscriptions() const;
   bool is_empty() const noexcept;
-  /// Tells all of them.
+  /// Passes the connection state to all endpoints.
   void tell(const ConnectionInfo& info) const noexcept;
 
   // --- control thread
@@ -46,39 +46,39 @@ class EndpointTable {
   void erase(const PublisherEndpoint& publisher) noexcept;
   void erase(const SubscriptionEndpoint& subscription) noexcept;
 
-  /// Null: it is not here, or is of another generation.
+  /// Returns null if the endpoint is not here, or has another generation.
   std::shared_ptr<PublisherEndpoint> publisher(const Key& key,
                                                std::uint64_t generation) const noexcept;
   std::shared_ptr<SubscriptionEndpoint> subscription(const Key& key,
                                                      std::uint64_t generation) const noexcept;
-  /// Of an endpoint, until it is taken out; null: it is not here, or is of another generation.
+  /// Returns the departure of an endpoint, valid until the endpoint is removed; null as above.
   Departure* departure_of(Kind kind, const Key& key, std::uint64_t generation) const noexcept;
-  /// Is one here, of whatever generation?
+  /// Returns whether an endpoint of any generation is at this place.
   bool is_here(Kind kind, const Key& key) const noexcept;
-  /// Is any subscription linked to this publisher of its topic?
+  /// Returns whether any subscription is linked to this publisher of its topic.
   bool is_linked(std::uint32_t topic, std::uint64_t publisher,
                  std::uint64_t generation) const noexcept;
-  /// Is any publisher attached to this subscription of its topic? Allocates.
+  /// Returns whether any publisher is attached to this subscription of its topic. Allocates.
   bool is_attached(std::uint32_t topic, std::uint64_t subscription, std::uint64_t generation) const;
 
-  /// `work` of each, under the mutex: it must not come back here.
+  /// Calls `work` for each, under the mutex: it must not call this table.
   template <class Work>
   void for_each_subscription(Work work) const {
     const std::lock_guard lock(mutex_);
     for (const auto& [key, subscription] : subscriptions_) work(key, subscription);
   }
-  /// Wait sets look around: something is there that rings nobody.
+  /// Wakes all wait sets, after a change that rings no doorbell.
   void wake_wait_sets() const noexcept;
-  /// The session was revoked: nobody is matched any more.
+  /// The session was revoked: ends all matches.
   void revoke() const noexcept;
-  /// There is no daemon any more that could say more of the session.
+  /// The session's daemon will not come back.
   void be_alone() const noexcept;
 
   using Unlinked = std::function<void(std::uint32_t topic, const Link&)>;
   using Drained = std::function<void(const Key&, std::uint64_t generation)>;
-  /// Unlinks what subscriptions are done with, and takes out those that have left and have no link
-  /// any more. `unlinked` is told of publishers to which no subscription of this process is linked
-  /// any more, `drained` of whom was taken out. Both under the mutex.
+  /// Unlinks the links that subscriptions no longer need, and removes subscriptions that have left
+  /// and have no link. Calls `unlinked` for each publisher that no subscription of this process is
+  /// linked to any more, and `drained` for each removed subscription; both under the mutex.
   void collect_subscriptions(const Unlinked& unlinked, const Drained& drained);
 
  private:

@@ -1,8 +1,8 @@
 // SPDX-License-Identifier: Apache-2.0
 //
-// Peer: another process as this one sees it. Its client region and heap stay mapped as long as
-// anybody here has a reference: links, attachments of publishers, held messages. When the last is
-// gone the control thread tells the daemon (rule RU).
+// Peer: another process as this one sees it. Its client region and heap stay mapped as long as this
+// process has a reference: a link, an attachment of a publisher, a held message. When the last one
+// is gone, the control thread tells the daemon (rule RU).
 #pragma once
 
 #include <client/heap/peer_heap.hpp>
@@ -18,7 +18,7 @@ namespace agnocast {
 
 class Peer {
  public:
-  /// `region`: its client region, for reading; the first page is open. Its file is not kept yet.
+  /// `region`: its client region, for reading, with the first page open and its file not kept yet.
   Peer(std::uint64_t client, std::uint64_t generation, DescriptorShare::Owner owner,
        SparseRegion region) noexcept
       : client_(client),
@@ -27,7 +27,7 @@ class Peer {
         region_(std::move(region)),
         base_(region_.base()),
         heap_(base_) {}
-  /// This very process: `region` belongs to the context, which is immortal.
+  /// This process itself: `region` belongs to the context, which is immortal.
   Peer(std::uint64_t client, std::uint64_t generation, std::byte* region) noexcept
       : client_(client), generation_(generation), owner_{0, true}, base_(region), heap_(base_) {}
 
@@ -35,21 +35,22 @@ class Peer {
   std::uint64_t generation() const noexcept { return generation_; }
   std::byte* region() const noexcept { return base_; }
   DescriptorShare::Owner owner() const noexcept { return owner_; }
-  /// Makes an endpoint of it accessible. Not of this very process. `announced`: the region's file,
-  /// as it came with the endpoint; it is kept if none is and the peer's user has a share left. May
-  /// be empty if one is kept. Errors: limit_reached, as of SparseRegion::open. Allocates.
+  /// Makes one of its endpoints accessible. Not for this process itself. `announced`: the region's
+  /// file that came with the endpoint. It is kept if none is kept yet and the peer's user has a
+  /// share left; it may be empty if one is kept. Errors: limit_reached, those of
+  /// SparseRegion::open. Allocates.
   [[nodiscard]] Result<void> open(std::uint64_t extent, std::uint64_t bytes, UniqueFd announced) {
     if (!region_.has_file() && announced) {
       counted_ = DescriptorShare::instance().take(owner_, 1);
       if (counted_) region_.keep_file(std::move(announced));
     }
     if (!count_mappings(extent))
-      return fail(Errc::limit_reached, "its user has no share of mappings left");
+      return fail(Errc::limit_reached, "the share of mappings of its user is used up");
     return region_.open(extent, bytes, announced.get());
   }
   bool has_file() const noexcept { return region_.has_file(); }
-  /// Counts the mappings of one part of it: of its region, by the offset, or of a window. Once, as
-  /// what is mapped stays. False: its user has no share left, so the part must not be mapped.
+  /// Counts the mappings of one part: of its region, by the offset, or of a window. Once, because
+  /// mappings stay. Returns false if its user has no share left: the part must not be mapped then.
   /// Allocates.
   [[nodiscard]] bool count_mappings(std::uint64_t part) {
     if (mapped_.count(part) != 0) return true;
@@ -58,8 +59,8 @@ class Peer {
   }
   static constexpr std::uint64_t part_of_window(std::uint64_t number) noexcept { return ~number; }
   PeerHeap& heap() noexcept { return heap_; }
-  /// Without a daemon to say so. One system call. True if its file was not kept: nobody would tell
-  /// when it ends.
+  /// Returns whether the process lives, without a daemon; one system call. Returns true if its file
+  /// was not kept: there is no way to see its end then.
   bool is_alive() const noexcept { return region_.base() == nullptr || region_.is_claimed(); }
 
  private:
@@ -67,10 +68,10 @@ class Peer {
   std::uint64_t generation_;
   DescriptorShare::Owner owner_;
   DescriptorShare::Part counted_;
-  std::map<std::uint64_t, PeerShare::Part> mapped_;  // by part; ends behind the mappings themselves
+  std::map<std::uint64_t, PeerShare::Part> mapped_;  // by part; ends after the mappings
   SparseRegion region_;
   std::byte* base_;
-  PeerHeap heap_;  // after region_: it reads frontiers from there, and goes first
+  PeerHeap heap_;  // after region_, from which it reads frontiers: destroyed first
 };
 
 }  // namespace agnocast

@@ -17,7 +17,7 @@ PeerOwner PeerTable::owner_of(const wire::Announcement& announcement) const noex
 
 std::shared_ptr<Peer> PeerTable::use(Known& known) const {
   known.users->fetch_add(1, std::memory_order_relaxed);
-  // The peer itself stays in the table; only the number of its users is shared.
+  // The peer itself stays in the table; its users share only the counter.
   return {known.peer.get(), [users = known.users, wake = self_.wake](Peer*) {
             if (users->fetch_sub(1, std::memory_order_acq_rel) == 1) (*wake)();
           }};
@@ -41,7 +41,7 @@ std::shared_ptr<Peer> PeerTable::use(const wire::Announcement& announcement,
   return open_endpoint(*known, announcement, fds) ? use(*known) : nullptr;
 }
 
-/// A process that is not known yet; null: it cannot be mapped.
+/// Maps a process that is not known yet. Returns null if it cannot be mapped.
 PeerTable::Known* PeerTable::map(const wire::Announcement& announcement, std::span<UniqueFd> fds) {
   const Key key{announcement.client, announcement.client_generation};
   Known known;
@@ -69,7 +69,7 @@ bool PeerTable::open_endpoint(Known& known, const wire::Announcement& announceme
     return known.peer
         ->open(announcement.extent, bytes, fds.empty() ? UniqueFd() : std::move(fds[0]))
         .has_value();
-  // Announced before the answer to its creation, which was asked again.
+  // Or this announcement came before the answer to the creation, which was requested again.
   return endpoints_.is_here(announcement.kind, {announcement.topic, announcement.index}) ||
          self_.region->open(announcement.extent, bytes).has_value();
 }
@@ -99,7 +99,7 @@ Result<void> PeerTable::add_window_of(Known& known, const PeerHeap::Announced& w
   } else {
     added = heap.add_without_file(window);
   }
-  // A taker may have found a message there already and left it.
+  // A take may have found a message there already, and have left it.
   if (heap.window_count() != before) endpoints_.wake_wait_sets();
   return added;
 }
@@ -112,7 +112,7 @@ void PeerTable::collect(const std::function<void(const Key&)>& unmapped) {
     }
     const Key process = it->first;
     AGNOCAST_CRASH_POINT(C_peer_unmap);
-    it = peers_.erase(it);  // unmapped here, said after
+    it = peers_.erase(it);  // unmapped here, reported afterwards
     if (!is_self(process)) unmapped(process);
   }
 }

@@ -1,14 +1,16 @@
 // SPDX-License-Identifier: Apache-2.0
 //
 // PeerTable: the processes that this one has mapped in one session, itself included, each as long
-// as anybody here uses it: links, attachments, held messages. Control thread only; only uses end
-// anywhere.
+// as a link, attachment or held message uses it. Control thread only; but uses may end in any
+// thread.
 //
-//   announced ──▶ region mapped, windows known ──▶ in use ──last use ends──▶ unmapped by collect(), and then said to the
-//   daemon (rule RU), which reuses nothing that somebody still maps
+//   announced ──▶ region mapped, windows known ──▶ in use ──last use ends──▶ unmapped by collect()
 //
-// What comes with an announcement was written by the daemon; what lies in the regions by other
-// processes. Neither is used beyond what the arena and the user's shares allow (client/shares/).
+// collect() reports to the daemon afterwards (rule RU): it reuses nothing that any process still
+// maps.
+//
+// The daemon wrote the announcement; other processes wrote the regions. Neither is trusted beyond
+// what the arena and the user's shares allow (client/shares/).
 #pragma once
 
 #include <agnocast/abi/wire.hpp>
@@ -36,16 +38,16 @@ class PeerTable {
  public:
   /// A process: client and generation.
   using Key = std::pair<std::uint64_t, std::uint64_t>;
-  /// What a table belongs to; must outlive its peers.
+  /// The session of the table; must outlive its peers.
   struct Self {
     Key key;
     SparseRegion* region = nullptr;
     const Arena* arena = nullptr;
-    std::shared_ptr<const ControlWake> wake = {};  // rung when the last use of a peer has ended
+    std::shared_ptr<const ControlWake> wake = {};  // called when the last use of a peer has ended
   };
 
   explicit PeerTable(EndpointTable& endpoints) noexcept : endpoints_(endpoints) {}
-  /// Before the control thread begins.
+  /// Call before the control thread begins.
   void begin(Self self) noexcept { self_ = std::move(self); }
 
   bool is_self(const Key& process) const noexcept { return process == self_.key; }
@@ -53,21 +55,21 @@ class PeerTable {
   bool has(const Key& process) const noexcept { return peers_.count(process) != 0; }
   bool is_empty() const noexcept { return peers_.empty(); }
 
-  /// The process of an announced endpoint, mapped as far as the endpoint needs it, in use until the
-  /// last copy goes. The first `used` descriptors are its own, whatever comes of it. Null: it
-  /// cannot be mapped. Allocates.
+  /// Returns the process of an announced endpoint, mapped as far as the endpoint needs it, in use
+  /// until the last copy is gone. The first `used` descriptors belong to it, also if the result is
+  /// null: it cannot be mapped. Allocates.
   std::shared_ptr<Peer> use(const abi::wire::Announcement& announcement, std::span<UniqueFd> fds,
                             std::size_t& used);
-  /// A window of a process that is known. Nothing happens if it is not.
+  /// Adds a window of a known process; does nothing if the process is not known.
   void add_window(const Key& process, const PeerHeap::Announced& window, UniqueFd fd);
-  /// The same of this process itself, whose hook maps it.
+  /// Adds a window of this process itself, which the hook maps.
   void add_own_window(const PeerHeap::Announced& window) {
     add_window(self_.key, window, UniqueFd());
   }
 
-  /// Unmaps whom nobody uses, and tells `unmapped` of each then, but for this process itself.
+  /// Unmaps unused processes and then calls `unmapped` for each, except for this process itself.
   void collect(const std::function<void(const Key&)>& unmapped);
-  /// The same without a daemon that wants to know.
+  /// Does the same without a daemon to notify.
   void collect_alone() noexcept;
 
  private:

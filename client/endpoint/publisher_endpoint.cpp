@@ -27,7 +27,7 @@ PublisherEndpoint::PublisherEndpoint(const Identity& identity)
       core_(std::make_unique<Core>(identity.core)),
       events_(identity.events != nullptr ? identity.events : std::make_shared<EndpointEvents>()) {
   doomed_.reserve(abi::slot_count_max);
-  // Ahead of everything: who sees a message or a link of it sees this.
+  // Stored first: a process that sees a message or link of this publisher also sees its id.
   if (!identity_.announces_persistent_id_later)
     identity_.core.words.persistent_id().store(identity_.persistent_id, std::memory_order_relaxed);
 }
@@ -47,9 +47,9 @@ dataplane::PublishOutcome PublisherEndpoint::publish(void* message, std::uint64_
       successor = successor_;
       return;
     }
-    // What no borrow has destroyed since. Many at once, when a reader that lagged has caught up:
-    // the rest waits for the next borrows and publishes, or for the control thread's timer. Waking
-    // it would be a system call.
+    // Destroy the messages that no borrow has destroyed since. When a reader that lagged has caught
+    // up, there are many at once: the rest waits for the next borrows and publishes, or for the
+    // control thread's timer. Waking that thread would be a system call.
     work.destroy_doomed();
     work.destroys_later = message_bytes <= Core::kept_back_max;
     // The stamp is taken under the mutex, so that it grows with the sequence.
@@ -79,7 +79,7 @@ void PublisherEndpoint::lacked_room() noexcept {
 
 bool PublisherEndpoint::has_more_room() noexcept {
   bool some = false;
-  // What others add to it meanwhile is theirs to destroy.
+  // Messages that other threads add meanwhile are theirs to destroy.
   constexpr std::size_t attempts_max = abi::slot_count_max / destroy_at_once_max + 1;
   bool is_done = false;
   for (std::size_t attempt = 0; attempt < attempts_max && !is_done; ++attempt) {
@@ -158,7 +158,7 @@ bool PublisherEndpoint::attach(const Subscription& subscription, std::shared_ptr
   return true;
 }
 
-// The one that was here may be mute, or lead to a receiver that is no more.
+// The previous doorbell may be mute, or its receiver may be gone.
 void PublisherEndpoint::replace_doorbell(const Subscription& subscription,
                                          PeerDoorbell doorbell) noexcept {
   if (!doorbell.sender) return;
@@ -167,7 +167,7 @@ void PublisherEndpoint::replace_doorbell(const Subscription& subscription,
     if (attached.index != subscription.index || attached.generation != subscription.generation)
       continue;
     std::swap(executors_[attached.executor].doorbell, doorbell);
-    // What was published since it fell asleep has rung the former one.
+    // A publish since the subscription fell asleep has rung the previous doorbell.
     executors_[attached.executor].doorbell.sender.ring();
     return;
   }
@@ -188,8 +188,7 @@ bool PublisherEndpoint::is_linked(const Attached& attached) const noexcept {
              .load(std::memory_order_acquire) == identity_.core.generation;
 }
 
-// A match is reported when the subscription has linked: before, it may still miss what is
-// published.
+// Reports a match when the subscription has linked: before, it may still miss messages.
 void PublisherEndpoint::note_links() noexcept {
   if (!is_served()) return;
   std::size_t linked = 0;
@@ -214,7 +213,7 @@ void PublisherEndpoint::detach(std::uint64_t index, std::uint64_t generation) no
           return attached.index == index && attached.generation == generation;
         });
     if (found == attached_.end()) return;
-    core_->scan(work);  // learns that it is over while its line can still be read
+    core_->scan(work);  // sees that the endpoint is over while its line can still be read
     AGNOCAST_CRASH_POINT(C_detach);
     core_->detach(index, generation);
     if (--executors_[found->executor].users == 0) executors_[found->executor] = {};
@@ -228,7 +227,7 @@ void PublisherEndpoint::detach(std::uint64_t index, std::uint64_t generation) no
   events_->ceased();
 }
 
-// What is attached stays: its readers are waited for as before, as far as the board tells of them.
+// Attachments stay: the publisher waits for its readers as before, as far as the board shows them.
 void PublisherEndpoint::revoke() noexcept {
   std::ptrdiff_t matched = 0;
   {
@@ -260,14 +259,14 @@ void PublisherEndpoint::run_errands() noexcept {
       const std::uint64_t owed = std::exchange(wait_set.owed, 0);
       if (owed == 0 || wait_set.users == 0) continue;
       AGNOCAST_CRASH_POINT(C_errand_ring);
-      // Another generation: it was awake meanwhile and has looked for itself.
+      // Another generation: the wait set was awake meanwhile and has looked by itself.
       if (SharedMemory::word(wait_set.region, armed_offset(wait_set.executor))
               .load(std::memory_order_relaxed) == owed)
         wait_set.doorbell.sender.ring();
     }
     core_->scan(work);
     work.destroy_doomed();
-    // More next time: destructors may be slow, others wait.
+    // The rest comes next time: destructors may be slow, and other work waits.
     work.wake_control = work.may_destroy && !doomed_.empty();
   });
 }
@@ -328,8 +327,9 @@ bool PublisherEndpoint::move_to(const std::shared_ptr<PublisherEndpoint>& succes
     if (moved_) return;
     moves = true;
     const auto& words = identity_.core.words;
-    // Behind the last commit, ahead of the first one of the successor: who sees it sees the whole
-    // queue, and who sees anything of the successor sees it.
+    // Stored after the last commit here and before the first one of the successor. A reader that
+    // sees the mark sees the whole queue, and a reader that sees a message of the successor sees
+    // the mark.
     words.intent_op().store(abi::intent_moved, std::memory_order_release);
     AGNOCAST_CRASH_POINT(C_move);
     const std::uint64_t head = core_->head_sequence();
@@ -356,7 +356,7 @@ bool PublisherEndpoint::move_to(const std::shared_ptr<PublisherEndpoint>& succes
     core_->scan(work);
   });
   if (moves) {
-    revoke();  // its subscriptions are the successor's now
+    revoke();  // its subscriptions belong to the successor now
     events_->moved();
   }
   return moves;
@@ -367,15 +367,15 @@ void PublisherEndpoint::inherit(const dataplane::Entry& entry) noexcept {
   try {
     TwiceOwned::instance().share(message);
   } catch (const std::bad_alloc&) {
-    return;  // late joiners miss it
+    return;  // late joiners miss this message
   }
   dataplane::PublishOutcome outcome = dataplane::PublishOutcome::no_slot;
   AGNOCAST_CRASH_POINT(C_inherit);
   with_queue([&](Work& work) {
-    work.destroys_later = true;  // the caller has the former one's mutex
+    work.destroys_later = true;  // the caller holds the mutex of the previous endpoint
     const std::uint64_t before = core_->head_sequence();
     auto&& inherited = identity_.core.words.inherited();
-    // [sync:publish] relaxed, ahead of the commit; pairs with the look at it behind T1.
+    // [sync:publish] relaxed, before the commit; pairs with the load after T1.
     inherited.store(before + 1, std::memory_order_relaxed);
     outcome = core_->publish(entry, work, true);
     if (outcome == dataplane::PublishOutcome::published) return;

@@ -1,13 +1,13 @@
 // SPDX-License-Identifier: Apache-2.0
 //
-// PublisherEndpoint: an untyped publisher: its queue, the subscriptions it has mapped, and whom it
-// rings.
+// PublisherEndpoint: an untyped publisher: its queue, the subscriptions that it has mapped, and the
+// wait sets that it rings.
 //
 // publish() runs in user threads, scan() also in the control thread, under one private mutex. Two
-// things happen outside it: messages that may go are destroyed there (their destructors are user
-// code; after small publishes not before the next borrow or publish), and wait sets beyond the
-// first two are rung by the control thread, so that a wide topic does not cost its publisher one
-// system call per wait set.
+// things happen outside it. Freed messages are destroyed there: their destructors are user code
+// (after small publishes, not before the next borrow or publish). And the control thread rings the
+// wait sets beyond the first two, so that a wide topic does not cost its publisher one system call
+// per wait set.
 #pragma once
 
 #include <agnocast/message_type.hpp>
@@ -51,10 +51,10 @@ class PublisherEndpoint {
     std::uint64_t persistent_id = 0;
     bool announces_persistent_id_later = false;
     bool (*make_room_everywhere)() noexcept =
-        nullptr;              // destroys what nobody needs, of every publisher of this process
-    SignalMask signals = {};  // of who has made it: for destructors of messages in threads of ours
+        nullptr;              // destroys the messages that no reader needs, of every publisher
+    SignalMask signals = {};  // of its creator: for message destructors in library threads
   };
-  /// Of small messages: most publishes look at no link, and so take no line from a reader on
+  /// For small messages: most publishes look at no link, and so take no cache line from a reader on
   /// another core.
   static constexpr std::uint64_t deferred_limit = 7;
   static_assert(deferred_limit <= abi::deferred_scan_count_max);
@@ -67,15 +67,16 @@ class PublisherEndpoint {
     PeerOwner owner;         // of its process
     std::uint64_t quota;     // messages of this publisher that it may hold
   };
-  /// A subscription that this publisher serves no more, or again: what the daemon is told.
+  /// A subscription that this publisher no longer serves, or serves again, as reported to the
+  /// daemon.
   struct Withdrawn {
     std::uint64_t index;
     std::uint64_t generation;
-    abi::Withdrawal why;  // none: again
-    std::uint64_t bytes;  // that it held then
+    abi::Withdrawal why;  // none: served again
+    std::uint64_t bytes;  // that it held at that time
   };
 
-  /// How a wait set is rung, and what that costs this process.
+  /// The doorbell of a wait set, and its part of this process's descriptor share.
   struct PeerDoorbell {
     Doorbell sender;
     DescriptorShare::Part counted;
@@ -84,8 +85,8 @@ class PublisherEndpoint {
   explicit PublisherEndpoint(const Identity& identity);
   PublisherEndpoint(const PublisherEndpoint&) = delete;
   PublisherEndpoint& operator=(const PublisherEndpoint&) = delete;
-  /// Only when the daemon has freed the index, or the process ends: what is still allocated is left
-  /// alone.
+  /// Call only when the daemon has freed the index, or the process ends: messages that are still
+  /// allocated are left alone.
   ~PublisherEndpoint() = default;
 
   const Core::Identity& identity() const noexcept { return identity_.core; }
@@ -94,43 +95,41 @@ class PublisherEndpoint {
   std::uint32_t topic_index() const noexcept { return identity_.topic_index; }
 
   // --- user threads
-  // --------------------------------------------------------------------------------------------------------------
 
-  /// Commits `message`, an object of `object_bytes` in this process's shared heap; with what
-  /// belongs to it `message_bytes`, which is only counted. After `published` it belongs to the
-  /// queue; otherwise it stays the caller's. System calls: none while nobody sleeps, one per wait
-  /// set for the first two, one more for all others.
+  /// Commits `message`, an object of `object_bytes` in this process's shared heap. `message_bytes`
+  /// includes all that it owns and is only counted. After `published` the queue owns the message;
+  /// otherwise the caller keeps it. System calls: none while no reader sleeps, one per wait set for
+  /// the first two, one more for all others.
   dataplane::PublishOutcome publish(void* message, std::uint64_t object_bytes,
                                     std::uint64_t message_bytes) noexcept;
-  /// Destroys what publishes of small messages have freed: they leave it, so that a publish returns
-  /// sooner to who borrows for each; the next publish does where nobody borrows.
+  /// Destroys messages that publishes of small messages have freed, so that a publish returns
+  /// sooner. Each borrow calls this; without a borrow the next publish destroys them.
   void make_room() noexcept;
-  /// Two whole scans, the second of which frees what the first has retired, and every message that
-  /// they have found is destroyed here. False: there was none.
+  /// Makes two full scans (the second one frees what the first one has retired), and destroys every
+  /// message that they free. Returns false if there was none.
   bool has_more_room() noexcept;
-  /// A publish found the heap full: the next make_room() does this for all publishers.
+  /// A publish found the heap full: the next make_room() then makes room for all publishers.
   void lacked_room() noexcept;
-  /// Before the first message, if the identity says that it is to be said later. Successors say it
-  /// by themselves.
+  /// Call before the first message, if the identity says that the id is announced later. Successors
+  /// announce it by themselves.
   void announce_persistent_id() noexcept;
-  /// For agnocast-ctl: a message was adopted, or the shared heap had no room to adopt it. Any
-  /// thread.
+  /// For agnocast-ctl: counts a message that was adopted, or that the shared heap had no room for.
+  /// Any thread.
   void count_adopted(std::uint64_t bytes) noexcept;
   void count_heap_exhausted() noexcept;
 
   // --- control thread
-  // ------------------------------------------------------------------------------------------------------------
 
-  /// An announced subscription. `doorbell` may be mute (empty): the subscription is looked at like
-  /// any other and rung by nobody. A doorbell of one that is attached already replaces the one it
-  /// has, and false is returned. Allocates.
+  /// Attaches an announced subscription. `doorbell` may be mute (empty): the subscription is then
+  /// looked at like any other, but no publisher rings it. For a subscription that is attached
+  /// already, its doorbell is replaced and false is returned. Allocates.
   bool attach(const Subscription& subscription, std::shared_ptr<Peer> peer, PeerDoorbell doorbell);
   bool is_attached(std::uint64_t index, std::uint64_t generation) const noexcept;
-  /// It is over: looks at it no more and unmaps its region.
+  /// The subscription is over: stops looking at it and unmaps its region.
   void detach(std::uint64_t index, std::uint64_t generation) noexcept;
-  /// The session of the process was revoked: nobody is matched any more.
+  /// The session of the process was revoked: ends all matches.
   void revoke() noexcept;
-  /// A subscription that it is attached to.
+  /// A subscription that this publisher is attached to.
   struct EndpointId {
     std::uint64_t index;
     std::uint64_t generation;
@@ -141,71 +140,71 @@ class PublisherEndpoint {
     Core::EndpointId id;
     std::uint32_t uid;
   };
-  /// The attached subscriptions of other users, instead of what is there. Allocates.
+  /// Replaces `readers` by the attached subscriptions of other users. Allocates.
   void list_foreign_readers(std::vector<Reader>& readers) const;
   /// See PublisherCore.
   std::uint64_t kept_bytes(std::span<const Core::EndpointId> readers) const noexcept;
-  /// Its user has more than its share.
+  /// Withdraws a reader whose user keeps more than its share.
   void withdraw(const Core::EndpointId& reader) noexcept;
-  /// A subscription that was announced and cannot be mapped. Its user has some seconds, or, if it
-  /// `is_out`, none: its former ones could not be mapped either. Allocates.
+  /// Notes an announced subscription that cannot be mapped. Its user has some seconds; or none, if
+  /// it `is_out`: its earlier ones could not be mapped either. Allocates.
   void note_unmapped(const EndpointId& endpoint, PeerOwner owner, bool is_out,
                      ReaderShares::Clock::time_point now);
-  /// Who could not be mapped for long is not served, and its user is banned in `unmapped`, where
-  /// the users of all others that are not mapped are noted; whoever was is served again; who was
-  /// told long ago that it is not served is disregarded. What there is to tell the daemon is added.
-  /// Allocates.
+  /// Withdraws readers that could not be mapped for too long and bans their users in `unmapped`,
+  /// which also notes the users of all other unmapped readers. Serves readers again that are mapped
+  /// and may be. Disregards readers that were withdrawn long ago. Adds the changes for the daemon
+  /// to `news`. Allocates.
   void look_at_readers(ReaderShares::Clock::time_point now, const ReaderShares& shares,
                        UnmappedUsers& unmapped, std::vector<Withdrawn>& news);
-  /// One scan, and everything that publishes have left to do.
+  /// Scans once, and does all that publishes have left to do.
   void run_errands() noexcept;
-  /// Something outside the history is allocated: a scan may free it.
+  /// Returns whether a message outside the history is allocated: a scan may free it.
   bool has_reclaimable() const noexcept;
-  /// The daemon has freed it and nothing is left to destroy.
+  /// Returns whether the daemon has freed the index and nothing is left to destroy.
   bool is_over() const noexcept;
   std::uint64_t allocated_count() const noexcept;
-  /// Subscriptions that get what is published from now on: mapped here, and linked there.
+  /// Returns how many subscriptions receive new messages: mapped here, and linked there.
   std::size_t subscription_count() const noexcept;
-  /// Their persistent endpoint ids.
+  /// Returns their persistent endpoint ids.
   std::vector<std::uint64_t> reader_persistent_ids() const;
-  /// A subscription is mapped that has not linked yet: run_errands() shall look again soon, because
-  /// nobody rings when it has.
+  /// Returns whether a mapped subscription has not linked yet. run_errands() must look again soon,
+  /// because linking rings no doorbell.
   bool awaits_link() const noexcept;
   const std::shared_ptr<EndpointEvents>& shared_events() const noexcept { return events_; }
   EndpointEvents& events() noexcept { return *events_; }
   Departure& departure() noexcept { return departure_; }
 
-  // --- after the daemon's store was lost: docs/decisions/0006. The endpoint that the user has
-  // stays, and hands what it is given to the one that the new daemon knows.
+  // --- after the daemon's store was lost: docs/decisions/0006. The user's endpoint stays and
+  // passes messages on to the endpoint that the new daemon knows.
 
-  /// From now on what is published goes to `successor`, with the history for late joiners ahead of
-  /// it; here nothing is added any more, and readers can see that. False when it has moved already.
+  /// From now on messages go to `successor`, after the history for late joiners. This endpoint adds
+  /// no more, and readers can see that. Returns false if it has moved already.
   bool move_to(const std::shared_ptr<PublisherEndpoint>& successor) noexcept;
-  /// A later successor of an endpoint that has moved.
+  /// Sets a later successor of an endpoint that has moved.
   void redirect_to(const std::shared_ptr<PublisherEndpoint>& successor) noexcept;
-  /// The endpoint that publishes now: this one, or its successor.
+  /// Returns the endpoint that publishes now: this one, or its successor.
   std::shared_ptr<PublisherEndpoint> present(const std::shared_ptr<PublisherEndpoint>& self) const;
-  /// Its owner wants no more of it.
+  /// The owner has destroyed it.
   void end() noexcept { has_ended_.store(true, std::memory_order_release); }
   bool has_ended() const noexcept { return has_ended_.load(std::memory_order_acquire); }
-  /// Its session will not be used after all: nothing was published.
+  /// Its session will not be used after all; nothing was published.
   void abandon() noexcept;
-  /// Every linked subscription of this one that is not closed, and whose process lives, is linked
-  /// to `successor` as well.
+  /// Returns whether every linked subscription of this one that is not closed, and whose process
+  /// lives, is also linked to `successor`.
   bool is_succeeded_by(const PublisherEndpoint& successor) const;
-  /// What a daemon would have said: endpoints whose processes are gone count no more.
+  /// Stands in for the daemon: ends the endpoints whose processes are gone.
   void bury_dead();
-  /// It has moved or ended, and nobody reads anything of it any more.
+  /// Returns whether it has moved or ended, and no reader needs any of its messages.
   bool is_finished() noexcept;
-  /// Touches nothing of its session any more.
+  /// From now on it does not access its session.
   void finish() noexcept;
 
  private:
-  // Destroyed by one borrow or publish at most; what is more waits for the next ones, or for the
-  // timer of the control thread. A publish frees as many as it adds on average.
+  // One borrow or publish destroys this many at most. The rest waits for the next ones, or for the
+  // timer of the control thread. On average a publish frees as many as it adds.
   static constexpr std::size_t destroy_at_once_max = 16;
-  // protocol §4.2: sending to the first one or two wait sets at once costs 1–6 µs each, handing over
-  // the rest 2–3 µs for all.
+  // protocol §4.2: to ring the first one or two wait sets at once costs 1–6 µs each; to hand over
+  // the rest costs 2–3 µs for all.
   static constexpr std::uint64_t ring_at_once_max = 2;
 
   struct Executor {
@@ -214,12 +213,11 @@ class PublisherEndpoint {
     std::uint64_t executor = 0;
     std::uint64_t users = 0;  // attached subscriptions; 0 = free
     PeerDoorbell doorbell;
-    std::uint64_t owed = 0;  // sleep generation that the control thread shall ring; 0 = none
+    std::uint64_t owed = 0;  // sleep generation that the control thread has to ring; 0 = none
     std::byte* region = nullptr;
   };
-  /// Whether a subscription was counted as matched, which it is once: when it is seen linked, at
-  /// the latest when it is detached. Not any more when the session is revoked, or the subscription
-  /// is the successor's.
+  /// Each subscription is counted as matched once: when it is seen linked, at the latest when it is
+  /// detached. `ended`: the session is revoked, or the subscription belongs to the successor.
   enum class Match : std::uint8_t { awaited, counted, ended };
   struct Attached {
     std::uint64_t index;
@@ -230,11 +228,11 @@ class PublisherEndpoint {
     PeerOwner owner;
     Match match = Match::awaited;
   };
-  /// Of a subscription that is withdrawn, or not attached.
+  /// A subscription that is withdrawn, or not attached.
   struct Watched {
     std::uint64_t generation;
     ReaderShares::Clock::time_point since;
-    abi::Withdrawal why = abi::Withdrawal::none;  // as far as the daemon was told
+    abi::Withdrawal why = abi::Withdrawal::none;  // as last reported to the daemon
     std::optional<PeerOwner> owner = {};          // if it was announced
   };
   struct Work;
@@ -265,16 +263,16 @@ class PublisherEndpoint {
   std::vector<Attached> attached_;
   std::map<std::uint64_t, Watched> watched_;  // by index; control thread only
   std::vector<void*> doomed_;  // to be destroyed later; capacity for every slot from the start
-  // For a look without the mutex; whoever misses one comes again. `has_doomed_` where any of both
-  // is so.
+  // For a check without the mutex; a caller that misses a change comes again. `has_doomed_` is set
+  // whenever either one applies.
   std::atomic<bool> has_doomed_{false}, lacked_room_{false};
   void destroy(void* message) noexcept;
   void inherit(const dataplane::Entry& entry) noexcept;
 
   const std::shared_ptr<EndpointEvents> events_;
   Departure departure_;
-  bool moved_ = false;                            // under the mutex, as the next
-  std::shared_ptr<PublisherEndpoint> successor_;  // null with `moved_`: it was abandoned
+  bool moved_ = false;                            // under the mutex, like the next
+  std::shared_ptr<PublisherEndpoint> successor_;  // null with `moved_`: this one was abandoned
   std::atomic<bool> has_ended_{false};
 };
 

@@ -1,8 +1,8 @@
 // SPDX-License-Identifier: Apache-2.0
 //
-// A publisher's readers as the control thread looks at them: what those of other users keep of its
-// messages, and which of them it serves no more, or again. Who decides that, and how long a reader
-// has: client/shares/reader_shares.hpp and client/shares/unmapped_users.hpp.
+// The control thread's look at a publisher's readers: what readers of other users keep of its
+// messages, and which readers it no longer serves, or serves again. The rules, and how long a
+// reader has: client/shares/reader_shares.hpp and client/shares/unmapped_users.hpp.
 
 #include <client/endpoint/publisher_work.hpp>
 
@@ -14,7 +14,7 @@ namespace agnocast {
 
 void PublisherEndpoint::list_foreign_readers(std::vector<Reader>& readers) const {
   readers.clear();
-  readers.reserve(SharedMemory::subscription_capacity);  // not below the mutex
+  readers.reserve(SharedMemory::subscription_capacity);  // no allocation under the mutex
   const std::lock_guard lock(mutex_);
   for (const Attached& attached : attached_) {
     if (!attached.owner.is_own)
@@ -36,28 +36,29 @@ void PublisherEndpoint::withdraw(const Core::EndpointId& reader) noexcept {
   });
 }
 
-void PublisherEndpoint::note_unmapped(const Member& member, PeerOwner owner, bool is_out,
+void PublisherEndpoint::note_unmapped(const EndpointId& endpoint, PeerOwner owner, bool is_out,
                                       ReaderShares::Clock::time_point now) {
-  if (is_attached(member.index, member.generation)) return;
-  Watched& watched = watched_[member.index];
-  if (watched.generation != member.generation) watched = {member.generation, now};
+  if (is_attached(endpoint.index, endpoint.generation)) return;
+  Watched& watched = watched_[endpoint.index];
+  if (watched.generation != endpoint.generation) watched = {endpoint.generation, now};
   watched.owner = owner;
   in_control_thread([&](Work& work) {
     if (core_ == nullptr || moved_) return;
-    core_->scan(work);  // from here on it counts
-    if (is_out && core_->withdraw(member.index, member.generation, abi::Withdrawal::not_attached))
+    core_->scan(work);  // from here on the endpoint counts
+    if (is_out &&
+        core_->withdraw(endpoint.index, endpoint.generation, abi::Withdrawal::not_attached))
       core_->scan(work);
   });
 }
 
-/// An endpoint as one look sees it.
+/// An endpoint as seen in one look.
 struct PublisherEndpoint::Seen {
-  Member id;
+  EndpointId id;
   bool is_mapped;
-  std::optional<PeerOwner> owner;  // of one that is mapped
+  std::optional<PeerOwner> owner;  // if it is mapped
 };
 
-/// What a look is made with.
+/// The parameters of one look.
 struct PublisherEndpoint::Look {
   ReaderShares::Clock::time_point now;
   const ReaderShares& shares;
@@ -70,10 +71,10 @@ struct PublisherEndpoint::Look {
   }
 };
 
-/// First those that take part and are not mapped, then those that are and are withdrawn, but not
-/// for good. Returns false where nothing is published any more.
+/// Lists the endpoints that take part and are not mapped, then the mapped ones that are withdrawn,
+/// but not for good. Returns false if this publisher publishes nothing any more.
 bool PublisherEndpoint::see_readers(std::vector<Seen>& seen) const {
-  seen.reserve(2 * SharedMemory::subscription_capacity);  // not below the mutex
+  seen.reserve(2 * SharedMemory::subscription_capacity);  // no allocation under the mutex
   const std::lock_guard lock(mutex_);
   if (core_ == nullptr || moved_) return false;
   core_->for_each_unmapped([&](std::uint64_t index, std::uint64_t generation) {
@@ -82,9 +83,10 @@ bool PublisherEndpoint::see_readers(std::vector<Seen>& seen) const {
   for (const Attached& one : attached_) {
     const abi::Withdrawal why = core_->withdrawal(one.index, one.generation);
     const auto known = watched_.find(one.index);
-    const bool is_told = known != watched_.end() && known->second.generation == one.generation &&
-                         known->second.why == abi::Withdrawal::over_quota;
-    if (why != abi::Withdrawal::none && !is_told)
+    const bool is_notified = known != watched_.end() &&
+                             known->second.generation == one.generation &&
+                             known->second.why == abi::Withdrawal::over_quota;
+    if (why != abi::Withdrawal::none && !is_notified)
       seen.push_back({{one.index, one.generation}, true, one.owner});
   }
   return true;
@@ -98,54 +100,55 @@ void PublisherEndpoint::look_at_readers(ReaderShares::Clock::time_point now,
   const Look look{now, shares, unmapped_users, news};
   std::map<std::uint64_t, Watched> watched;
   for (const Seen& reader : seen) {
-    // What was seen at an earlier look goes on from there.
+    // Continue with what an earlier look has noted.
     const auto before = watched_.find(reader.id.index);
     const bool is_known =
         before != watched_.end() && before->second.generation == reader.id.generation;
-    Watched& member = watched
-                          .emplace(reader.id.index,
-                                   is_known ? before->second : Watched{reader.id.generation, now})
-                          .first->second;
-    if (reader.owner) member.owner = reader.owner;
-    look_at(reader, member, look);
+    Watched& endpoint = watched
+                            .emplace(reader.id.index,
+                                     is_known ? before->second : Watched{reader.id.generation, now})
+                            .first->second;
+    if (reader.owner) endpoint.owner = reader.owner;
+    look_at(reader, endpoint, look);
   }
-  // For good, and nothing is left to look at.
+  // Withdrawn for good: nothing is left to look at.
   for (const auto& [index, before] : watched_) {
     if (before.why == abi::Withdrawal::over_quota) watched.emplace(index, before);
   }
   watched_.swap(watched);
 }
 
-void PublisherEndpoint::look_at(const Seen& reader, Watched& member, const Look& look) {
+void PublisherEndpoint::look_at(const Seen& reader, Watched& endpoint, const Look& look) {
   const std::uint64_t index = reader.id.index, generation = reader.id.generation;
-  const bool is_out = member.owner && look.unmapped_users.is_out(*member.owner, look.now);
+  const bool is_out = endpoint.owner && look.unmapped_users.is_out(*endpoint.owner, look.now);
   bool is_news = false, was_waited_for = false;
   std::uint64_t bytes = 0;
   in_control_thread([&](Work& work) {
     abi::Withdrawal why = core_->withdrawal(index, generation);
     if (why == abi::Withdrawal::none) {
       if (reader.is_mapped) return;
-      if (!is_out && look.now - member.since < ReaderShares::patience_to_attach) return;
+      if (!is_out && look.now - endpoint.since < ReaderShares::patience_to_attach) return;
       if (!core_->withdraw(index, generation, abi::Withdrawal::not_attached)) return;  // it ended
       why = abi::Withdrawal::not_attached;
       was_waited_for = !is_out;
-    } else if (reader.is_mapped && look.may_be_served_again(why, *member.owner) &&
+    } else if (reader.is_mapped && look.may_be_served_again(why, *endpoint.owner) &&
                core_->serve_again(index, generation, work)) {
       why = abi::Withdrawal::none;
-    } else if (!core_->is_disregarded(index) && look.now - member.since >= ReaderShares::patience) {
+    } else if (!core_->is_disregarded(index) &&
+               look.now - endpoint.since >= ReaderShares::patience) {
       core_->disregard(index, generation);
     }
     core_->scan(work);
-    if (why == member.why) return;
+    if (why == endpoint.why) return;
     is_news = true;
     bytes = core_->kept_bytes(std::array{Core::EndpointId{index, generation}});
-    member.why = why;
-    member.since = look.now;
+    endpoint.why = why;
+    endpoint.since = look.now;
   });
-  if (was_waited_for && member.owner) look.unmapped_users.ban(*member.owner, look.now);
-  if (!reader.is_mapped && member.why == abi::Withdrawal::none && member.owner)
-    look.unmapped_users.note(*member.owner);
-  if (is_news) look.news.push_back({index, generation, member.why, bytes});
+  if (was_waited_for && endpoint.owner) look.unmapped_users.ban(*endpoint.owner, look.now);
+  if (!reader.is_mapped && endpoint.why == abi::Withdrawal::none && endpoint.owner)
+    look.unmapped_users.note(*endpoint.owner);
+  if (is_news) look.news.push_back({index, generation, endpoint.why, bytes});
 }
 
 }  // namespace agnocast

@@ -1,8 +1,8 @@
 // SPDX-License-Identifier: Apache-2.0
 //
-// Turns with the queue of a PublisherEndpoint, for the files that implement it: what is done under
-// its mutex, and what a turn leaves to do outside it: doorbells beyond the first two, and messages,
-// whose destructors are user code.
+// Work: one call on the queue of a PublisherEndpoint, for the files that implement it. The call
+// runs under its mutex and leaves work for the time after: doorbells beyond the first two, and
+// messages to be destroyed, whose destructors are user code.
 #pragma once
 
 #include <client/endpoint/publisher_endpoint.hpp>
@@ -28,9 +28,9 @@ struct PublisherEndpoint::Work {
   bool wake_control = false;
   bool destroys_later = false;
 
-  /// Into the line that the commit goes into next: stored behind that, it would take the line a
-  /// second time from those who look at it. Only written under the mutex. A death between the two
-  /// leaves it one message ahead, which is nothing to those it is for: people.
+  /// Counts the bytes in the cache line that the commit writes next: written after the commit, the
+  /// count would take the line a second time from the readers. Only written under the mutex. A
+  /// death in between leaves the counter one message ahead, which is harmless: only people read it.
   void commits(const dataplane::Entry& entry) noexcept {
     auto& total =
         endpoint.identity_.core.words.counter(offsetof(abi::PublisherEndpoint, published_bytes));
@@ -46,8 +46,8 @@ struct PublisherEndpoint::Work {
       wake_control = true;
     }
   }
-  /// The control thread does, as it is woken anyway; but it destroys nothing any more once exit has
-  /// begun.
+  /// Returns whether the control thread is about to scan, because it is woken anyway. It destroys
+  /// nothing once exit has begun.
   bool scans_soon() const noexcept { return wake_control && !exit_has_begun(); }
   void freed(std::uint64_t, std::uint64_t address) noexcept {
     if (!may_destroy) return;
@@ -55,7 +55,7 @@ struct PublisherEndpoint::Work {
     if (!destroys_later && destroy_count < destroy.size()) {
       destroy[destroy_count++] = message;
     } else if (endpoint.doomed_.size() == endpoint.doomed_.capacity()) {
-      // The control thread is far behind: rather here, under the mutex, than allocate.
+      // The control thread is far behind: destroy here, under the mutex, rather than allocate.
       const UserSignals as_creator(endpoint.identity_.signals);
       endpoint.destroy(message);
     } else {
@@ -63,7 +63,7 @@ struct PublisherEndpoint::Work {
       endpoint.has_doomed_.store(true, std::memory_order_relaxed);
     }
   }
-  /// What an earlier call had no room for.
+  /// Destroys messages that an earlier call had no room for.
   void destroy_doomed() noexcept {
     if (!may_destroy) return;
     auto& doomed = endpoint.doomed_;
@@ -75,7 +75,7 @@ struct PublisherEndpoint::Work {
 };
 
 template <class Do>
-inline void PublisherEndpoint::turn(Do work, Work& left) noexcept {
+inline void PublisherEndpoint::run_locked(Do work, Work& left) noexcept {
   {
     const std::lock_guard lock(mutex_);
     work(left);
@@ -93,7 +93,7 @@ inline void PublisherEndpoint::destroy_all(const Work& left) noexcept {
 template <class Do>
 void PublisherEndpoint::with_queue(Do work) noexcept {
   Work left(*this, true);
-  turn(work, left);
+  run_locked(work, left);
   destroy_all(left);
 }
 
@@ -101,7 +101,7 @@ template <class Do>
 void PublisherEndpoint::in_control_thread(Do work) noexcept {
   const UserCode code;
   Work left(*this, code.may_run());
-  turn(work, left);
+  run_locked(work, left);
   if (left.destroy_count == 0) return;
   const UserSignals as_creator(identity_.signals);
   destroy_all(left);

@@ -12,8 +12,8 @@ namespace agnocast {
 
 namespace {
 
-// Of publishers that are gone, beyond the depth, where that counts for each of them: the last words
-// of as many as end together.
+// If the depth counts per publisher: unread messages of gone publishers beyond it, enough for the
+// last messages of all that end together.
 constexpr std::uint64_t gone_unread_max = 64;
 
 }  // namespace
@@ -29,7 +29,7 @@ SubscriptionEndpoint::SubscriptionEndpoint(const Identity& identity,
     : self_(identity),
       wait_set_(std::move(wait_set)),
       events_(identity.events != nullptr ? identity.events : std::make_shared<EndpointEvents>()) {
-  // Before any link: publishers that see one see this.
+  // Stored before any link: a publisher that sees a link sees the id.
   region::SubscriptionWords<SharedMemory>{self_.region, self_.extent}.persistent_id().store(
       self_.persistent_id, std::memory_order_relaxed);
 }
@@ -44,7 +44,7 @@ bool SubscriptionEndpoint::add_publisher(const Publisher& publisher, std::shared
     wait_set_->wake();  // a message may have waited for a window that came with the announcement
     return true;
   }
-  // The line is another link's: rule RU excludes that.
+  // Another link uses this line; rule RU excludes that.
   if (action == Book::Action::say_unlinked || book.current() != 0 || closed_) return false;
   const Link::Core::Identity identity{self_.topic,
                                       {peer->region(), publisher.extent},
@@ -66,7 +66,7 @@ bool SubscriptionEndpoint::add_publisher(const Publisher& publisher, std::shared
   links_.push_back(std::move(link));
   book.linked(publisher.generation);
   events_->gained();
-  wait_set_->wake();  // what was committed before the link existed could not ring for it
+  wait_set_->wake();  // messages committed before the link existed could not ring for it
   return true;
 }
 
@@ -83,8 +83,8 @@ void SubscriptionEndpoint::orphan(std::uint64_t publisher, std::uint64_t generat
     while (link->core_.unread() > 0) link->core_.skip();
     note_losses(*link);
   }
-  // Publishers that come and go must not pile up behind a subscription that nobody looks at: beyond
-  // its depth it owes nothing to those that are gone.
+  // Gone publishers must not pile up behind a subscription that takes nothing: it owes them nothing
+  // beyond its depth.
   drop_beyond_depth();
   wait_set_->wake();
 }
@@ -110,8 +110,8 @@ std::vector<std::shared_ptr<Link>> SubscriptionEndpoint::collect_unlinked() {
   const std::lock_guard lock(mutex_);
   std::vector<std::shared_ptr<Link>> over;
   for (const auto& link : links_) {
-    // Of a line that is not linked publishers know less than of one that stands still: what they
-    // keep for it they keep until the daemon says that the subscription has left.
+    // Publishers know less about an unlinked line than about one that stands still: they would keep
+    // its messages until the daemon reports that the subscription has left.
     if (!departure_.is_known() && !link->core_.drained()) continue;
     link->closing_.store(true, std::memory_order_release);
     if (link->held_count() == 0) over.push_back(link);
@@ -153,8 +153,8 @@ const std::shared_ptr<Link>* SubscriptionEndpoint::oldest() const noexcept {
   return best;
 }
 
-// keep-last counts over all publishers, as the history of a DDS reader does. If it counts for each
-// of them by itself, its own queue is the bound, and together are those that are gone.
+// keep-last counts over all publishers, like the history of a DDS reader. If it counts per
+// publisher, each queue is its own bound, and there is one bound for all gone publishers.
 void SubscriptionEndpoint::drop_beyond_depth() noexcept {
   if (links_.size() < 2 || self_.qos.keep_all) return;
   const bool of_gone = self_.depth_per_publisher;
@@ -179,10 +179,10 @@ void SubscriptionEndpoint::drop_beyond_depth() noexcept {
   }
 }
 
-// Into the client region, where agnocast-ctl reads it.
+// Counts the losses in the client region, where agnocast-ctl reads them.
 void SubscriptionEndpoint::note_losses(Link& link) noexcept {
   const std::uint64_t lost = link.core_.lost() - std::exchange(link.lost_noted_, link.core_.lost());
-  if (lost == 0) return;  // what is malformed or unreachable is lost as well
+  if (lost == 0) return;  // malformed and unreachable messages are lost as well
   const std::uint64_t malformed =
       link.core_.malformed() - std::exchange(link.malformed_noted_, link.core_.malformed());
   const region::SubscriptionWords<SharedMemory> words{self_.region, self_.extent};
@@ -195,7 +195,7 @@ void SubscriptionEndpoint::note_losses(Link& link) noexcept {
 }
 
 // A process that was stopped while it was revoked may come here before its control thread has read
-// of it; publishers keep nothing for it any more.
+// the packet; publishers keep nothing for it any more.
 inline bool SubscriptionEndpoint::takes_part() const noexcept {
   return self_.topic.subscription(self_.index, offsetof(abi::SubscriptionEntry, word))
              .load(std::memory_order_acquire) ==
@@ -214,8 +214,7 @@ inline bool SubscriptionEndpoint::may_take() const noexcept {
   return !closed_ && !has_finished_ && takes_part();
 }
 
-/// False at the quota, and until a missing window is there: asking again would only turn in
-/// circles.
+/// Returns false at the quota, and until a missing window is there: a retry would only spin.
 bool SubscriptionEndpoint::can_take(const Link& link) const noexcept {
   return link.held_count() < link.quota() &&
          (!link.core_.is_awaiting_window() || link.is_orphaned_ || is_alone_ ||
@@ -230,7 +229,7 @@ void SubscriptionEndpoint::see_next(Link& link) const noexcept {
   link.next_stamp_ = can_take(link) ? link.core_.next_stamp(link.head_) : std::nullopt;
 }
 
-// Of one publisher nothing has to be compared, and most takes that find nothing end here.
+// With one publisher nothing has to be compared; most takes that find nothing end here.
 inline bool SubscriptionEndpoint::take_here(Receiver& receiver) noexcept {
   if (!may_take()) return false;
   if (links_.size() != 1) return take_oldest(receiver);
@@ -240,24 +239,23 @@ inline bool SubscriptionEndpoint::take_here(Receiver& receiver) noexcept {
   return take_from<false>(link, receiver, receiver.wanted()) == Attempt::taken;
 }
 
-/// Once more at those that had nothing to take.
+/// Looks again at the links that had nothing to take.
 void SubscriptionEndpoint::look_at_empty() const noexcept {
   for (const auto& link : links_) {
     if (!link->next_stamp_) look_at(*link);
   }
 }
 
-// One look at link after link may see what a thread has published last and not what it published
-// before that elsewhere. So a message is only taken when every link without one was looked at after
-// that message had been seen: what was published before it had been committed by then, and is seen.
-// What such a look finds itself may be older than all that was seen, and is taken: then whatever
-// its publisher's thread published before is older than that as well, and was committed before the
-// look began.
+// One look at link after link may see a thread's last message and miss one that it published before
+// with another publisher. So a message is taken only after a second look at every link that
+// had none: all that was published before that message had been committed by then, and is seen. A
+// message that the second look finds itself may be older than all others, and is taken: what its
+// thread published before is older still, and was committed before the look began.
 bool SubscriptionEndpoint::take_oldest(Receiver& receiver) noexcept {
   drop_beyond_depth();
   for (const auto& link : links_) look_at(*link);
   bool has_taken = false;
-  // A link whose candidate was gone when looked at closely is asked again. Were its publisher
+  // If a link's candidate is gone at the closer look, the link is asked again. If its publisher is
   // faster than that, the next call goes on.
   for (std::uint64_t lost = 0; lost < 2 * abi::ring_count;) {
     if (oldest() == nullptr) break;
@@ -277,7 +275,7 @@ bool SubscriptionEndpoint::take_oldest(Receiver& receiver) noexcept {
   return has_taken;
 }
 
-/// By the look at the link that was had. `taken`: at least one, `most` at most.
+/// Takes from a link that was looked at. `taken`: at least one, at most `most`.
 template <bool only_next>
 SubscriptionEndpoint::Attempt SubscriptionEndpoint::take_from(const std::shared_ptr<Link>& link,
                                                               Receiver& receiver,
@@ -297,8 +295,7 @@ SubscriptionEndpoint::Attempt SubscriptionEndpoint::take_from(const std::shared_
       return attempt;
     }
     link->held_.fetch_add(1, std::memory_order_relaxed);
-    // The last message of a publisher that is gone: its release is what the control thread waits
-    // for.
+    // The last message of a gone publisher: the control thread waits for its release.
     if (link->core_.drained()) link->closing_.store(true, std::memory_order_release);
     place->taken = *taken;
     place->link = link;
@@ -359,7 +356,8 @@ std::size_t SubscriptionEndpoint::publisher_count() const noexcept {
   });
 }
 
-/// A queue of the same publisher is in a newer session: while publishers move, one may be in two.
+/// Returns whether a newer session has a queue of the same publisher: while publishers move, one
+/// may be in two sessions.
 bool SubscriptionEndpoint::has_next(const Link& link, std::size_t age) const noexcept {
   for (std::size_t i = age + 1; i <= successors_.size(); ++i) {
     const auto& links = in_age(i).links_;
@@ -402,8 +400,8 @@ auto SubscriptionEndpoint::with_successors_locked(Do work, std::size_t locked) c
   return with_successors_locked(work, locked + 1);
 }
 
-/// A queue of the same publisher was here in an older session, with what goes along as history: it
-/// is, or was, read to its end. One that its publisher never moved to had nothing.
+/// Returns whether an older session had a queue of the same publisher that was not empty: the
+/// history that the publisher takes along is, or was, read to its end there.
 bool SubscriptionEndpoint::has_former(const Link& link, std::size_t age) const noexcept {
   const Link::Origin origin = link.origin();
   for (std::size_t i = 0; i < age; ++i) {
@@ -418,9 +416,9 @@ bool SubscriptionEndpoint::has_former(const Link& link, std::size_t age) const n
   return false;
 }
 
-// A publisher commits to its former queue, marks it, and then commits to the next one. So whoever
-// sees something in the next one, and looks at the former afterwards, sees the mark and all that is
-// there. Other publishers' queues hold nothing back.
+// A publisher commits to its previous queue, marks it, and then commits to the next one. So a
+// reader that sees a message in the next queue, and looks at the previous one afterwards, sees the
+// mark and all messages there. Queues of other publishers hold nothing back.
 bool SubscriptionEndpoint::is_held_back(const Link& link, std::size_t age) const noexcept {
   for (std::size_t i = 0; i < age; ++i) {
     const SubscriptionEndpoint& former = in_age(i);
@@ -458,8 +456,8 @@ SubscriptionEndpoint::Candidate SubscriptionEndpoint::oldest_in_order() noexcept
 bool SubscriptionEndpoint::take_in_order(Receiver& receiver) noexcept {
   return with_successors_locked([&] {
     bool has_taken = false;
-    // Each round takes, loses or passes over something. Were a publisher faster than that, or is
-    // more wanted, the next call goes on.
+    // Each round takes, loses or passes over a message. If a publisher is faster than that, or more
+    // is wanted, the next call goes on.
     for (std::uint64_t round = 0; round < 2 * abi::ring_count; ++round) {
       if (oldest_in_order().link == nullptr) break;
       Candidate next = oldest_in_order();  // a second look: see take_oldest
@@ -472,7 +470,7 @@ bool SubscriptionEndpoint::take_in_order(Receiver& receiver) noexcept {
   });
 }
 
-// What is held back is no news: whoever asks would turn in circles.
+// Messages that are held back are no news: the caller would spin.
 bool SubscriptionEndpoint::has_news_in_order() const noexcept {
   return with_successors_locked([this] {
     for (std::size_t age = successors_.size() + 1; age-- > 0;) {
@@ -511,7 +509,7 @@ bool SubscriptionEndpoint::add_successor(const std::shared_ptr<SubscriptionEndpo
   }
   AGNOCAST_CRASH_POINT(C_succeeded);
   be_succeeded();
-  wait_set_->wake();  // what it got meanwhile rang for nobody who knew it
+  wait_set_->wake();  // rings for its earlier messages came before it was known here
   events_->moved();
   return true;
 }
@@ -579,7 +577,7 @@ void SubscriptionEndpoint::finish() noexcept {
   if (const auto first = first_.lock()) first->absorb(*this);
 }
 
-/// A successor of this one has finished.
+/// Takes over the counters of a successor that has finished, and removes it.
 void SubscriptionEndpoint::absorb(SubscriptionEndpoint& successor) noexcept {
   std::shared_ptr<SubscriptionEndpoint> gone;  // after the lock
   const std::lock_guard lock(mutex_);

@@ -1,18 +1,17 @@
 // SPDX-License-Identifier: Apache-2.0
 //
-// SubscriptionEndpoint: an untyped subscription, its links to publishers, and what it has taken.
+// SubscriptionEndpoint: an untyped subscription, its links to publishers, and its messages.
 //
 // Takes happen in user threads under one private mutex. The control thread adds links
 // (announcements), marks them orphaned, and collects those that are over. A held message keeps its
-// Link, and with it the mapping it lies in, so it outlives the subscription, its node and the
-// publisher's process.
+// Link, and so the mapping it lies in: it outlives the subscription, its node and the publisher's
+// process.
 //
-//   announced → linked → (publisher gone) orphaned → drained → (nothing held) unlinked → UNLINKED
-//   to the daemon
+//   announced → linked → (publisher gone) orphaned → drained → (nothing held) unlinked → reported
 //                      → (subscription closed, and the daemon knows) → (nothing held) unlinked
 //
-// After a new connection everything is announced once more. A book per publisher index remembers
-// what was linked and unlinked last: to link a generation again would deliver its messages twice.
+// After a reconnect the daemon announces everything once more. A book per publisher index remembers
+// what was linked and unlinked last: linking a generation again would deliver its messages twice.
 #pragma once
 
 #include <agnocast/ipc_shared_ptr.hpp>
@@ -38,8 +37,7 @@
 
 namespace agnocast {
 
-/// One subscription towards one publisher. Shared by the subscription and by every message it
-/// holds.
+/// One subscription's end of a queue. The subscription and each message it holds share it.
 class Link {
  public:
   using Core = dataplane::LinkCore<SharedMemory>;
@@ -63,41 +61,41 @@ class Link {
   std::uint64_t publisher() const noexcept { return identity_.index; }
   std::uint64_t generation() const noexcept { return identity_.generation; }
   std::uint64_t first_sequence() const noexcept { return identity_.first_sequence; }
-  /// 0: the publisher has not said it yet.
+  /// Returns 0 while the publisher has not announced it yet.
   std::uint64_t persistent_id() const noexcept {
     return identity_.publisher.persistent_id().load(std::memory_order_relaxed);
   }
   Peer& peer() const noexcept { return *peer_; }
-  /// Messages of this publisher that may be held at once.
+  /// Returns how many messages of this publisher may be held at once.
   std::uint64_t quota() const noexcept { return quota_; }
 
   /// The last copy of a taken message is gone. Any thread; one locked instruction, no system call.
-  /// True when the link is closing and this was its last message: then the control thread has
-  /// something to do.
+  /// Returns true when the link is closing and this was its last message: the caller must wake the
+  /// control thread.
   bool release(std::uint64_t slot) noexcept {
     core_.release(slot);
     const std::uint64_t before = held_.fetch_sub(1, std::memory_order_acq_rel);
-    if (before == quota_) wait_set_->wake();  // it may take again: what is unread rings nobody
+    if (before == quota_) wait_set_->wake();  // it may take again: unread messages ring no doorbell
     return before == 1 && closing_.load(std::memory_order_acquire);
   }
-  /// For whoever releases and is told so. Any thread.
+  /// For callers of release() that got true. Any thread.
   void wake_control() const noexcept {
     if (wake_control_) wake_control_();
   }
-  /// A ReceivedBlock that was kept, or null. Under the subscription's mutex: nobody else takes any
-  /// out.
+  /// Returns a ReceivedBlock that was kept, or null. Call under the subscription's mutex: no other
+  /// thread takes one out.
   detail::Block* spare() noexcept {
     if (spares_ == nullptr) {
-      // The newest stays. Behind it nobody writes but who takes out, which so needs no locked
-      // instruction.
+      // The newest one stays. Only this thread writes behind it, so no locked instruction is
+      // needed.
       detail::Block* const newest = kept_.load(std::memory_order_acquire);
       if (newest != nullptr) spares_ = std::exchange(newest->next, nullptr);
     }
     if (spares_ == nullptr) return nullptr;
     return std::exchange(spares_, std::exchange(spares_->next, nullptr));
   }
-  /// Of a message that was released, for the next one. As many are kept as were held at once, and
-  /// one: whoever holds no more than before allocates none. Any thread.
+  /// Keeps the block of a released message for the next one. As many are kept as were ever held at
+  /// once, plus one: a user that holds no more than before allocates none. Any thread.
   void keep(detail::Block* block) noexcept {
     block->next = kept_.load(std::memory_order_relaxed);
     while (!kept_.compare_exchange_weak(block->next, block, std::memory_order_release,
@@ -109,17 +107,17 @@ class Link {
 
  private:
   friend class SubscriptionEndpoint;
-  /// The queues by which one publisher is in several sessions have one persistent endpoint id, and
-  /// one heap, which it brings along and nobody else has.
+  /// One publisher's queues in several sessions have one persistent endpoint id, and one heap,
+  /// which the publisher brings along and no other process has.
   struct Origin {
     std::uint64_t persistent_id;
     std::uint64_t heap;  // address
     friend bool operator==(const Origin&, const Origin&) = default;
   };
   Origin origin() const noexcept { return {persistent_id(), peer_->heap().first_address()}; }
-  /// Its publisher adds nothing here any more, because it does in a newer session.
+  /// Returns whether its publisher adds no more here, because it publishes in a newer session.
   bool has_moved() const noexcept {
-    // acquire; pairs with the store behind the last commit of PublisherEndpoint::move_to.
+    // acquire; pairs with the store after the last commit in PublisherEndpoint::move_to.
     return identity_.publisher.intent_op().load(std::memory_order_acquire) == abi::intent_moved;
   }
 
@@ -129,31 +127,30 @@ class Link {
   std::shared_ptr<WaitSet> wait_set_;
   std::uint64_t quota_;
   std::function<void()> wake_control_;
-  std::uint64_t windows_seen_ = 0;  // when take() was tried last
+  std::uint64_t windows_seen_ = 0;  // at the last take()
   std::uint64_t lost_noted_ = 0, malformed_noted_ = 0, unreachable_noted_ = 0;
   std::atomic<std::uint64_t> held_{0};
   std::atomic<bool> closing_{false};
-  // Of the look by which is being taken.
+  // State of the current look.
   std::uint64_t head_ = 0;
   HeapLook windows_{peer_->heap(), Unannounced::awaited, head_};
-  std::optional<std::uint64_t> next_stamp_;  // of what would be taken next
+  std::optional<std::uint64_t> next_stamp_;  // of the next message to take
   std::atomic<detail::Block*> kept_{nullptr};
   detail::Block* spares_ = nullptr;
-  bool ceased_ = false;     // the publisher adds nothing any more
-  bool continues_ = false;  // it had a queue of the same publisher before
-  // The daemon has said so, and before that it announced each window that the publisher had by
-  // then.
+  bool ceased_ = false;     // the publisher adds no more
+  bool continues_ = false;  // it had an earlier queue of the same publisher
+  // Set by the daemon's packet, after it has announced every window that the publisher had by then.
   bool is_orphaned_ = false;
 };
 
-/// A message in the hands of this process. Whoever drops it calls release() exactly once. All that
-/// this needs it has: the link keeps what the message lies in, and wakes the control thread of its
-/// own session.
+/// A message held by this process. Its last user calls release() exactly once. It has all it needs:
+/// the link keeps the message's memory mapped, and wakes the control thread of its own session.
 struct Received {
   dataplane::Taken taken;
   std::shared_ptr<Link> link;
 
-  /// The last copy of it is gone. Any thread. No system call unless a closing link ends with it.
+  /// The last copy is gone. Any thread. No system call unless it was the last message of a closing
+  /// link.
   void release() const noexcept {
     if (is_forked_child()) return;  // the hold is the parent's
     if (!link->release(taken.slot)) return;
@@ -162,20 +159,20 @@ struct Received {
   }
 };
 
-/// A received message as its users have it.
+/// A received message in the form that its users share.
 struct ReceivedBlock : detail::Block {
   Received received;
 };
 
-/// Where a take puts what it takes.
+/// The destination of a take.
 class Receiver {
  public:
-  /// Called once there is something to take, and before it is. If it turns out to be lost, what was
-  /// placed stays without a link. Null: there is no memory, and it stays unread. Under the
-  /// subscription's mutex: it must not come back to it.
+  /// Called when there is something to take, before it is taken. If it turns out to be lost, the
+  /// placed object stays without a link. Return null without memory: the message stays unread.
+  /// Called under the subscription's mutex: must not call the subscription.
   virtual Received* place(Link& link) noexcept = 0;
   std::size_t wanted() const noexcept { return wanted_; }
-  /// What was placed last is taken.
+  /// The object placed last has its message.
   void took() noexcept { --wanted_; }
 
  protected:
@@ -196,7 +193,7 @@ class SubscriptionEndpoint {
     std::uint64_t index;
     std::uint64_t generation;
     std::byte* region;     // this process's client region
-    std::uint64_t extent;  // in it
+    std::uint64_t extent;  // in the region
     abi::Qos qos;
     std::uint64_t quota;  // messages held at once, per publisher, at most
     bool depth_per_publisher = false;
@@ -214,7 +211,7 @@ class SubscriptionEndpoint {
     std::uint64_t first_sequence;
     abi::Qos qos;
     bool from_start;
-    std::uint64_t quota;  // messages of it that may be held at once
+    std::uint64_t quota;  // of its messages that may be held at once
   };
 
   SubscriptionEndpoint(const Identity& identity, std::shared_ptr<WaitSet> wait_set);
@@ -227,73 +224,73 @@ class SubscriptionEndpoint {
   Context* context() const noexcept { return self_.context; }
 
   // --- control thread
-  // ------------------------------------------------------------------------------------------------------------
 
-  /// An announced publisher; announced again, it only may have new windows. False when it is not
-  /// linked: it was before, this subscription is closed, or it is not on the board.
+  /// Links an announced publisher. A repeated announcement can only bring new windows. Returns
+  /// false when the publisher is not linked: it was before, this subscription is closed, or it is
+  /// not on the board.
   [[nodiscard]] bool add_publisher(const Publisher& publisher, std::shared_ptr<Peer> peer);
-  /// The daemon says that this publisher is gone: what it committed is still delivered, unless it
-  /// is to be given up. Then what is unread is lost.
+  /// The daemon reports that this publisher is gone. Its committed messages are still delivered,
+  /// unless `give_up`: unread ones are lost then.
   void orphan(std::uint64_t publisher, std::uint64_t generation, bool give_up) noexcept;
-  /// The session of the process was revoked: nobody is matched any more.
+  /// The session of the process was revoked: ends all matches.
   void revoke() noexcept;
-  /// Links that are over and of which nothing is held: unlinked here; the caller tells the daemon.
+  /// Unlinks the links that are over and hold nothing, and returns them; the caller tells the
+  /// daemon.
   std::vector<std::shared_ptr<Link>> collect_unlinked();
   bool is_linked_to(std::uint64_t publisher, std::uint64_t generation) const noexcept;
-  /// True when it has left and no link is left.
+  /// Returns whether it has left and has no link.
   bool is_empty() const noexcept;
 
   // --- user threads
-  // --------------------------------------------------------------------------------------------------------------
 
-  /// The oldest unread messages over all publishers (per publisher in order; between publishers by
-  /// stamp), as many as `receiver` wants. By one look at the publishers, as a rule: what comes
-  /// meanwhile may be left to the next call. Counts what falls out of the subscription's depth as
-  /// lost. No system call except after a publisher's heap has grown. True: `receiver` has at least
-  /// one.
+  /// Takes the oldest unread messages of all publishers (in order per publisher; by stamp between
+  /// publishers), as many as `receiver` wants. Usually looks at the publishers only once: messages
+  /// that arrive meanwhile may be left for the next call. Messages beyond the subscription's depth
+  /// count as lost. No system call, except after a publisher's heap has grown. Returns whether
+  /// `receiver` has at least one.
   bool take(Receiver& receiver) noexcept;
   /// The subscription takes no more.
   void close() noexcept;
-  /// Is there anything to take? For the look between arming and sleeping.
+  /// Returns whether there is anything to take. For the check between arming and sleeping.
   bool has_news() const noexcept;
   std::uint64_t lost() const noexcept;
   std::uint64_t malformed() const noexcept;
   std::uint64_t unreachable() const noexcept;
-  /// Publishers that are mapped and not gone.
+  /// Returns the number of publishers that are mapped and not gone.
   std::size_t publisher_count() const noexcept;
-  /// Those that are gone and still have something here count as well.
+  /// Also counts publishers that are gone and still have something here.
   std::size_t link_count() const noexcept;
-  /// `see(persistent_id, is_gone)` for those that are not gone, and those that are and have
-  /// something unread.
+  /// Calls `see(persistent_id, is_gone)` for publishers that are not gone, and for gone ones with
+  /// unread messages.
   void for_each_writer(const std::function<void(std::uint64_t, bool)>& see) const;
   const std::shared_ptr<EndpointEvents>& shared_events() const noexcept { return events_; }
   EndpointEvents& events() noexcept { return *events_; }
   Departure& departure() noexcept { return departure_; }
 
-  // --- after the daemon's store was lost: docs/decisions/0006. The endpoint that the user has
-  // stays, and takes from its successors in newer sessions what it does not find here any more.
+  // --- after the daemon's store was lost: docs/decisions/0006. The user's endpoint stays, and
+  // takes from its successors in newer sessions what is not in its own links.
 
-  /// There is no daemon that could say more of this session.
+  /// The session's daemon will not come back.
   void be_alone() noexcept;
-  /// Room for one more, so that none is lost that was created. Throws bad_alloc.
+  /// Reserves room for one more, so that a created successor is not lost. Throws bad_alloc.
   void expect_successor();
-  /// One of a newer session. What a publisher has moved there comes after what it left here. False
-  /// when this is closed.
+  /// Adds a successor of a newer session. What a publisher publishes there comes after what it left
+  /// here. Returns false when this subscription is closed.
   bool add_successor(const std::shared_ptr<SubscriptionEndpoint>& successor);
-  /// The endpoint of that session: this one, or a successor; null: there is none.
+  /// Returns the endpoint of that session: this one, or a successor; null if there is none.
   std::shared_ptr<SubscriptionEndpoint> in_session(
       const Context* context, const std::shared_ptr<SubscriptionEndpoint>& self) const;
   std::size_t successor_count() const noexcept;
-  /// The one of the given number, oldest first; null: there are not so many.
+  /// Returns the successor of the given number, oldest first; null if there are fewer.
   std::shared_ptr<SubscriptionEndpoint> successor(std::size_t number) const noexcept;
-  /// In place of collect_unlinked(), when alone: forgets links whose publishers add nothing any
-  /// more, and that are read and released.
+  /// Replaces collect_unlinked() without a daemon: forgets links whose publishers add no more, when
+  /// all is read and released.
   void collect_alone();
-  /// It is closed or succeeded, and has no link any more.
+  /// Returns whether it is closed or succeeded, and has no link.
   bool is_finished() const noexcept;
-  /// Touches nothing of its session any more.
+  /// From now on it does not access its session.
   void finish() noexcept;
-  /// Said of a successor, before add_successor().
+  /// Called on a successor, before add_successor().
   void continues(const std::shared_ptr<SubscriptionEndpoint>& first) noexcept { first_ = first; }
   bool is_closed() const noexcept {
     const std::lock_guard lock(mutex_);
@@ -309,7 +306,7 @@ class SubscriptionEndpoint {
   };
   enum class Attempt : std::uint8_t { taken, lost, no_room };
   bool take_here(Receiver& receiver) noexcept;
-  // Apart, so that a take that finds nothing saves no registers for them.
+  // Separate, so that a take that finds nothing saves no registers for it.
   [[gnu::noinline]] bool take_oldest(Receiver& receiver) noexcept;
   template <bool only_next>
   [[gnu::noinline, gnu::flatten]] Attempt take_from(const std::shared_ptr<Link>& link,
@@ -322,7 +319,7 @@ class SubscriptionEndpoint {
   void see_next(Link& link) const noexcept;
   bool has_news_here() const noexcept;
   bool has_news_in_order() const noexcept;
-  // Sessions by age: 0 is this one, its successors follow.
+  // Sessions by age: 0 is this one; its successors follow.
   template <class Do>
   auto with_successors_locked(Do work, std::size_t locked = 0) const -> decltype(work());
   SubscriptionEndpoint& in_age(std::size_t age) noexcept {
@@ -346,7 +343,7 @@ class SubscriptionEndpoint {
   std::shared_ptr<WaitSet> wait_set_;
   mutable std::mutex mutex_;
   std::vector<std::shared_ptr<Link>> links_;
-  std::vector<Book> books_;        // by publisher index, as far as any was announced
+  std::vector<Book> books_;        // by publisher index, as far as one was announced
   std::uint64_t lost_before_ = 0;  // of links that are over
   std::uint64_t malformed_before_ = 0;
   std::uint64_t unreachable_before_ = 0;
@@ -356,7 +353,7 @@ class SubscriptionEndpoint {
   std::atomic<bool> is_succeeded_{false};
   std::vector<std::shared_ptr<SubscriptionEndpoint>> successors_;  // oldest first
   std::weak_ptr<SubscriptionEndpoint> first_;                      // of a successor
-  std::vector<Link::Origin> followed_;  // of queues that are over and have been moved from
+  std::vector<Link::Origin> followed_;  // collected queues whose publishers have moved on
   const std::shared_ptr<EndpointEvents> events_;
   Departure departure_;
 };

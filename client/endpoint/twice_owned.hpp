@@ -1,8 +1,8 @@
 // SPDX-License-Identifier: Apache-2.0
 //
-// TwiceOwned: messages that lie in two queues of this process. When a publisher moves to a new
-// daemon, the history that it keeps for late joiners goes along, while readers may still hold it by
-// the former queue. Whichever releases it last destroys the message.
+// TwiceOwned: messages that are in two queues of this process. When a publisher moves to a new
+// daemon, it takes the history for late joiners along, while readers may still hold the messages
+// through the previous queue. The queue that releases a message last destroys it.
 #pragma once
 
 #include <base/immortal.hpp>
@@ -17,13 +17,13 @@ namespace agnocast {
 class TwiceOwned {
  public:
   static TwiceOwned& instance() noexcept { return immortal<TwiceOwned>(); }
-  /// One queue more has this message. Throws bad_alloc.
+  /// Notes one more queue that has this message. Throws bad_alloc.
   void share(void* message) {
     const std::lock_guard lock(mutex_);
     ++others_[message];
     count_.store(others_.size(), std::memory_order_release);
   }
-  /// A queue releases it. True: another one still has it.
+  /// Releases the message from a queue. Returns whether another queue still has it.
   bool release(void* message) noexcept {
     if (count_.load(std::memory_order_acquire) == 0) return false;
     const std::lock_guard lock(mutex_);

@@ -1,18 +1,20 @@
 // SPDX-License-Identifier: Apache-2.0
 //
-// HeapGrowth: when this process's heap asks for its next window. Pure; time is told.
+// HeapGrowth: decides when this process's heap asks for its next window. Pure; the caller passes
+// the time.
 //
 //                          asked                    opened
 //   idle ────────────────────────────────▶ asking ─────────▶ idle, with one window more
 //    ▲ permitted, wanted, not pausing          ├──refused──▶ pausing ──due──▶ idle
 //    └─────────────not_asked───────────────────┤
-//                                              └──(nothing more)──▶ asking for ever: the daemon has no more to give
+//                                              └──exhausted──▶ asking for ever
 //
-// A window is wanted ahead of need, because malloc never waits for the daemon, or because the
-// daemon asks the heap to go on elsewhere. What was refused (quota, arena, memory) may come back,
-// so it is asked for again, ever more rarely: a full heap would ask at every turn of the control
-// thread. The heap of a session that begins beside another one does not grow before all publishers
-// have moved: their readers have the windows that were brought along and no more.
+// A window is requested ahead of need, because malloc never waits for the daemon, or because the
+// daemon asks the heap to continue elsewhere. After a refusal (quota, arena, memory) there may be
+// room again, so the request is repeated, ever more rarely: a full heap would otherwise ask in
+// every cycle of the control thread. The heap of a session that begins beside another one does not
+// grow before all publishers have moved: their readers have only the windows that were brought
+// along.
 #pragma once
 
 #include <agnocast/abi/limits.hpp>
@@ -31,7 +33,7 @@ class HeapGrowth {
 
   // --- before the control thread begins
 
-  /// So many windows are brought along; none is asked for before permit().
+  /// Sets how many windows are brought along. None is requested before permit().
   void bring(std::uint64_t windows) noexcept { windows_ = windows; }
   void hold_back() noexcept { is_permitted_.store(false, std::memory_order_relaxed); }
 
@@ -42,19 +44,19 @@ class HeapGrowth {
 
   // --- control thread
 
-  /// Windows that the daemon has told others of. Of a session without a daemon: any thread.
+  /// Returns how many windows the daemon has announced. For a session without a daemon: any thread.
   std::uint64_t window_count() const noexcept { return windows_; }
-  /// The daemon asks the heap to go on in this window.
+  /// The daemon asks the heap to continue in this window.
   void move_to(std::uint64_t window) noexcept { move_to_ = window; }
   bool may_ask() const noexcept { return !is_asking_ && is_permitted_.load(); }
-  /// Is the next one to be asked for? `wants`: the heap needs it.
+  /// Returns whether to ask for the next window. `wants`: the heap needs it.
   bool is_due(Clock::time_point now, bool wants) const noexcept {
     return (wants || move_to_ == windows_) && now >= again_;
   }
   void asked() noexcept { is_asking_ = true; }
-  /// There was no memory to ask.
+  /// The request could not be made: no memory.
   void not_asked() noexcept { is_asking_ = false; }
-  /// The window is in use. Returns whether it was the last one that there can be.
+  /// The window is in use. Returns whether it was the last possible one.
   bool opened() noexcept {
     is_asking_ = is_refused_ = false;
     pause_ = pause_first;
@@ -66,15 +68,15 @@ class HeapGrowth {
     again_ = now + pause_;
     pause_ = std::min(pause_ * 2, pause_last);
   }
-  /// The window asked for last was refused.
+  /// Returns whether the last request was refused.
   bool is_refused() const noexcept { return is_refused_; }
 
  private:
   std::uint64_t windows_ = 1;
-  std::uint64_t move_to_ = 0;  // never asked for: every heap begins with it
+  std::uint64_t move_to_ = 0;  // never requested: every heap begins with it
   bool is_asking_ = false, is_refused_ = false;
   std::chrono::seconds pause_ = pause_first;  // after the next refusal
-  Clock::time_point again_{};                 // not before
+  Clock::time_point again_{};                 // no request before
   std::atomic<bool> is_permitted_{true};
 };
 

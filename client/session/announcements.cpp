@@ -40,8 +40,8 @@ bool Announcements::handle(Connection& connection, Incoming& packet) {
 
 namespace {
 
-/// Mute if there is none: nobody has its receiver any more, the daemon or this process had no
-/// descriptor for it, or the owner has no share left.
+/// Returns a mute doorbell if the daemon sent none, no descriptor was free for it, or the owner's
+/// share is used up.
 PublisherEndpoint::PeerDoorbell doorbell_among(std::span<UniqueFd> fds, std::size_t before,
                                                std::uint32_t count, DescriptorShare::Owner owner) {
   if (count == 0 || count > 2 || fds.size() < before + count) return {};
@@ -68,7 +68,7 @@ void Announcements::on_announce(Connection& connection, Incoming& packet) {
   if (linked || is_in_use(announcement) || packet.packet.descriptors_lost) return;
   say_unlinked(connection, announcement.kind, announcement.topic, announcement.index,
                announcement.generation);
-  // Never mapped, so nobody will unmap it.
+  // This region was never mapped, so no later step will report it unmapped.
   if (!peers_.has({announcement.client, announcement.client_generation}))
     say_unlinked(connection, Kind::region, 0, announcement.client, announcement.client_generation);
 }
@@ -85,13 +85,13 @@ bool Announcements::link_publisher(const wire::Announcement& announcement,
              std::move(peer));
 }
 
-/// `peer`: null: it cannot be mapped. Its doorbells come behind the first `used` descriptors.
+/// `peer`: null if its memory cannot be mapped. The doorbells follow the first `used` descriptors.
 bool Announcements::attach_subscription(const wire::Announcement& announcement,
                                         const std::shared_ptr<Peer>& peer, Incoming& packet,
                                         std::size_t used) {
   const auto publisher = endpoints_.publisher({announcement.topic, announcement.own_index},
                                               announcement.own_generation);
-  if (publisher == nullptr) return false;  // it is over
+  if (publisher == nullptr) return false;  // it has ended meanwhile
   const PeerOwner owner = peers_.owner_of(announcement);
   const auto now = ReaderShares::Clock::now();
   UnmappedUsers& unmapped = readers_.unmapped_users();
@@ -110,7 +110,7 @@ bool Announcements::attach_subscription(const wire::Announcement& announcement,
   return true;
 }
 
-/// What is said speaks for the whole process: another endpoint of it may be linked.
+/// Returns whether any endpoint of this process is linked: a report speaks for the whole process.
 bool Announcements::is_in_use(const wire::Announcement& announcement) const {
   return announcement.kind == Kind::publisher
              ? endpoints_.is_linked(announcement.topic, announcement.index, announcement.generation)
@@ -122,7 +122,7 @@ void Announcements::on_window(Connection& connection, Incoming& packet) {
   wire::WindowAnnounced announced{};
   if (!packet.read(announced) || packet.packet.descriptor_count != 1) return;
   const PeerTable::Key process{announced.client, announced.client_generation};
-  // Unmapped meanwhile: what was said of that is void, because this came after it.
+  // Unmapped meanwhile: this announcement came later and voids the report, so report again.
   if (!peers_.has(process))
     return say_unlinked(connection, Kind::region, 0, process.first, process.second);
   peers_.add_window(process, {announced.window, announced.base, announced.bytes, announced.first},
@@ -147,7 +147,7 @@ void Announcements::on_orphaned(Connection&, Incoming& packet) {
   });
 }
 
-// Somebody who reads from here has something else where this heap lies: it goes on elsewhere.
+// A reader has other memory at the address of this heap, so the heap continues in another window.
 void Announcements::on_move_heap(Connection&, Incoming& packet) {
   wire::MoveHeap move{};
   if (packet.read(move)) growth_.move_to(move.window);
@@ -183,7 +183,7 @@ void tell(EndpointEvents& events, const wire::Notice& notice) noexcept {
       break;
     }
     default:
-      break;  // a newer daemon may say more than we know
+      break;  // a newer daemon may send unknown codes
   }
 }
 

@@ -1,13 +1,13 @@
 // SPDX-License-Identifier: Apache-2.0
 //
-// Announcements: what the daemon says unasked of endpoints, of other processes, and of this
-// process's heap: one handler for each kind of packet. Control thread only, in the order in which
-// the daemon says it.
+// Announcements: handles the packets that the daemon sends unasked about endpoints, other processes
+// and this process's heap: one handler for each opcode. They run in the control thread, in the
+// order in which the daemon sent the packets.
 //
-// Whoever is announced and is not linked here, by no endpoint of this process, is said to be
-// unlinked; and whose region was never mapped is said to be unmapped, because nobody else will. An
-// announcement whose descriptors were lost is said again after a new connection, so nothing is said
-// of it.
+// The client answers `unlinked` for an announced endpoint that no endpoint of this process links
+// to, and for a region that it never mapped: no later step would report either. If the descriptors
+// of an announcement were lost, the daemon announces it again on the next connection, so the client
+// reports nothing.
 #pragma once
 
 #include <agnocast/abi/wire.hpp>
@@ -28,7 +28,7 @@ class Announcements {
                 HeapGrowth& growth) noexcept
       : endpoints_(endpoints), peers_(peers), readers_(readers), growth_(growth) {}
 
-  /// Returns whether it was one of these. `connection`: on which it came. Allocates.
+  /// Returns whether the packet was one of these. `connection`: the one that it came on. Allocates.
   bool handle(Connection& connection, Incoming& packet);
 
  private:

@@ -31,7 +31,7 @@ void Collector::collect_publishers(Connection& connection) {
     const std::uint32_t topic = publisher->topic_index();
     endpoints_.erase(*publisher);
     AGNOCAST_CRASH_POINT(C_erased);
-    // Another publisher of ours on this topic may be attached to some of them, and not to others.
+    // Another publisher of this process on this topic may still be attached to some of them.
     for (const auto& [index, generation] : endpoints) {
       if (!endpoints_.is_attached(topic, index, generation))
         say_unlinked(connection, Kind::subscription, topic, index, generation);

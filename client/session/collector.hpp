@@ -1,9 +1,8 @@
 // SPDX-License-Identifier: Apache-2.0
 //
-// Collector: what is over of one session, at each turn of the control thread: scans are made,
-// publishers that nobody reads any more, subscriptions that have no link any more, and processes
-// that nobody uses are taken out of their tables; the daemon is told afterwards, never before (rule
-// RU).
+// Collector: in each cycle of the control thread, scans, and removes from one session publishers
+// without readers, subscriptions without links and processes without users. It reports them to the
+// daemon afterwards, never before (rule RU).
 #pragma once
 
 #include <client/endpoint/endpoint_table.hpp>
@@ -18,14 +17,14 @@ class Collector {
   Collector(EndpointTable& endpoints, PeerTable& peers) noexcept
       : endpoints_(endpoints), peers_(peers) {}
 
-  /// Allocates.
+  /// Removes all that has ended, and reports it. Allocates.
   void collect(Connection& connection);
-  /// The scans alone.
+  /// Runs the scans only.
   void scan();
-  /// The same of a session whose daemon will not come back: nobody says who is gone, and nobody is
-  /// told.
+  /// Does the same for a session whose daemon will not come back: finds gone peers by itself, and
+  /// reports nothing.
   void collect_alone();
-  /// Nothing of the session is used any more but its executor places.
+  /// Returns whether nothing of the session is in use any more except its executor places.
   bool is_unused() const noexcept { return endpoints_.is_empty() && peers_.is_empty(); }
 
  private:

@@ -27,7 +27,7 @@ bool write_name(abi::wire::Name& name, std::string_view text) noexcept {
 
 Failure refusal_of(const Incoming& packet) noexcept {
   abi::wire::Refused refused{};
-  if (!packet.read(refused)) return {Errc::protocol_violation, 0, "an answer of agnocastd"};
+  if (!packet.read(refused)) return {Errc::protocol_violation, 0, "an answer from agnocastd"};
   return refusal_of(refused);
 }
 
@@ -52,7 +52,7 @@ tl::unexpected<Failure> gone() noexcept {
   return fail(Errc::daemon_not_running, "the connection to agnocastd has ended");
 }
 
-/// What the daemon gives is in use for as long as its process, or its peers, live.
+/// Keeps the daemon's descriptors open for as long as this process, or its peers, use them.
 Packet kept(Packet packet) noexcept {
   for (UniqueFd& fd : packet.fds()) fd = keep(std::move(fd));
   return packet;
@@ -76,8 +76,7 @@ bool Connection::is_open() const noexcept {
   return is_open_;
 }
 
-// A failure is made in the control thread and told in the thread that waits; the detail goes with
-// it.
+// The control thread makes the failure and the waiting thread returns it; the detail is copied.
 tl::unexpected<Failure> Connection::refused() const noexcept {
   return tl::unexpected(failure_with(refused_, refused_detail_.text));
 }
@@ -94,7 +93,7 @@ void Connection::enter(std::span<const std::byte> bytes, const std::shared_ptr<R
   try {
     send(first, request->fd);
   } catch (const std::bad_alloc&) {
-    requests_.erase(id);  // it refers to a caller who has gone
+    requests_.erase(id);  // the request refers to a caller that returns now
     throw;
   }
 }
@@ -112,16 +111,16 @@ Result<void> Connection::request_bytes(std::span<const std::byte> bytes, OnAnswe
   if (!answered_.wait_until(lock, deadline, [&] { return request->done; })) {
     const std::uint64_t id = id_in(request->bytes) & ~abi::wire::asked_again;
     if (requests_.count(id) != 0) {
-      // Nobody may call `on_answer` any more: what it refers to is gone with the caller.
+      // No thread may call `on_answer` any more: the objects it refers to end with the caller.
       request->on_answer = nullptr;
-      request->fd = -1;  // the caller's
+      request->fd = -1;  // it belongs to the caller
       request->given_up = true;
       if (!is_open_ || request->on_late == nullptr) requests_.erase(id);
-      const std::string why = path_ + (is_open_ ? ": no answer within 5 s"
-                                                : ": the connection has ended, 5 s ago or more");
+      const std::string why =
+          path_ + (is_open_ ? ": no answer within 5 s" : ": the connection ended at least 5 s ago");
       return tl::unexpected(failure_with(Errc::daemon_not_running, why.c_str()));
     }
-    // The control thread is at it in this moment.
+    // The control thread is running `on_answer` at this moment.
     answered_.wait(lock, [&] { return request->done; });
   }
   if (request->result || *request->detail.text == '\0') return request->result;
@@ -146,12 +145,12 @@ void Connection::send(std::span<const std::byte> bytes, int fd) {
   if (unsent_.empty()) {
     const Result<Sent> sent = socket_.send(bytes, fds);
     if (sent && *sent != Sent::would_block)
-      return;  // a peer that is gone: the control thread notices
+      return;  // if the peer is gone, the control thread notices
   }
-  // Who asks may have given up when it is sent.
+  // The caller may have given up, and closed `fd`, by the time this is sent.
   UniqueFd copy = keep(UniqueFd(fd >= 0 ? ::fcntl(fd, F_DUPFD_CLOEXEC, 0) : -1));
   if (fd >= 0 && !copy)
-    throw std::bad_alloc();  // no descriptor is free: as if there were no memory
+    throw std::bad_alloc();  // no descriptor is free: handled like a lack of memory
   unsent_.push_back({{bytes.begin(), bytes.end()}, std::move(copy)});
   wake_();
 }
@@ -192,7 +191,8 @@ void Connection::end() noexcept {
   const std::lock_guard lock(mutex_);
   is_open_ = false;
   unsent_.clear();
-  // Who gave up is gone; what the daemon may have done for it, it says when we are back (`own`).
+  // The callers of these requests gave up. The daemon reports what it did for them after rejoin
+  // (`own`).
   for (auto at = requests_.begin(); at != requests_.end();)
     at = at->second->given_up ? requests_.erase(at) : std::next(at);
   socket_.close();
@@ -239,12 +239,12 @@ void Connection::answer(std::uint64_t id, Incoming& packet) {
     const std::lock_guard lock(mutex_);
     const auto found = requests_.find(id);
     if (found == requests_.end())
-      return;  // given up; what came with the answer is closed with the packet
+      return;  // given up; descriptors of the answer are closed with the packet
     request = std::move(found->second);
     requests_.erase(found);
     // Erased but not done: the requester waits for `done`, so what its function refers to stays.
   }
-  // Without the lock: the functions may post.
+  // Without the lock, because the functions may post.
   const bool refused = packet.header().opcode == Opcode::refused;
   if (request->later != nullptr) {
     if (refused) return request->later(tl::unexpected<Failure>(refusal_of(packet)));
@@ -257,12 +257,12 @@ void Connection::answer(std::uint64_t id, Incoming& packet) {
     const auto hand = [&](const OnAnswer& to) -> Result<void> {
       try {
         return to(packet);
-      } catch (const std::bad_alloc&) {  // somebody waits for this answer
-        return fail(Errc::os_failure, "an answer of agnocastd", ENOMEM);
+      } catch (const std::bad_alloc&) {  // a caller waits for this answer
+        return fail(Errc::os_failure, "an answer from agnocastd", ENOMEM);
       }
     };
     result = hand(request->given_up ? request->on_late : request->on_answer);
-    // Whoever asked cannot use what was made: as if nobody waited for it any more.
+    // The caller cannot use the created object, so handle it like an answer that came too late.
     if (!result && !request->given_up && request->on_late != nullptr)
       static_cast<void>(hand(request->on_late));
   }
@@ -281,7 +281,7 @@ Result<bool> Connection::receive(Incoming& packet, bool& unasked) {
     packet.size = packet.packet.bytes;
     if (packet.size < sizeof(Header) || packet.packet.truncated ||
         packet.header().bytes != packet.size) {
-      return fail(Errc::protocol_violation, "a packet of agnocastd");
+      return fail(Errc::protocol_violation, "a packet from agnocastd");
     }
     if (packet.header().request <= introduction_id) {
       unasked = true;
@@ -297,7 +297,7 @@ Result<void> Connection::receive_first(Incoming& packet,
   for (int found = -1; found < 0;) {
     found = ::poll(&readable, 1, milliseconds_until(deadline));
     if (found == 0 || (found < 0 && errno != EINTR))
-      return fail(Errc::daemon_not_running, "no answer of agnocastd within 5 s");
+      return fail(Errc::daemon_not_running, "no answer from agnocastd within 5 s");
   }
   Result<Packet> received = socket_.receive(packet.bytes);
   if (!received) return tl::unexpected<Failure>(received.error());
@@ -306,7 +306,7 @@ Result<void> Connection::receive_first(Incoming& packet,
   packet.packet = kept(std::move(*received));
   packet.size = packet.packet.bytes;
   if (packet.size < sizeof(Header) || packet.packet.truncated)
-    return fail(Errc::protocol_violation, "a packet of agnocastd");
+    return fail(Errc::protocol_violation, "a packet from agnocastd");
   if (packet.header().opcode == Opcode::refused) return tl::unexpected<Failure>(refusal_of(packet));
   return {};
 }

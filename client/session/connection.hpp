@@ -1,19 +1,22 @@
 // SPDX-License-Identifier: Apache-2.0
 //
-// Connection: this process's conversation with the daemon, over one socket after the other.
+// Connection: this process's conversation with the daemon, over a sequence of sockets.
 //
-// Any thread asks; only the control thread receives, so announcements are handled in the order in
-// which the daemon made them. A request waits for its answer; what the answer means is done by the
-// request's own function *in the control thread*, before the next packet is looked at: an endpoint
-// is registered before it can be announced anything.
+// Any thread sends requests. Only the control thread receives, so it handles announcements in the
+// order in which the daemon sent them. A request waits for its answer. Its own function handles the
+// answer *in the control thread*, before the next packet is read: an endpoint is registered before
+// the daemon can announce anything to it.
 //
 //            begin()               open()                end()
-//   no socket ──────▶ introducing ────────▶ open ──────────────▶ no socket …      refuse(): until open()
+//   no socket ──────▶ introducing ────────▶ open ──────────────▶ no socket …
 //
-// A request outlives the socket it was sent on: open() sends what has no answer yet once more, in
-// the order of the ids, marked as asked again; so does it what was asked while there was no socket.
-// A statement (post) does not. It speaks of what was announced on its own connection, and the
-// daemon announces on the next one whatever it still believes: the answer to that is the statement.
+// refuse() holds until open().
+//
+// A request outlives the socket it was sent on: open() sends every unanswered request once more, in
+// the order of the ids, marked as asked again. It also sends the requests made while there was no
+// socket. A statement (post) does not outlive its socket. It refers to announcements of its own
+// connection; on the next one the daemon announces all that it still believes, and the client
+// answers that.
 #pragma once
 
 #include <agnocast/abi/wire.hpp>
@@ -40,8 +43,7 @@
 
 namespace agnocast {
 
-/// A packet as it came, with what travelled with it. The body is a copy: nobody changes it any
-/// more.
+/// A received packet with its descriptors. The body is a copy, so no other process can change it.
 struct Incoming {
   alignas(8) std::array<std::byte, abi::wire::packet_bytes_max> bytes;
   std::size_t size = 0;
@@ -52,7 +54,7 @@ struct Incoming {
     std::memcpy(&header, bytes.data(), sizeof header);
     return header;
   }
-  /// The body as a T, if the packet has exactly that size.
+  /// Copies the body to `body`. Returns false if the packet does not have the size of a T.
   template <class T>
   bool read(T& body) const noexcept {
     static_assert(std::is_trivially_copyable_v<T>);
@@ -60,9 +62,8 @@ struct Incoming {
     std::memcpy(&body, bytes.data(), sizeof body);
     return true;
   }
-  /// The body of an answer that is meant to be `opcode` and to bring so many descriptors. Errors:
-  /// protocol_violation; of an answer whose descriptors did not arrive see
-  /// failure_of_descriptors().
+  /// Copies the body of an answer that must have this opcode and `descriptor_count` descriptors.
+  /// Errors: protocol_violation; if descriptors did not arrive, see failure_of_descriptors().
   template <class T>
   [[nodiscard]] Result<void> read_as(abi::wire::Opcode opcode, T& body,
                                      std::size_t descriptor_count,
@@ -75,20 +76,20 @@ struct Incoming {
   }
 };
 
-/// What the daemon refused, in its words: of a packet that is shaped like `refused`.
+/// Returns the daemon's refusal, in its words, from a packet shaped like `refused`.
 Failure refusal_of(const Incoming& packet) noexcept;
 Failure refusal_of(abi::wire::Refused refused) noexcept;
 
 class Connection {
  public:
-  // A daemon under load answers within milliseconds; one that is restarted by its service manager
-  // is back within seconds.
+  // A daemon under load answers within milliseconds; its service manager restarts it within
+  // seconds.
   static constexpr std::chrono::milliseconds answer_timeout{5000};
   using OnAnswer = std::function<Result<void>(Incoming&)>;
   using OnLater = std::function<void(Result<Incoming*>)>;
 
-  /// `wake`: asks the control thread to call flush(); any thread. `path`: of the daemon's socket,
-  /// for people.
+  /// `wake`: asks the control thread to call flush(), from any thread. `path`: the daemon's socket,
+  /// for error texts.
   Connection(std::function<void()> wake, std::string path)
       : wake_(std::move(wake)), path_(std::move(path)) {}
 
@@ -96,11 +97,11 @@ class Connection {
 
   /// Sends `body` (a struct of abi/wire.hpp; its header is filled in here) and waits for the
   /// answer, across connections. `on_answer` runs in the control thread and may fail the request.
-  /// `on_late` instead of it, when the answer comes after this function has given up, and after it,
-  /// when it has failed; not for refusals. `again`: the daemon may have done it for an earlier
-  /// request. `fd`: goes with it; stays the caller's, and open until this returns; -1: none.
-  /// Errors: what the daemon refused, daemon_not_running (gone, or no answer in time), what
-  /// refuse() said.
+  /// `on_late` runs instead when the answer comes after this function has given up, and also after
+  /// an `on_answer` that failed; not for refusals. `again`: the daemon may have done it for an
+  /// earlier request. `fd`: sent along; it stays the caller's, and open until this returns; -1:
+  /// none. Errors: the daemon's refusal, daemon_not_running (gone, or no answer in time), the
+  /// failure given to refuse().
   template <class T>
   [[nodiscard]] Result<void> request(abi::wire::Opcode opcode, T body, OnAnswer on_answer,
                                      OnAnswer on_late = nullptr, bool again = false, int fd = -1) {
@@ -112,7 +113,7 @@ class Connection {
   // --- any thread
 
   bool is_open() const noexcept;
-  /// Sends `body` on the open connection, if there is one; expects no answer. `again`: as above.
+  /// Sends `body` on the open connection, if any. Expects no answer. `again`: as above.
   template <class T>
   void post(abi::wire::Opcode opcode, T body, bool again = false) {
     body.header = {opcode, sizeof(T), again ? abi::wire::asked_again : 0};
@@ -121,9 +122,8 @@ class Connection {
     AGNOCAST_CRASH_POINT(C_post);
     send({reinterpret_cast<const std::byte*>(&body), sizeof(T)});
   }
-  /// Sends `body` and returns; `on_answer` runs in the control thread when the answer comes, with
-  /// the refusal if it is one. For the control thread itself, which cannot wait for what only it
-  /// receives.
+  /// Sends `body` and returns. `on_answer` runs in the control thread with the answer or the
+  /// refusal. For the control thread itself, which cannot wait for a packet that only it receives.
   template <class T>
   void request_later(abi::wire::Opcode opcode, T body, OnLater on_answer, bool again = false) {
     body.header = {opcode, sizeof(T), again ? abi::wire::asked_again : 0};
@@ -134,19 +134,19 @@ class Connection {
   // --- control thread
 
   int fd() const noexcept { return socket_.fd(); }
-  /// Packets read from this connection so far, the first one included (Unlinked::seen).
+  /// Returns how many packets were read from this connection, with the first one (Unlinked::seen).
   std::uint64_t seen() const noexcept { return seen_; }
 
-  /// A new socket. Requests and statements are not sent on it before open().
+  /// Takes a new socket. No request or statement is sent on it before open().
   void begin(PacketSocket socket) noexcept;
-  /// Says who this is: hello or rejoin, the first packet. Its answer comes unasked. Errors: as
+  /// Sends hello or rejoin, the first packet. Its answer comes as an unasked packet. Errors: as
   /// PacketSocket::send, daemon_not_running.
   template <class T>
   [[nodiscard]] Result<void> introduce(abi::wire::Opcode opcode, T body) {
     body.header = {opcode, sizeof(T), introduction_id};
     return introduce_bytes({reinterpret_cast<const std::byte*>(&body), sizeof(T)});
   }
-  /// Sends `body` ahead of everything that waits for open(): what the daemon has to know before it
+  /// Sends `body` ahead of all that waits for open(), for facts that the daemon needs before it
   /// serves a request. Expects no answer.
   template <class T>
   void state(abi::wire::Opcode opcode, T body) {
@@ -154,32 +154,32 @@ class Connection {
     const std::lock_guard lock(mutex_);
     send({reinterpret_cast<const std::byte*>(&body), sizeof(T)});
   }
-  /// The daemon knows us: everything that waits is sent.
+  /// Marks the connection as accepted by the daemon, and sends all that waits.
   void open();
-  /// The socket is of no use any more.
+  /// Closes the socket.
   void end() noexcept;
-  /// Nobody answers any more: every request fails with `why`, those to come as well, until open().
+  /// Fails every request with `why`, also later ones, until open().
   void refuse(const Failure& why) noexcept;
-  /// Whether somebody waits for the answer to this request.
+  /// Returns whether a caller waits for the answer to this request.
   bool is_waiting(std::uint64_t id) const noexcept;
 
-  /// The next packet for nobody in particular, if there is one; answers are handled inside. False
-  /// when the connection has ended.
+  /// Reads the next unasked packet, if there is one; answers are handled inside. Returns false when
+  /// the connection has ended.
   [[nodiscard]] Result<bool> receive(Incoming& packet, bool& unasked);
-  /// Waits for the very first answer, before there is a control thread. Errors: what the daemon
-  /// refused, daemon_not_running (it has ended, or no answer in time).
+  /// Waits for the very first answer, before the control thread exists. Errors: the daemon's
+  /// refusal, daemon_not_running (it has ended, or no answer in time).
   [[nodiscard]] Result<void> receive_first(Incoming& packet,
                                            std::chrono::steady_clock::time_point deadline);
-  /// daemon_not_running if the other end is gone, though what it sent may still wait here.
+  /// Returns daemon_not_running if the other end is closed, even if unread packets wait here.
   [[nodiscard]] Result<void> check_alive() const noexcept;
-  /// Sends what the socket did not take; true while something is left.
+  /// Sends packets that the socket did not take before. Returns true while some are left.
   bool flush() noexcept;
 
  private:
   static constexpr std::uint64_t introduction_id = 1;
 
-  /// Of a failure, for another thread. No allocation: a failure is told also when there is no
-  /// memory.
+  /// The text of a failure, for another thread. It does not allocate, because a failure is reported
+  /// even without memory.
   struct Detail {
     char text[detail_bytes_max] = "";
     void keep(const Failure& failure) noexcept {
@@ -187,7 +187,7 @@ class Connection {
     }
   };
   struct Request {
-    std::vector<std::byte> bytes;  // as it is sent when it is asked again
+    std::vector<std::byte> bytes;  // as sent when the request is repeated
     OnAnswer on_answer;            // of request()
     OnAnswer on_late;
     OnLater later;  // of request_later()
@@ -228,7 +228,7 @@ class Connection {
   std::deque<Unsent> unsent_;
 };
 
-/// The body of leave and drained: an endpoint of this process.
+/// Returns the body of leave and drained for an endpoint of this process.
 inline abi::wire::Reference reference(abi::wire::Kind kind, std::uint32_t topic,
                                       std::uint64_t index, std::uint64_t generation) noexcept {
   abi::wire::Reference body{};
@@ -238,8 +238,8 @@ inline abi::wire::Reference reference(abi::wire::Kind kind, std::uint32_t topic,
   body.generation = generation;
   return body;
 }
-/// What was announced is used here no more, or never was; with how much of the connection this
-/// process has read.
+/// Reports that an announced endpoint or region is not, or no longer, in use here, and how far this
+/// process has read the connection.
 inline void say_unlinked(Connection& connection, abi::wire::Kind kind, std::uint32_t topic,
                          std::uint64_t index, std::uint64_t generation) {
   abi::wire::Unlinked body{};
@@ -250,7 +250,7 @@ inline void say_unlinked(Connection& connection, abi::wire::Kind kind, std::uint
   body.seen = connection.seen();
   connection.post(abi::wire::Opcode::unlinked, body);
 }
-/// Copies a name into a packet. False if it does not fit with its terminator.
+/// Copies a name into a packet. Returns false if it does not fit with its terminator.
 bool write_name(abi::wire::Name& name, std::string_view text) noexcept;
 
 }  // namespace agnocast

@@ -1,8 +1,8 @@
 // SPDX-License-Identifier: Apache-2.0
 //
-// Context: what a process asks for once it has a session: its heap, wait sets and endpoints, and
-// their end. How it gets a session: joining.cpp; coming back: rejoining.cpp; what it is told:
-// control_thread.cpp.
+// Context: the requests of a process that has a session: its heap, wait sets and endpoints, and
+// their end. How it gets a session: joining.cpp; how it comes back: rejoining.cpp; what the daemon
+// sends: control_thread.cpp.
 
 #include <client/session/context.hpp>
 
@@ -45,7 +45,7 @@ bool Context::has_more_room() noexcept {
   try {
     all = endpoints_.publishers();
   } catch (const std::bad_alloc&) {
-    // The control thread comes to them.
+    // The control thread will scan them.
   }
   heap.resume();
   bool some = false;
@@ -79,7 +79,7 @@ auto Context::in_present(Work work) -> decltype(work(instance())) {
   }
 }
 
-/// Also in those to come. Otherwise it is not there.
+/// Registers the endpoint for later sessions too; destroys it if that fails.
 template <class Endpoint, class... More>
 void Context::in_all_sessions(const std::shared_ptr<Endpoint>& endpoint, const More&... more) {
   try {
@@ -124,7 +124,7 @@ Result<std::shared_ptr<WaitSet>> Context::idle_wait_set() {
     std::mutex making;
     std::shared_ptr<WaitSet> wait_set;
   };
-  static Idle* const idle = new Idle;  // immortal, as the context
+  static Idle* const idle = new Idle;  // immortal, like the context
   const std::lock_guard lock(idle->making);
   if (idle->wait_set == nullptr) {
     auto made = create_wait_set();
@@ -172,14 +172,14 @@ Result<void> Context::make_place(WaitSet& wait_set) {
       wait_set, this,
       [this]() -> Result<void> {
         if (!state_.is_alone()) return {};
-        return fail(Errc::started_anew, "agnocastd has lost what it knew");
+        return fail(Errc::started_anew, "agnocastd has lost its state");
       },
       [this](std::uint64_t executor, bool again) {
         return creations_.open_executor(executor, again);
       });
 }
 
-// The control thread says it, now or when it is connected again.
+// The control thread sends the leave request, now or after it has reconnected.
 void Context::wait_for(const Departure& departure, Reconnection::Clock::time_point end) noexcept {
   wake_control();
   departures_.wait_for(departure, registration_.connection(), end);
@@ -198,7 +198,7 @@ void Context::let_leave(SubscriptionEndpoint& subscription,
   wait_for(subscription.departure(), end);
 }
 
-// In each session that it is in.
+// Leaves every session that the publisher is in.
 void Context::destroy(const std::shared_ptr<PublisherEndpoint>& publisher,
                       Reconnection::Clock::time_point end) noexcept {
   if (!is_connected()) return;
@@ -212,7 +212,7 @@ void Context::destroy(const std::shared_ptr<SubscriptionEndpoint>& subscription,
                       Reconnection::Clock::time_point end) noexcept {
   if (!is_connected()) return;
   subscription->close();
-  // The newest first: an old one that ends meanwhile makes none be skipped.
+  // Newest first: if an old one is removed meanwhile, no other one is skipped.
   for (std::size_t i = subscription->successor_count(); i-- > 0;) {
     if (const auto successor = subscription->successor(i); successor != nullptr)
       successor->context()->let_leave(*successor, end);

@@ -1,25 +1,25 @@
 // SPDX-License-Identifier: Apache-2.0
 //
-// Context: a session of this process, for those who create and destroy endpoints: what they see of
-// its parts. Made by the first endpoint, never destroyed (messages in statics stay valid), dead in
-// a forked child.
+// Context: one session of this process, with the operations that create and destroy endpoints. The
+// first endpoint makes it. It is never destroyed (messages in statics stay valid), and is dead in a
+// forked child.
 //
-// Usually there is one. When the daemon's store was lost, another one begins beside it, and becomes
-// the present one (reregistration.hpp); the former lives on by itself until nothing of it is used,
-// and then unmaps all it has mapped. How far one has come: SessionState.
+// Usually there is one. When the daemon's store was lost, a second one begins beside it and becomes
+// the current one (reregistration.hpp). The previous one goes on until nothing of it is in use, and
+// then unmaps everything. The phases of a session: SessionState.
 //
 //   part             what it has                                          who uses it
 //   Registration     the connection, the arena, board and own region      all threads
-//   Creations        what is asked of the daemon for new endpoints        user threads
+//   Creations        requests to the daemon for new endpoints             user threads
 //   ExecutorPlaces   sleep words and doorbells, two mutexes               all threads
 //   EndpointTable    publishers and subscriptions, a mutex                all threads
-//   Departures       what leaves, and who waits for it, a mutex           all threads
+//   Departures       endpoints that leave, and their waiters, a mutex     all threads
 //   OwnHeap          the heap and its windows, a mutex                    all threads
-//   PeerTable        the processes that are mapped                        control thread
-//   ControlThread    what the daemon says, and what comes back            control thread
+//   PeerTable        the mapped processes                                 control thread
+//   ControlThread    packets of the daemon, and periodic work             control thread
 //
-// User threads reach shared memory directly and the daemon only to create and destroy endpoints.
-// The mutexes belong to the parts; Context has one, so that one thread joins.
+// User threads reach shared memory directly, and the daemon only to create and destroy endpoints.
+// The parts own their mutexes; Context has one, so that only one thread joins.
 #pragma once
 
 #include <agnocast/connection_state.hpp>
@@ -50,8 +50,8 @@
 
 namespace agnocast {
 
-/// Whether AGNOCAST=off is in the environment: then endpoints are made that do nothing, without
-/// daemon and hook. Errors: invalid_argument: it is neither on nor off.
+/// Returns whether AGNOCAST=off is set: endpoints then do nothing, without daemon and hook. Errors:
+/// invalid_argument: the value is neither on nor off.
 [[nodiscard]] Result<bool> is_switched_off() noexcept;
 
 class Context {
@@ -59,55 +59,58 @@ class Context {
   static constexpr Reconnection::Clock::time_point for_ever =
       Reconnection::Clock::time_point::max();
 
-  /// The present one of this process. Any thread.
+  /// Returns the current session of this process. Any thread.
   static Context& instance() noexcept {
     Context* const present = present_.load(std::memory_order_acquire);
     return present != nullptr ? *present : first();
   }
 
-  /// Any of the following connects first if need be. Errors of all: daemon_not_running,
+  /// Each of the following connects first if necessary. Errors of all: daemon_not_running,
   /// layout_mismatch, store_damaged, arena_occupied, lock_limit, address_limit, permission_denied,
-  /// access_denied, descriptors_withheld, quota_exceeded,
-  /// limit_reached, shut_down (forked child, exit handlers), invalid_argument (ROS_DOMAIN_ID),
-  /// os_failure, started_anew and revoked (an orphaned session), and what is named. While a new
-  /// session begins they wait for it, as for a daemon that is away.
+  /// access_denied, descriptors_withheld, quota_exceeded, limit_reached, shut_down (forked child,
+  /// exit handlers), invalid_argument (ROS_DOMAIN_ID), os_failure, started_anew and revoked (an
+  /// orphaned session), and those named below. While a new session begins they wait for it, as for
+  /// a daemon that is away.
 
-  /// Errors also: hook_missing, hook_ineffective, type_mismatch, invalid_name, depth_refused.
+  /// Creates a publisher. Errors also: hook_missing, hook_ineffective, type_mismatch, invalid_name,
+  /// depth_refused.
   [[nodiscard]] Result<std::shared_ptr<PublisherEndpoint>> create_publisher(
       const EndpointRequest& request, const detail::MessageEnd& end_message);
-  /// Errors also: type_mismatch, invalid_name, depth_refused.
+  /// Creates a subscription. Errors also: type_mismatch, invalid_name, depth_refused.
   [[nodiscard]] Result<std::shared_ptr<SubscriptionEndpoint>> create_subscription(
       const EndpointRequest& request, std::shared_ptr<WaitSet> wait_set);
-  /// What a publisher needs besides its place with the daemon: for whoever will make one later, and
-  /// lends messages before. Errors also: hook_missing, hook_ineffective.
+  /// Connects and opens the heap, for a caller that lends messages before it creates its publisher.
+  /// Errors also: hook_missing, hook_ineffective.
   [[nodiscard]] Result<void> prepare_to_publish(bool uses_shared_allocator);
-  /// At most executor_count_max at a time; one that nobody uses any more is given out again.
+  /// Creates a wait set. At most executor_count_max at a time; an unused one is given out again.
   [[nodiscard]] Result<std::shared_ptr<WaitSet>> create_wait_set();
-  /// For subscriptions that are only asked: it never arms, so nobody rings it. One for the process.
+  /// Returns the process's wait set for polled subscriptions. It never arms, so no publisher rings
+  /// it.
   [[nodiscard]] Result<std::shared_ptr<WaitSet>> idle_wait_set();
 
-  /// The endpoint publishes no more; messages that somebody still reads stay until they are
-  /// released. Returns when the daemon knows; while it is away, at once; while it does not answer,
-  /// after `answer_timeout`, and at `end` at the latest.
+  /// Ends the publisher. Messages that are still read stay until they are released. Returns when
+  /// the daemon knows; at once while the daemon is away; after `answer_timeout` while it does not
+  /// answer; and at `end` at the latest.
   void destroy(const std::shared_ptr<PublisherEndpoint>& publisher,
                Reconnection::Clock::time_point end = for_ever) noexcept;
-  /// The subscription takes no more; messages held stay valid. Returns as above.
+  /// Ends the subscription. Messages held stay valid. Returns as above.
   void destroy(const std::shared_ptr<SubscriptionEndpoint>& subscription,
                Reconnection::Clock::time_point end = for_ever) noexcept;
 
-  /// Before the heap is open. Errors: invalid_argument.
+  /// Call before the heap is open. Errors: invalid_argument.
   [[nodiscard]] Result<void> set_heap_scope(HeapScope scope) noexcept;
-  /// Null until the first publisher; then stays.
+  /// Returns null until the first publisher; the value then stays.
   const Heap* heap() const noexcept { return heap_.get(); }
-  /// How publish adopts foreign memory. Only after a publisher was created.
+  /// Returns how publish adopts foreign memory. Call only after a publisher was created.
   SharedHeap shared_heap() const noexcept { return heap_.opened().shared_heap(); }
-  /// The heap is full: every message that nobody needs any more is destroyed, of every publisher.
-  /// False: there was none. User threads, without locks of theirs that a destructor wants.
+  /// The heap is full: destroys the messages that no reader needs any more, of every publisher.
+  /// Returns false if there were none. Call from user threads, without locks that a message
+  /// destructor takes.
   bool has_more_room() noexcept;
-  /// Of a previous session: how many of the heap's windows its daemon has told others of. Readers
-  /// in it have these and no more.
+  /// Returns how many heap windows the daemon of this previous session has announced. Readers in
+  /// that session have these and no more.
   std::uint64_t announced_windows() const noexcept { return heap_.growth().window_count(); }
-  /// False in a forked child, and before the first endpoint.
+  /// Returns false in a forked child, and before the first endpoint.
   bool is_connected() const noexcept;
   ConnectionState state() const noexcept;
   Errc orphan_reason() const noexcept { return state_.reason(); }
@@ -118,14 +121,14 @@ class Context {
  private:
   friend class Reregistration;
 
-  /// Ends a session that has not become the present one.
+  /// Ends a session that has not become the current one.
   struct Drop {
     void operator()(Context* context) const noexcept;
   };
 
   Context() = default;
   static Context& first() noexcept;
-  /// Does `work` with the current session, and once more with the next one if it is lost.
+  /// Calls `work` with the current session, and again with the next one if the session is lost.
   template <class Work>
   static auto in_present(Work work) -> decltype(work(instance()));
   template <class Endpoint, class... More>

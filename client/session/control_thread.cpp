@@ -25,9 +25,9 @@ using wire::Opcode;
 
 namespace {
 
-// Looks at a socket that the daemon has not read empty.
+// Interval for a socket whose queue the daemon has not emptied.
 constexpr int output_look_ms = 10;
-// Before the next attempt when there is no memory.
+// Pause before the next attempt when there is no memory.
 constexpr int memory_pause_ms = 10;
 // For one announcement of a subscription: its region and two doorbells.
 constexpr unsigned announced_descriptors = 3;
@@ -63,22 +63,21 @@ void ControlThread::serve() noexcept {
       if (LibraryThread::is_over()) return serve_nobody();
       if (is_former() && collector_.is_unused() && unmap_everything()) return;
     } catch (const std::bad_alloc&) {
-      // A packet may be half done. After a new connection the daemon says again what counts.
+      // A packet may be half handled. After a new connection the daemon announces everything again.
       lose_connection();
       ::poll(nullptr, 0, memory_pause_ms);
     }
   }
 }
 
-// The process is about to end. What its exit handlers still want of the daemon they do not wait
-// for.
+// The process is about to end: requests of its exit handlers fail at once.
 void ControlThread::serve_nobody() noexcept {
   registration_.connection().refuse(
       {Errc::shut_down, 0, "the last thread of this process has ended"});
   tell_state(ConnectionState::orphaned);
 }
 
-// In how many milliseconds somebody must look at the publishers again.
+// Returns after how many milliseconds the publishers need the next look.
 int ControlThread::scan_due_ms() {
   const auto all = endpoints_.publishers();
   const bool reclaimable = std::any_of(
@@ -126,8 +125,8 @@ void ControlThread::serve_once(int timeout_ms) {
   is_output_blocked_ = registration_.connection().flush();
 }
 
-/// At each tick, or `now`. Somebody may have closed descriptors of ours; their numbers may be
-/// others' by now.
+/// Checks at each tick, or `now`, whether user code has closed descriptors of this library, whose
+/// numbers other files may have by now.
 void ControlThread::look_for_descriptors(bool now) noexcept {
   const auto time = std::chrono::steady_clock::now();
   if (!now && time - descriptors_looked_ < std::chrono::milliseconds{ScanTimer::last_ms}) return;
@@ -135,7 +134,7 @@ void ControlThread::look_for_descriptors(bool now) noexcept {
   if (!lost_kept() || descriptors_lost_) return;
   descriptors_lost_ = true;
   become_orphaned(
-      {Errc::os_failure, EBADF, "this process has closed descriptors that agnocast has opened"});
+      {Errc::os_failure, EBADF, "this process has closed descriptors that belong to agnocast"});
   LibraryThread::end_sleeps();
   endpoints_.wake_wait_sets();
 }
@@ -148,7 +147,8 @@ void ControlThread::read_connection() {
     if (!alive || !*alive) return lose_connection();
     if (!unasked) return;
     if (packet.packet.descriptors_lost) {
-      // This process had none free. After a new connection the daemon says all of it again.
+      // This process had no free descriptor. After a new connection the daemon sends all of it
+      // again.
       reannouncement_.lost(Reannouncement::Clock::now());
       if (packet.header().opcode != Opcode::announce) continue;
     }
@@ -156,8 +156,8 @@ void ControlThread::read_connection() {
   }
 }
 
-/// Endpoints that are mute, or not mapped, because there were too many get doorbells and are mapped
-/// when others have left.
+/// Asks for a new announcement when shares are free again: endpoints that are mute or not mapped,
+/// because there were too many, then get doorbells and are mapped.
 void ControlThread::look_for_doorbells() noexcept {
   const auto now = Reannouncement::Clock::now();
   if (reconnection_.state() != Reconnection::State::connected || !reannouncement_.may_look(now))
@@ -167,12 +167,12 @@ void ControlThread::look_for_doorbells() noexcept {
   if (MappingShare::instance().has_more() || has_descriptors) reannouncement_.ask(now);
 }
 
-/// It may come to an end by itself.
+/// Returns whether this is a previous session that may end by itself.
 bool ControlThread::is_former() const noexcept {
   return state_.may_end_by_itself() && &Context::instance() != context_;
 }
 
-/// What concerns the connection itself, and what this process has with the daemon.
+/// The packets about the connection itself, and about what this process has at the daemon.
 struct ControlThread::Handler {
   Opcode opcode;
   void (ControlThread::*handle)(Incoming&);
@@ -193,15 +193,15 @@ void ControlThread::handle(Incoming& packet) {
   for (const Handler& handler : handlers) {
     if (handler.opcode == opcode) return (this->*handler.handle)(packet);
   }
-  // A newer daemon may say more than we know.
+  // A newer daemon may send opcodes that this client does not know.
 }
 
-// One that belongs to nobody in this moment stays without: its next user is heard by its own looks.
+// A place that is between two users stays without new doorbells: its next user looks by itself.
 void ControlThread::on_doorbells_renewed(Incoming& packet) {
   wire::DoorbellsRenewed renewed{};
   if (!packet.read(renewed) || packet.packet.descriptor_count != 2) return;
   const auto fds = packet.packet.fds();
-  DoorbellReceiver doorbells(std::move(fds[0]), std::move(fds[1]));  // afterwards the former ones
+  DoorbellReceiver doorbells(std::move(fds[0]), std::move(fds[1]));  // later the previous ones
   for (const auto& wait_set : Reregistration::instance().wait_sets()) {
     if (wait_set->index_in(context_) != renewed.executor) continue;
     wait_set->renew(context_, doorbells);
@@ -227,7 +227,7 @@ void ControlThread::run_errands() {
   heap_.ask_for_window(registration_.connection(), registration_.region_base());
 }
 
-// --- a session whose daemon will not come back: nobody says who is gone, so this thread looks
+// --- a session whose daemon will not come back: this thread finds out which peers are gone
 
 void ControlThread::run_former_errands() {
   collector_.scan();
@@ -238,10 +238,10 @@ void ControlThread::run_former_errands() {
   collector_.collect_alone();
 }
 
-// Nobody has anything of it any more but wait sets, and those released here.
+// Only wait sets still use the session; this releases their places.
 bool ControlThread::unmap_everything() {
   Reregistration::instance().release_places(*context_);
-  if (!places_.end()) return false;  // in a moment
+  if (!places_.end()) return false;  // retried in the next cycle
   AGNOCAST_CRASH_POINT(C_former_end);
   Heap::leave_region(registration_.region_base());
   AGNOCAST_CRASH_POINT(C_former_end);

@@ -1,15 +1,14 @@
 // SPDX-License-Identifier: Apache-2.0
 //
-// ControlThread: what the one library thread of a session does, one turn after the other: it reads
-// what the daemon says, in order, and then runs the errands that come back: what is over, whom to
-// tell, and everything that user threads leave to it. When the connection was lost it comes back to
-// the daemon (rejoining.cpp).
+// ControlThread: the one library thread of a session. In each cycle it reads the daemon's packets
+// in order and then runs the periodic work: it removes what has ended, reports that to the daemon,
+// and does everything that user threads leave to it. When the connection was lost it reconnects
+// (rejoining.cpp).
 //
 //   serve ──▶ serve_once ──▶ read_connection ──▶ handle: Announcements, or a handler of the session
 //                       └──▶ run_errands: Departures, ReaderLook, Collector, OwnHeap
 //
-// It ends with the process, with a session that was dropped, and with a former one that nobody uses
-// any more.
+// It ends with the process, with a dropped session, and with a previous session that is unused.
 #pragma once
 
 #include <agnocast/connection_state.hpp>
@@ -58,16 +57,16 @@ class ControlThread {
         heap_(parts.heap),
         departures_(parts.departures) {}
 
-  /// Before it begins, and once the registration is there. Errors: os_failure.
+  /// Prepares the thread, once the registration is there. Errors: os_failure.
   [[nodiscard]] Result<void> prepare();
-  /// The thread itself.
+  /// Runs the thread.
   void serve() noexcept;
 
-  // --- any thread, of a session that is alone
+  // --- any thread, for a session that is alone
 
-  /// It is an orphaned session for this reason now.
+  /// Notifies users that the session is orphaned for this reason.
   void tell_reason(Errc reason) noexcept;
-  /// The same, and no further attempt will help.
+  /// Does the same, and ends all further attempts.
   void stay_orphaned(const Failure& why) noexcept;
 
  private:
@@ -97,7 +96,7 @@ class ControlThread {
   void become_orphaned(const Failure& why) noexcept;
   void tell_state(ConnectionState state) noexcept;
 
-  // a former session
+  // a previous session
   bool is_former() const noexcept;
   void run_former_errands();
   bool unmap_everything();

@@ -31,7 +31,7 @@ Result<wire::CreateEndpoint> describe(const EndpointRequest& request,
 
 }  // namespace
 
-/// Of one that continues none: nobody else has the same, in whatever session.
+/// Returns the id of the continued endpoint, or a new one that no endpoint of any session has.
 std::uint64_t Creations::persistent_id_of(const Continued& continued,
                                           const wire::EndpointCreated& made,
                                           Kind kind) const noexcept {
@@ -154,7 +154,7 @@ Result<std::unique_ptr<WaitSet::Place>> Creations::open_executor(std::uint64_t e
   return place;
 }
 
-// The answer to a creation that nobody waits for any more.
+// Handles the answer to a creation whose caller has given up.
 Result<void> Creations::adopt_late(Kind kind, Incoming& packet) {
   wire::EndpointCreated made{};
   if (packet.read(made))

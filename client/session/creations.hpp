@@ -1,11 +1,11 @@
 // SPDX-License-Identifier: Apache-2.0
 //
-// Creations: what a session asks its daemon to make for this process: publishers, subscriptions,
-// executors. Whoever asks waits for the answer; what it means is done in the control thread, so an
-// endpoint is in its table before the daemon can announce anything to it.
+// Creations: a session's requests to its daemon for new publishers, subscriptions and executors.
+// The caller waits for the answer. The control thread handles it, so an endpoint is in its table
+// before the daemon can announce anything to it.
 //
-// An answer that comes when nobody waits any more is an endpoint that only the daemon knows:
-// unclaimed (Departures).
+// If the answer comes after the caller has given up, the endpoint is known to the daemon only: it
+// is unclaimed (Departures).
 #pragma once
 
 #include <agnocast/message_type.hpp>
@@ -25,7 +25,7 @@ class Context;
 /// Any thread but the control thread.
 class Creations {
  public:
-  /// `session`: whose endpoints they are.
+  /// `session`: the owner of the endpoints.
   Creations(Context* session, Registration& registration, EndpointTable& endpoints,
             Departures& departures) noexcept
       : session_(session),
@@ -33,17 +33,18 @@ class Creations {
         endpoints_(endpoints),
         departures_(departures) {}
 
-  /// The heap is open. `make_room`: see PublisherEndpoint::Identity. Errors: those of
-  /// Context::create_publisher.
+  /// Creates a publisher; the heap must be open. `make_room`: see PublisherEndpoint::Identity.
+  /// Errors: those of Context::create_publisher.
   [[nodiscard]] Result<std::shared_ptr<PublisherEndpoint>> make_publisher(
       const EndpointRequest& request, const detail::MessageEnd& end_message,
       const Continued& continued, bool (*make_room)() noexcept);
-  /// The wait set has a place in this session. Errors: those of Context::create_subscription.
+  /// Creates a subscription; the wait set must have a place in this session. Errors: those of
+  /// Context::create_subscription.
   [[nodiscard]] Result<std::shared_ptr<SubscriptionEndpoint>> make_subscription(
       const EndpointRequest& request, const std::shared_ptr<WaitSet>& wait_set,
       const Continued& continued);
-  /// The doorbells of an executor, with its sleep word. `again`: the daemon may have opened it
-  /// before.
+  /// Returns a place with the doorbells of an executor and its sleep word. `again`: the daemon may
+  /// have opened it before.
   [[nodiscard]] Result<std::unique_ptr<WaitSet::Place>> open_executor(std::uint64_t executor,
                                                                       bool again);
 

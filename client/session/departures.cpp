@@ -13,7 +13,7 @@ using wire::Opcode;
 
 namespace {
 
-/// Everybody else has let go of this publisher: the board says so.
+/// Returns whether the board says that every other process has released this publisher.
 bool is_freed(SparseRegion& board, const Departures::Key& key, std::uint64_t generation) {
   if (key.first >= abi::topic_count_max || key.second >= abi::publisher_count_max) return false;
   const std::uint64_t topic = abi::topic_offset(key.first);
@@ -42,7 +42,7 @@ void Departures::say_one(Connection& connection, const std::shared_ptr<const Con
                          Departure& departure, const wire::Reference& who,
                          std::shared_ptr<void> keeps) {
   if (!departure.is_due()) return;
-  // A refusal means as well that there is nothing to leave.
+  // A refusal also means that there is nothing to leave.
   const auto on_answer = [this, wake, &departure,
                           keeps = std::move(keeps)](const Result<Incoming*>&) {
     AGNOCAST_CRASH_POINT(C_left);
@@ -51,7 +51,7 @@ void Departures::say_one(Connection& connection, const std::shared_ptr<const Con
     notify();
   };
   connection.request_later(Opcode::leave, who, on_answer);
-  departure.said();  // not before: there may be no memory for it
+  departure.reported();  // only after the call: it may throw for lack of memory
 }
 
 void Departures::say(Connection& connection, const std::shared_ptr<const ControlWake>& wake) {

@@ -1,14 +1,13 @@
 // SPDX-License-Identifier: Apache-2.0
 //
-// Departures: endpoints of one session that leave: what the daemon is told of them, and who waits
-// until it knows.
+// Departures: endpoints of one session that leave, their reports to the daemon, and the threads
+// that wait for the daemon's answer.
 //
-//   wanted (any thread) ──say(), in the control thread──▶ said ──answer──▶ known ──▶ whoever waits goes on
+//   wanted ──say(), in the control thread──▶ reported ──answer──▶ known ──▶ waiters go on
 //
-// Unclaimed are endpoints of this process that only the daemon knows about: nobody waits for their
-// creation any more, or they were over here while the daemon was away. Nobody else was ever given
-// such an endpoint, so nothing of it is held or published: it is drained as soon as the daemon has
-// let it leave.
+// An unclaimed endpoint of this process is known to the daemon only: its caller gave up during the
+// creation, or the endpoint ended here while the daemon was away. No code of this process has it,
+// so it holds and publishes nothing. It is drained as soon as the daemon has let it leave.
 #pragma once
 
 #include <agnocast/abi/wire.hpp>
@@ -38,20 +37,21 @@ class Departures {
 
   // --- any thread
 
-  /// Until the daemon knows of it; while it is away not at all, `answer_timeout` of the connection
-  /// at most, and not beyond `end`. The control thread was woken.
+  /// Waits until the daemon knows of the departure: not at all while the daemon is away, at most
+  /// `answer_timeout` of the connection, and not beyond `end`. The caller wakes the control thread.
   void wait_for(const Departure& departure, const Connection& connection,
                 Clock::time_point end) noexcept;
-  /// Who waits looks again: something is known, or the daemon is away.
+  /// Wakes the waiting threads: a departure is known, or the daemon is away.
   void notify() noexcept;
 
   // --- control thread
 
-  /// Says what is wanted and was not said. `wake`: of the control thread.
+  /// Reports the departures that are due. `wake`: that of the control thread.
   void say(Connection& connection, const std::shared_ptr<const ControlWake>& wake);
-  /// The daemon knows of an endpoint that is not here.
+  /// Takes an endpoint that the daemon knows and this process does not.
   void adopt_unclaimed(Kind kind, const Key& key, std::uint64_t generation, bool has_left);
-  /// While the connection is open. `board`: says whom everybody else has let go of.
+  /// Drains unclaimed endpoints, while the connection is open. `board`: says which publishers every
+  /// other process has released.
   void end_unclaimed(Connection& connection, const std::shared_ptr<const ControlWake>& wake,
                      SparseRegion& board);
   void forget_unclaimed() noexcept { unclaimed_.clear(); }

@@ -1,7 +1,7 @@
 // SPDX-License-Identifier: Apache-2.0
 //
-// What an endpoint is asked for with, by whoever makes one: names, quality of service, and what
-// belongs to its type.
+// The parameters of an endpoint to be created: names, quality of service and properties of its
+// type.
 #pragma once
 
 #include <agnocast/abi/words.hpp>
@@ -14,7 +14,7 @@
 
 namespace agnocast {
 
-/// What an endpoint is asked for with. Names are fully qualified.
+/// The parameters of an endpoint. Names are fully qualified.
 struct EndpointRequest {
   std::string_view topic;
   std::string_view type;
@@ -22,18 +22,19 @@ struct EndpointRequest {
   std::uint64_t layout_hash = 0;
   abi::Qos qos;
   std::uint64_t quota = 0;           // subscriptions: messages held at once, per publisher
-  bool quota_or_less = false;        // of publishers of other users fewer will do
+  bool quota_or_less = false;        // for publishers of other users a smaller number is accepted
   bool depth_per_publisher = false;  // subscriptions
-  // Publishers: messages allocate from the shared heap by themselves, whoever answers malloc.
+  // Publishers: messages allocate from the shared heap themselves, whichever library provides
+  // malloc.
   bool uses_shared_allocator = false;
   std::uint64_t message_bytes = 0;  // sizeof the message object; 0 = any
   std::uint64_t message_alignment = 1;
-  std::uint64_t persistent_id = 0;             // 0: one of its own
+  std::uint64_t persistent_id = 0;             // 0: a new one
   bool announces_persistent_id_later = false;  // publishers: see EndpointName
   SignalMask signals;                          // for destructors of messages
 };
 
-/// What an endpoint of a new session has from the one that it continues.
+/// What an endpoint of a new session takes from the one that it continues.
 struct Continued {
   std::uint64_t persistent_id = 0;  // 0: it continues none
   std::shared_ptr<EndpointEvents> events;

@@ -56,7 +56,7 @@ Result<void> ExecutorPlaces::give(WaitSet& wait_set, WaitSet::Session session, c
     if (opened) {
       ++lent_;
     } else {
-      // Should the doorbells come late, nobody wants them; who gets the number next asks for new
+      // If the doorbells come late, they are closed. The next user of this number asks for new
       // ones.
       failed_.push_back(found->executor);  // within its capacity
     }

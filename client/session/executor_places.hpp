@@ -1,14 +1,14 @@
 // SPDX-License-Identifier: Apache-2.0
 //
-// ExecutorPlaces: the places of executors that this process has in one session: a sleep word in its
+// ExecutorPlaces: the executor places of this process in one session. Each is a sleep word in the
 // client region and the doorbells that ring for it, by number.
 //
 //   never asked for ──▶ lent to a wait set ◀──▶ unused, with its doorbells
 //          └── refused, or no answer in time ──▶ failed: asked for once more before a new number is
 //
-// A place goes back here, not away: it stays the process's, with its doorbells, and its sleep word
-// goes on counting. It comes back wherever its last user is destroyed, so the mutex of the places
-// is innermost. Must outlive every place.
+// A returned place is kept: it stays the process's, with its doorbells, and its sleep word goes on
+// counting. It returns wherever its last user is destroyed, so the mutex of the places is
+// innermost. This object must outlive every place.
 #pragma once
 
 #include <agnocast/result.hpp>
@@ -25,30 +25,29 @@ namespace agnocast {
 
 class ExecutorPlaces {
  public:
-  /// Asks the daemon for the doorbells of an executor. `again`: for an earlier request the daemon
-  /// may have opened it.
+  /// Asks the daemon for the doorbells of an executor. `again`: the daemon may have opened it for
+  /// an earlier request.
   using Open =
       std::function<Result<std::unique_ptr<WaitSet::Place>>(std::uint64_t executor, bool again)>;
-  /// Whether the session has a daemon that could open one.
+  /// Returns whether the session has a daemon that could open one.
   using Permit = std::function<Result<void>()>;
 
   // --- any thread
 
-  /// The wait set has a place here afterwards, known to it by this session. Nothing happens if it
-  /// has. `permit` is asked ahead of everything, while nobody else gets a place. Errors:
-  /// limit_reached, those of `permit` and `open`, os_failure.
+  /// Gives the wait set a place in this session, unless it has one. Calls `permit` first, while no
+  /// other thread gets a place. Errors: limit_reached, those of `permit` and `open`, os_failure.
   [[nodiscard]] Result<void> give(WaitSet& wait_set, WaitSet::Session session, const Permit& permit,
                                   const Open& open);
 
   // --- control thread
 
-  /// Other doorbells for an unused place; those that it had are in `doorbells` afterwards.
+  /// Swaps the doorbells of an unused place with `doorbells`.
   void renew(std::uint64_t executor, DoorbellReceiver& doorbells) noexcept;
-  /// Ends the unused ones, for good. Returns false, and does nothing, while any is lent.
+  /// Ends the unused places for good. Returns false, and does nothing, while any place is lent.
   bool end() noexcept;
 
  private:
-  /// The next one to give: unused, or its number and whether it was asked for before.
+  /// The next place to give: an unused one, or a number and whether it was asked for before.
   struct Next {
     std::unique_ptr<WaitSet::Place> place;
     std::uint64_t executor = 0;
@@ -62,7 +61,7 @@ class ExecutorPlaces {
   std::uint64_t next_number_ = 0;
   std::uint64_t lent_ = 0;
   std::vector<std::unique_ptr<WaitSet::Place>> unused_;
-  std::vector<std::uint64_t> failed_;  // whose doorbells never came
+  std::vector<std::uint64_t> failed_;  // numbers whose doorbells never came
 };
 
 }  // namespace agnocast

@@ -2,10 +2,10 @@
 //
 // Joining: how a process gets a session. docs/control-plane.md, "Connection and identity".
 //
-//   connect → hello → welcome: reserve the arena, map board and region (Registration) → the control thread begins
+//   connect → hello → welcome: reserve the arena, map board and region → the control thread begins
 //
-// What comes before the thread may fail and is undone; a daemon that dies meanwhile is asked again
-// until the time of a request is over. Coming back later is rejoining.cpp.
+// The steps before the thread may fail and are undone. If the daemon dies meanwhile, it is asked
+// again until the request times out. Coming back later: rejoining.cpp.
 
 #include <client/session/context.hpp>
 
@@ -30,8 +30,8 @@ namespace agnocast {
 
 namespace {
 
-/// A daemon is there in a moment, presumably: it has died, or begins. Between two daemons nobody
-/// listens at the socket, or it is not there while the lock that is beside it stays.
+/// Returns whether a daemon is likely to listen soon: it has just died, or is starting. Between two
+/// daemons the socket refuses connections, or is missing while the lock file beside it stays.
 bool may_begin(const std::string& path, const Failure& why) noexcept {
   if (why.code != Errc::daemon_not_running) return false;
   if (why.os_errno == ECONNREFUSED) return true;
@@ -55,11 +55,11 @@ Result<void> Context::connect() {
   return {};
 }
 
-// A daemon that was there and has died meanwhile comes back: hello has the time of every request.
-// One that may have died just before is waited for less.
+// If a daemon was there and has died meanwhile, another one follows: hello has the time of every
+// request. For one that may have died just before, the client waits less.
 Result<void> Context::become_known() {
   const auto deadline = Reconnection::Clock::now() + Connection::answer_timeout;
-  std::optional<Reconnection::Clock::time_point> refused;  // first
+  std::optional<Reconnection::Clock::time_point> refused;  // time of the first refusal
   auto pause = Reconnection::pause_first;
   for (bool was_there = false;; pause = std::min(pause * 2, Reconnection::pause_last)) {
     Result<void> done = registration_.say_hello(deadline, heap_.is_open());
@@ -81,7 +81,7 @@ Result<void> Context::become_known() {
 Result<void> Context::start_control_thread() {
   if (Result<void> prepared = control_.prepare(); !prepared) return prepared;
   registration_.connection().open();
-  // A new session is told of when the endpoints are in it.
+  // Users hear of a new session when the endpoints are in it.
   if (state_.is_beginning()) return start_thread();
   const ConnectionState before = state_.set(ConnectionState::connected);
   Result<void> started = start_thread();
@@ -105,7 +105,7 @@ Result<void> Context::start_thread() {
       this);
   has_thread_ = refused == 0;
   if (refused == 0) return {};
-  // Too many threads, or no room for its stack? Both are EAGAIN.
+  // Too many threads, or no room for the stack? Both are EAGAIN.
   if (const Result<Mapping> stack = Mapping::map_private(LibraryThread::small_stack_bytes); !stack)
     return tl::unexpected<Failure>(stack.error());
   return fail(Errc::os_failure, "starting the control thread", refused);
@@ -118,7 +118,7 @@ void Context::Drop::operator()(Context* context) const noexcept {
     return;
   }
   const auto wake = context->registration_.wake();
-  context->state_.step(SessionState::Step::drop);  // its thread ends it
+  context->state_.step(SessionState::Step::drop);  // its thread deletes it
   (*wake)();
 }
 

@@ -18,7 +18,7 @@ using wire::Opcode;
 
 namespace {
 
-/// The environment may come from whoever starts a setuid program; such a program does not listen.
+/// A user who starts a set-uid program controls its environment, so such a program ignores it.
 Result<HeapScope> scope_from_environment(HeapScope otherwise) {
   const char* const text = ::secure_getenv("AGNOCAST_SCOPE");
   if (text == nullptr || *text == '\0') return otherwise;
@@ -34,7 +34,7 @@ Result<HeapScope> scope_from_environment(HeapScope otherwise) {
 Result<void> OwnHeap::set_scope(HeapScope scope) noexcept {
   const std::lock_guard lock(opening_);
   if (is_open_.load(std::memory_order_relaxed) && scope != scope_)
-    return fail(Errc::invalid_argument, "the scope of a heap that is open stays as it is");
+    return fail(Errc::invalid_argument, "the scope of an open heap cannot be changed");
   scope_ = scope;
   return {};
 }
@@ -78,7 +78,7 @@ void OwnHeap::continue_from(OwnHeap& former) {
   is_open_.store(former.is_open(), std::memory_order_release);
 }
 
-// What lies in the windows stays where it is, and so do they: the new daemon is told of them.
+// The windows and their contents stay at their addresses: the new daemon is told of them.
 Result<void> OwnHeap::bring(Connection& connection, std::byte* client_region) {
   if (!is_open()) return {};
   if (!Heap::follow(client_region))
@@ -101,7 +101,7 @@ Result<void> OwnHeap::bring(Connection& connection, std::byte* client_region) {
   return {};
 }
 
-// While the answer is on its way, or when it is a refusal, the heap does with what it has.
+// Until the answer comes, or after a refusal, the heap uses the windows it has.
 void OwnHeap::ask_for_window(Connection& connection, std::byte* client_region) {
   if (!is_open() || !growth_.may_ask() ||
       !growth_.is_due(HeapGrowth::Clock::now(), heap_->wants_window()))
@@ -109,7 +109,7 @@ void OwnHeap::ask_for_window(Connection& connection, std::byte* client_region) {
   wire::WindowRequest request{};
   request.window = growth_.window_count();
   const auto on_answer = [this, client_region](Result<Incoming*> answer) {
-    // All windows that this process may have: no other answer will come.
+    // The process has all windows that it may have, so no other answer will come.
     if (!answer && answer.error().code == Errc::window_exhausted) return heap_->no_more_windows();
     if (!answer || !add_window(**answer, client_region))
       return growth_.refused(HeapGrowth::Clock::now());
@@ -128,7 +128,8 @@ bool OwnHeap::add_window(Incoming& answer, std::byte* client_region) noexcept {
   wire::WindowOpened opened{};
   if (!answer.read(opened) || answer.packet.descriptor_count != 2) return false;
   if (opened.window != growth_.window_count()) return false;
-  // The daemon announces it to everybody else. Before it is in use, so that nobody waits for it.
+  // The daemon announces it to all other processes. Added before use, so that no reader waits for
+  // it.
   peers_.add_own_window({opened.window, opened.base, opened.bytes, opened.first});
   const auto fds = answer.packet.fds();
   return heap_

@@ -1,14 +1,13 @@
 // SPDX-License-Identifier: Apache-2.0
 //
-// OwnHeap: this process's shared heap as one session has it: its scope, the hook that it was found
-// by, and its windows, which the daemon of the session gives or is told of.
+// OwnHeap: this process's shared heap as one session has it: its scope, its hook and its windows,
+// which the session's daemon gives, or is told of.
 //
-//   closed ──open(): the first window──▶ open ──ask_for_window()──▶ one window more … (HeapGrowth says when)
-//   a session that begins beside another one continues its heap and brings the windows along:
-//   continue_from(), bring()
+//   closed ──open(): the first window──▶ open ──ask_for_window()──▶ one window more … (HeapGrowth)
+// a session that begins beside another one continues its heap and brings the windows along:
+// continue_from(), bring()
 //
-// There is one heap in the process, whatever the number of sessions: what lies in it stays where it
-// is.
+// The process has one heap, whatever the number of sessions: its contents stay at their addresses.
 #pragma once
 
 #include <agnocast/heap.hpp>
@@ -32,27 +31,27 @@ class OwnHeap {
 
   // --- any thread
 
-  /// Before the heap is open. Errors: invalid_argument.
+  /// Sets the scope, before the heap is open. Errors: invalid_argument.
   [[nodiscard]] Result<void> set_scope(HeapScope scope) noexcept;
-  /// With its first window; nothing happens if it is open. `client_region`: where the frontier is
-  /// stored. `grown`: called after it was, without locks of ours; must not allocate. Errors:
-  /// hook_missing, invalid_argument, what the daemon refuses, those of Heap::attach.
+  /// Opens the heap with its first window, unless it is open. `client_region`: where the frontier
+  /// is stored. `grown`: called after that store, without locks of this library; must not allocate.
+  /// Errors: hook_missing, invalid_argument, the daemon's refusals, those of Heap::attach.
   [[nodiscard]] Result<void> open(Connection& connection, std::byte* client_region,
                                   void (*grown)() noexcept);
   bool is_open() const noexcept { return is_open_.load(std::memory_order_acquire); }
-  /// Null until it is open.
+  /// Returns null until it is open.
   const Heap* get() const noexcept { return is_open() ? &*heap_ : nullptr; }
-  /// Only after it was opened.
+  /// Call only after it was opened.
   const Heap& opened() const noexcept { return *heap_; }
   HeapGrowth& growth() noexcept { return growth_; }
   const HeapGrowth& growth() const noexcept { return growth_; }
 
   // --- while another session begins
 
-  /// The heap of the former session, which does not grow here before it is permitted to.
+  /// Continues the heap of the previous session. It does not grow here before it is permitted to.
   void continue_from(OwnHeap& former);
-  /// Tells the daemon of all windows. Errors: limit_reached (too many sessions), what the daemon
-  /// refuses.
+  /// Reports all windows to the daemon. Errors: limit_reached (too many sessions), the daemon's
+  /// refusals.
   [[nodiscard]] Result<void> bring(Connection& connection, std::byte* client_region);
 
   // --- control thread

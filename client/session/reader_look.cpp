@@ -15,12 +15,12 @@ namespace wire = abi::wire;
 
 namespace {
 
-// Looks at readers. A look goes over every message that others keep.
+// Interval between looks at readers. A look visits every message that others keep.
 constexpr std::chrono::seconds look_pause{1};
 // See ReaderShares.
 constexpr std::uint64_t memory_divisor = 4;
 
-/// What one user's readers keep of one publisher's messages, and which of them.
+/// What the readers of one user keep of one publisher's messages, and which readers these are.
 struct KeptOfPublisher {
   std::shared_ptr<PublisherEndpoint> publisher;
   std::vector<PublisherEndpoint::Core::EndpointId> readers;
@@ -29,7 +29,7 @@ struct KeptOfPublisher {
 
 struct Kept {
   std::map<std::uint32_t, std::vector<KeptOfPublisher>> users;  // by uid
-  std::uint64_t together = 0;                                   // what several keep counts once
+  std::uint64_t together = 0;                                   // shared messages count once
 };
 
 Kept kept_by_others(const std::vector<std::shared_ptr<PublisherEndpoint>>& publishers) {
@@ -52,7 +52,7 @@ Kept kept_by_others(const std::vector<std::shared_ptr<PublisherEndpoint>>& publi
   return kept;
 }
 
-/// From those that keep most first, until less than half of the user's share is left.
+/// Withdraws the readers that keep most, until less than half of the user's share is kept.
 void withdraw_largest(const std::vector<KeptOfPublisher>& kept, std::uint64_t share) {
   struct One {
     std::uint64_t bytes;
@@ -86,7 +86,7 @@ void ReaderLook::look(const EndpointTable& endpoints, const OwnHeap& heap, Conne
   unmapped_users_.look(now);
 }
 
-/// From the readers of users that keep more than their share.
+/// Withdraws readers of users that keep more than their share.
 void ReaderLook::withdraw_above(const OwnHeap& heap, const Publishers& all,
                                 ReaderShares::Clock::time_point now) {
   const Kept kept = kept_by_others(all);
@@ -108,7 +108,7 @@ void ReaderLook::withdraw_above(const OwnHeap& heap, const Publishers& all,
   }
 }
 
-/// Whom each of them serves no more, or again: the daemon is told.
+/// Reports to the daemon which readers each publisher no longer serves, or serves again.
 void ReaderLook::look_at_each(Connection& connection, const Publishers& all,
                               ReaderShares::Clock::time_point now) {
   std::vector<PublisherEndpoint::Withdrawn> news;

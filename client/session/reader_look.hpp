@@ -1,8 +1,8 @@
 // SPDX-License-Identifier: Apache-2.0
 //
-// ReaderLook: the control thread's look at the readers of this process's publishers, once a second:
-// which of them keep too much of its heap (client/shares/reader_shares.hpp), and which cannot be
-// mapped (client/shares/unmapped_users.hpp).
+// ReaderLook: checks the readers of this process's publishers once a second: which of them keep too
+// much of its heap (client/shares/reader_shares.hpp), and which cannot be mapped
+// (client/shares/unmapped_users.hpp).
 #pragma once
 
 #include <client/endpoint/endpoint_table.hpp>
@@ -19,7 +19,7 @@ namespace agnocast {
 /// Control thread.
 class ReaderLook {
  public:
-  /// If it is time. Allocates.
+  /// Looks, if a second has passed. Allocates.
   void look(const EndpointTable& endpoints, const OwnHeap& heap, Connection& connection);
   const ReaderShares& shares() const noexcept { return shares_; }
   UnmappedUsers& unmapped_users() noexcept { return unmapped_users_; }

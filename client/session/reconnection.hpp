@@ -1,15 +1,15 @@
 // SPDX-License-Identifier: Apache-2.0
 //
-// Reconnection: when to try to reach the daemon again. Pure; time is told.
+// Reconnection: decides when to try to reach the daemon again. Pure; the caller passes the time.
 //
 //   connected ──end──▶ waiting ──due──▶ rejoining ──▶ connected
 //                         ▲───────end──────┘├──refused──▶ orphaned (for good)
 //                         └──────later──────┘
 //
-// Some refusals are mended by an administrator: it is asked again, seldom, and `is_refused`
-// meanwhile. The pause doubles from try to try. A connection that has lasted is what makes it short
-// again: a daemon that dies of what we say does so at once, and is not asked a thousand times a
-// second.
+// Some refusals end only when an administrator acts: the client asks again, seldom, and
+// `is_refused` meanwhile. The pause doubles with each attempt. Only a connection that has lasted
+// resets it: if a client's requests crash the daemon, they do so at once, and must not do it a
+// thousand times a second.
 #pragma once
 
 #include <agnocast/error.hpp>
@@ -20,8 +20,8 @@
 
 namespace agnocast {
 
-/// It is answered otherwise only when somebody has put another daemon, another profile or whole
-/// memory there: nobody waits for it.
+/// Returns whether the answer changes only when an administrator installs another daemon, another
+/// profile or repairs the memory. No caller waits for that.
 constexpr bool is_mended_by_people(Errc code) noexcept {
   return code == Errc::layout_mismatch || code == Errc::store_damaged ||
          code == Errc::permission_denied || code == Errc::descriptors_withheld ||
@@ -36,7 +36,7 @@ class Reconnection {
       pause_refused{5'000};
 
   State state() const noexcept { return state_; }
-  /// Until when to wait; only while waiting.
+  /// Returns the time of the next attempt; only while waiting.
   Clock::time_point next_try() const noexcept { return next_try_; }
   bool is_due(Clock::time_point now) const noexcept {
     return state_ == State::waiting && now >= next_try_;

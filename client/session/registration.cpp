@@ -26,15 +26,15 @@ using wire::Opcode;
 
 namespace {
 
-// A misspelt domain must not silently be domain 0: its node would meet nobody. Nor may who starts a
-// program with raised rights choose its domain: other rules may hold in another one.
+// A misspelt domain must not silently be domain 0: its node would meet no other. The user who
+// starts a program with raised rights may not choose its domain either: other rules may hold there.
 Result<std::uint64_t> domain_id() {
   const char* const text = std::getenv("ROS_DOMAIN_ID");
   if (text == nullptr || *text == '\0' || std::strcmp(text, "0") == 0) return std::uint64_t{0};
   if (::secure_getenv("ROS_DOMAIN_ID") == nullptr)
     return fail_with(Errc::invalid_argument,
-                     "ROS_DOMAIN_ID is set, which a program with raised rights (set-uid, file "
-                     "capabilities) does not follow");
+                     "ROS_DOMAIN_ID is set, but a program with raised rights (set-uid, file "
+                     "capabilities) does not accept it");
   std::uint64_t domain = 0;
   const char* const end = text + std::strlen(text);
   const auto [stop, problem] = std::from_chars(text, end, domain);
@@ -43,8 +43,8 @@ Result<std::uint64_t> domain_id() {
                    "ROS_DOMAIN_ID is " + in_quotes(text) + ", which is not a number");
 }
 
-/// A program that changes its directory comes back to the same daemon. A path that would be too
-/// long for an address stays as it is.
+/// Makes the path absolute, so that a program that changes its directory finds the same daemon. A
+/// path that would be too long for a socket address stays as it is.
 std::string from_here(std::string path) {
   if (path.empty() || path.front() == '/') return path;
   char directory[socket_path_bytes_max + 1];
@@ -114,17 +114,18 @@ Result<void> Registration::say_hello(Clock::time_point deadline, bool heap_is_op
     return fail_with(Errc::daemon_not_running, path_ + ": " + first.error().what);
   }
   wire::Welcome welcome{};
-  if (Result<void> read = packet.read_as(Opcode::welcome, welcome, 2, "the welcome of agnocastd");
+  if (Result<void> read = packet.read_as(Opcode::welcome, welcome, 2, "the welcome from agnocastd");
       !read)
     return read;
   if (welcome.fingerprint != abi::fingerprint())
-    return fail(Errc::layout_mismatch, "the welcome of agnocastd");
+    return fail(Errc::layout_mismatch, "the welcome from agnocastd");
   incarnation_ = welcome.incarnation;
   client_ = {welcome.client, welcome.client_generation};
   if (Result<void> mapped = map_regions(welcome, packet.packet.fds(), heap_is_open); !mapped)
     return mapped;
-  // A connection that ends keeps the place of those who map their region. If it has ended before
-  // now, the daemon may have looked before; if not, it will find the region mapped.
+  // After a connection has ended, the daemon keeps the place of a client that has mapped its
+  // region. If this one has ended already, the daemon may have looked before the mapping was there;
+  // otherwise it will find the region mapped.
   return connection_->check_alive();
 }
 
@@ -156,17 +157,17 @@ Result<void> Registration::reserve_arena(std::uint64_t base, std::uint64_t bytes
     arena_ = former_->arena_;
     return {};
   }
-  // What this process has published lies in the former one, and its readers find it nowhere else.
+  // This process's messages lie in the previous arena; readers find them at no other address.
   if (before != nullptr &&
       (heap_is_open || (base < before->base() + before->bytes() && before->base() < base + bytes)))
-    return fail(Errc::arena_occupied, "agnocastd has another arena than the one before");
+    return fail(Errc::arena_occupied, "the new agnocastd uses a different arena");
   Result<Arena> arena = Arena::reserve(base, bytes);
   if (!arena) return tl::unexpected<Failure>(arena.error());
   arena_ = std::make_shared<const Arena>(std::move(*arena));
   return {};
 }
 
-// The topic's entry on the board, and the endpoint's own words.
+// Maps the topic's entry on the board, and the endpoint's own words.
 Result<void> Registration::open_extents(const wire::EndpointCreated& made, std::uint64_t bytes) {
   AGNOCAST_CRASH_POINT(C_extent_open);
   Result<void> opened = board_.open(abi::topic_offset(made.topic), abi::topic_bytes);
@@ -174,7 +175,7 @@ Result<void> Registration::open_extents(const wire::EndpointCreated& made, std::
 }
 
 Result<void> Registration::connect_again() {
-  // A queue that is full now may have room at the next try.
+  // A full queue may have room at the next attempt.
   Result<PacketSocket> socket = connect_to_daemon(path_, std::chrono::milliseconds{0});
   if (!socket) return tl::unexpected<Failure>(socket.error());
   AGNOCAST_CRASH_POINT(C_reconnect);

@@ -1,17 +1,17 @@
 // SPDX-License-Identifier: Apache-2.0
 //
-// Registration: what one session has from its daemon: who this process is to it, the arena, board
-// and client region, and the connection. docs/control-plane.md, "Connection and identity".
+// Registration: what one session has from its daemon: the process's identity there, the arena,
+// board and client region, and the connection. docs/control-plane.md, "Connection and identity".
 //
-//   find_daemon() ──▶ say_hello(): connected, welcomed; arena reserved, board and region mapped ──▶ registered
+//   find_daemon() ──▶ say_hello(): connected, welcomed, memory mapped ──▶ registered
 //                        ▲   └──anything fails──▶ undo()
 //   continue_from() ─────┘
 //
-//   registered ──the connection ends──▶ say_rejoin() ──the daemon knows it──▶ registered, over another connection
-//              └──the daemon's store is lost, nobody uses it──▶ unmap_all()
+//   registered ──the connection ends──▶ say_rejoin() ──the daemon knows it──▶ registered again
+//              └──the daemon's store is lost, and the session is unused──▶ unmap_all()
 //
-// Made by the thread that connects; from then on the control thread's, but for the connection and
-// for what is mapped, which stays where it is until unmap_all().
+// The connecting thread makes it. From then on the control thread owns it, except for the
+// connection and the mappings, which stay in place until unmap_all().
 #pragma once
 
 #include <agnocast/abi/wire.hpp>
@@ -38,14 +38,14 @@ class Registration {
 
   // --- before the control thread begins
 
-  /// What the environment says of it. Errors: invalid_argument (ROS_DOMAIN_ID).
+  /// Reads the daemon's place from the environment. Errors: invalid_argument (ROS_DOMAIN_ID).
   [[nodiscard]] Result<void> find_daemon();
-  /// The daemon at the same place, beside a registration that must outlive say_hello().
+  /// Uses the daemon at the same place. `former` must outlive say_hello().
   void continue_from(const Registration& former);
-  /// Until `deadline`. `heap_is_open`: what lies in the former one's arena has to stay there.
-  /// Errors: those of Context::connect. Leaves what it has done for undo().
+  /// Connects and maps, until `deadline`. `heap_is_open`: the contents of the previous arena have
+  /// to stay in place. Errors: those of Context::connect. After a failure, undo() cleans up.
   [[nodiscard]] Result<void> say_hello(Clock::time_point deadline, bool heap_is_open);
-  /// There was a daemon, whatever it said: since undo().
+  /// Returns whether a daemon accepted a connection since undo().
   bool has_connected() const noexcept { return connection_ != nullptr; }
   void undo() noexcept;
 
@@ -53,7 +53,7 @@ class Registration {
 
   const std::string& path() const noexcept { return path_; }
   Connection& connection() const noexcept { return *connection_; }
-  /// Of the control thread; null before the first say_hello().
+  /// Returns the wake of the control thread; null before the first say_hello().
   const std::shared_ptr<const ControlWake>& wake() const noexcept { return wake_; }
   std::function<void()> waker() const {
     return [wake = wake_] { (*wake)(); };
@@ -65,17 +65,18 @@ class Registration {
   SparseRegion& board() noexcept { return board_; }
   SparseRegion& region() noexcept { return region_; }
   std::byte* region_base() const noexcept { return region_.base(); }
-  /// The topic's entry on the board, and the words of a new endpoint.
+  /// Maps the topic's entry on the board and the words of a new endpoint.
   [[nodiscard]] Result<void> open_extents(const abi::wire::EndpointCreated& made,
                                           std::uint64_t bytes);
 
   // --- control thread
 
-  /// A socket to the daemon, which does not wait for room in its queue.
+  /// Connects to the daemon again, without waiting for room in its queue.
   [[nodiscard]] Result<void> connect_again();
-  /// Says who this was. Its answer comes unasked.
+  /// Sends the previous identity. The answer comes as an unasked packet.
   [[nodiscard]] Result<void> say_rejoin();
-  /// Ahead of all requests on a connection: what the daemon gives must not lie there.
+  /// Reports occupied address ranges, ahead of all requests: the daemon must not place windows
+  /// there.
   void say_blocked();
   void unmap_all() noexcept;
 
@@ -85,12 +86,12 @@ class Registration {
   Result<void> reserve_arena(std::uint64_t base, std::uint64_t bytes, bool heap_is_open);
 
   const Registration* former_ = nullptr;
-  // As found by the first one.
+  // As found by the first registration.
   std::string path_, process_name_;
   std::uint64_t domain_ = 0;
   std::shared_ptr<const ControlWake> wake_;
   std::unique_ptr<Connection> connection_;
-  std::shared_ptr<const Arena> arena_;  // several may have the same
+  std::shared_ptr<const Arena> arena_;  // may be shared with the previous session
   SparseRegion board_, region_;
   std::uint64_t incarnation_ = 0;
   std::pair<std::uint64_t, std::uint64_t> client_{};

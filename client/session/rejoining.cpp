@@ -1,17 +1,16 @@
 // SPDX-License-Identifier: Apache-2.0
 //
-// Coming back: what the control thread does about a connection that has ended.
-// docs/control-plane.md.
+// Coming back: what the control thread does after a connection has ended. docs/control-plane.md.
 //
-// Nothing in shared memory depends on the connection, so messages flow on and scans are made as
-// always. The control thread tries to connect, ever more rarely, and says who it was (rejoin). If
-// the daemon knows it, requests that wait are asked again, and the daemon says what it knows: every
-// endpoint of the process (own), every announcement that it made, and the regions (region). What is
-// here already is recognised; of what is not here any more the client says again that it has left,
-// is drained, is unlinked. So nothing that either side said before needs to have arrived.
+// Nothing in shared memory depends on the connection: messages flow on and scans run as always. The
+// control thread tries to connect, ever more rarely, and sends its identity (rejoin). If the daemon
+// knows it, waiting requests are sent again, and the daemon sends what it knows: every endpoint of
+// the process (own), every announcement that it made, and the regions (region). The client
+// recognises what it has; for what it no longer has it reports again: left, drained, unlinked. So
+// neither side depends on the arrival of an earlier packet.
 //
-// A daemon that refuses leaves this session orphaned. If the reason is that it knows nobody, the
-// process begins another session (reregistration.hpp), and this one ends when nobody uses it.
+// If the daemon refuses, this session is orphaned. If the daemon has lost its store, the process
+// begins another session (reregistration.hpp), and this one ends when it is unused.
 
 #include <client/process/forked_child.hpp>
 #include <client/session/control_thread.hpp>
@@ -31,7 +30,7 @@ using wire::Kind;
 
 void ControlThread::tell_state(ConnectionState state) noexcept {
   if (state_.tell(state)) endpoints_.tell({state, state_.reason()});
-  departures_.notify();  // nobody waits for a daemon that is away
+  departures_.notify();  // no thread waits for a daemon that is away
 }
 
 void ControlThread::lose_connection() noexcept {
@@ -96,7 +95,7 @@ void ControlThread::on_rejoined(Incoming& packet) {
   if (reconnection_.state() != Reconnection::State::rejoining || !packet.read(body) ||
       body.incarnation != registration_.incarnation())
     return lose_connection();
-  registration_.say_blocked();  // the daemon may not be the one that knew
+  registration_.say_blocked();  // it may be another daemon process
   AGNOCAST_CRASH_POINT(C_rejoined);
   registration_.connection().open();
   reconnection_.succeeded(Reconnection::Clock::now());
@@ -114,7 +113,7 @@ void ControlThread::on_refused(Incoming& packet) {
     case Errc::store_damaged:
     case Errc::permission_denied:
       return become_orphaned(why);
-    default:  // it has no room for one more connection now, or no descriptor
+    default:  // it has no room, or no descriptor, for one more connection now
       return lose_connection();
   }
 }
@@ -123,7 +122,7 @@ void ControlThread::on_revoked(Incoming& packet) {
   become_orphaned(failure_with(Errc::revoked, detail_of(refusal_of(packet))));
 }
 
-// --- what the daemon knows of this process
+// --- what the daemon has of this process
 
 void ControlThread::on_own(Incoming& packet) {
   wire::Own own{};
@@ -136,8 +135,8 @@ void ControlThread::on_own(Incoming& packet) {
   } else if (own.active == 0 && departure->is_wanted()) {
     departure->known();
   } else if (own.active != 0 && departure->is_known()) {
-    departure->forgotten();  // as an orphaned session this process took every refusal for an answer
-                             // to it
+    departure->forgotten();  // an orphaned session takes every refusal for the daemon's answer to
+                             // leave
   }
 }
 

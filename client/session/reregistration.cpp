@@ -15,7 +15,7 @@
 namespace agnocast {
 namespace {
 
-/// Whatever a daemon answers, it will be the same.
+/// Returns whether every daemon would answer the same.
 bool is_final(Errc code) noexcept {
   return code == Errc::revoked || code == Errc::shut_down || code == Errc::invalid_argument;
 }
@@ -24,7 +24,7 @@ bool is_refusal(Errc code) noexcept {
   return is_mended_by_people(code) || code == Errc::protocol_violation;
 }
 
-/// There is nobody to ask for anything else either.
+/// Returns whether there is no daemon for other requests either.
 bool is_away(const Result<void>& result) noexcept {
   return !result && (result.error().code == Errc::daemon_not_running ||
                      result.error().code == Errc::started_anew);
@@ -54,7 +54,7 @@ EndpointRequest Reregistration::Request::get() const {
   return request;
 }
 
-// --- what there is
+// --- what there is to move
 
 void Reregistration::add(const std::shared_ptr<PublisherEndpoint>& publisher,
                          const EndpointRequest& request, const detail::MessageEnd& end_message) {
@@ -85,7 +85,7 @@ void Reregistration::add(const std::shared_ptr<WaitSet>& wait_set) {
   if (!wait_set->index_in(&Context::instance())) begin();
 }
 
-// It may have been created in a session that was lost before it was known here.
+// The endpoint may have been created in a session that was lost before it was registered here.
 void Reregistration::check_added(const Context* context) noexcept {
   if (context != &Context::instance()) begin();
 }
@@ -222,9 +222,9 @@ void Reregistration::abandon_pending(Which which) noexcept {
   });
 }
 
-// Also what was created meanwhile in a session that is former by now.
+// Also moves endpoints that were created meanwhile in a session that is the previous one by now.
 void Reregistration::move_everything(Context& present) {
-  // An earlier attempt had no memory, and may have been for another session.
+  // An earlier attempt may have run out of memory, and may have been for another session.
   abandon_pending([&](const Pending& entry) { return entry.successor->context() != &present; });
   auto look = std::chrono::milliseconds{1};
   auto again = std::chrono::milliseconds{1000};  // after a refusal
@@ -234,7 +234,7 @@ void Reregistration::move_everything(Context& present) {
       return begin();
     }
     Result<void> made = make_places(present);
-    // What is refused to one endpoint does not keep the others from moving.
+    // A refusal for one endpoint does not keep the others from moving.
     if (!is_away(made)) keep_first(made, make_subscriptions(present));
     if (!is_away(made)) keep_first(made, make_publishers(present));
     if (first) {
@@ -244,7 +244,7 @@ void Reregistration::move_everything(Context& present) {
     for (auto entry = pending_.begin(); entry != pending_.end();)
       entry = try_to_move(present, *entry) ? pending_.erase(entry) : entry + 1;
     if (pending_.empty()) {
-      // What was refused goes on publishing where it was; the heap does not wait for it.
+      // Refused publishers go on where they were; the heap does not wait for them.
       if (!is_away(made) && present.heap_.growth().permit()) present.wake_control();
       if (made) return;
     }
@@ -305,7 +305,7 @@ Result<void> Reregistration::make_subscriptions(Context& present) {
       (*made)->continues(endpoint);
       AGNOCAST_CRASH_POINT(C_successor);
       if (endpoint->add_successor(*made)) continue;
-      (*made)->close();  // its owner has gone meanwhile
+      (*made)->close();  // its owner has closed it meanwhile
       present.let_leave(**made);
     }
   }
@@ -326,7 +326,7 @@ Result<void> Reregistration::make_publishers(Context& present) {
         std::any_of(pending_.begin(), pending_.end(),
                     [&](const Pending& other) { return other.publisher == publisher; }))
       continue;
-    pending_.reserve(pending_.size() + 1);  // before anything is there that must not be lost
+    pending_.reserve(pending_.size() + 1);  // first, so that nothing is lost if there is no memory
     auto made = present.make_publisher(entry.request.get(), entry.end_message,
                                        {publisher->persistent_id(), publisher->shared_events()});
     if (made) {
@@ -340,7 +340,7 @@ Result<void> Reregistration::make_publishers(Context& present) {
   return problem;
 }
 
-/// True when there is nothing left to do for it.
+/// Returns true when there is nothing left to do for it.
 bool Reregistration::try_to_move(Context& present, const Pending& pending) {
   const auto& [publisher, successor, since] = pending;
   const auto before = publisher->present(publisher);
@@ -350,7 +350,7 @@ bool Reregistration::try_to_move(Context& present, const Pending& pending) {
     before->context()->wake_control();
   }
   if (publisher->has_ended()) AGNOCAST_CRASH_POINT(C_heir_leaves);
-  if (publisher->has_ended()) present.let_leave(*successor);  // also if that came in between
+  if (publisher->has_ended()) present.let_leave(*successor);  // also if it ended in between
   return true;
 }
 

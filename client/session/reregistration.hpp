@@ -1,15 +1,16 @@
 // SPDX-License-Identifier: Apache-2.0
 //
-// Reregistration: what this process does when the daemon's store was lost. docs/decisions/0006.
+// Reregistration: moves this process to a new session when the daemon's store was lost.
+// docs/decisions/0006.
 //
 //   the current session is orphaned, its daemon will not come back
-//     → hello to the new daemon, regions, the heap's windows are brought along  → a new present one
-//     → places of wait sets → subscriptions → publishers, each beside its former self
+//     → hello to the new daemon, regions, the heap's windows are brought along → a new session
+//     → places of wait sets → subscriptions → publishers, each beside its predecessor
 //     → each publisher moves when its subscriptions are there, or after a while
-//   meanwhile the previous session goes on among those who are in it, and ends by itself
+//   meanwhile the previous session goes on among its processes, and ends by itself
 //
 // A thread of its own does it, because it waits for answers; it ends when everything has moved.
-// User threads never wait for it, but for creations, which wait as for a daemon that is away.
+// Only creations in user threads wait for it, as for a daemon that is away.
 #pragma once
 
 #include <agnocast/result.hpp>
@@ -27,35 +28,35 @@ namespace agnocast {
 class Reregistration {
  public:
   using Clock = std::chrono::steady_clock;
-  // A publisher waits so long for the subscriptions that it had. A process that has not said hello
-  // by then is stopped, or was refused; the others have waited long enough for nothing newer.
+  // How long a publisher waits for the subscriptions that it had. A process that has not said hello
+  // by then is stopped, or was refused; the others must not wait longer for newer messages.
   static constexpr std::chrono::seconds move_patience{5};
-  // Between two attempts to begin: twice as long each time.
+  // Between two attempts to begin; doubles each time.
   static constexpr std::chrono::milliseconds pause_first{20}, pause_last{30'000};
 
   static constexpr std::chrono::milliseconds pause_without_memory{100};
 
-  /// Of this process; immortal.
+  /// Returns the one of this process; immortal.
   static Reregistration& instance() noexcept;
 
-  // --- what there is to move. Forgotten when nobody has it any more.
+  // --- what there is to move; entries whose endpoint has ended are removed
 
   void add(const std::shared_ptr<PublisherEndpoint>& publisher, const EndpointRequest& request,
            const detail::MessageEnd& end_message);
   void add(const std::shared_ptr<SubscriptionEndpoint>& subscription,
            const EndpointRequest& request);
   void add(const std::shared_ptr<WaitSet>& wait_set);
-  /// All of this process.
+  /// Returns all wait sets of this process.
   std::vector<std::shared_ptr<WaitSet>> wait_sets();
 
-  /// The current session is lost. Any thread; nothing happens when it is known.
+  /// Starts the move after the current session was lost. Any thread; a repeated call does nothing.
   void begin() noexcept;
-  /// The same where no thread is at it: one may have been refused.
+  /// Starts the move if no thread is at it: starting one may have failed before.
   void go_on() noexcept;
-  /// Waits until `lost` is not the current session any more; false at the deadline, or when there
-  /// will be no other.
+  /// Waits until `lost` is not the current session any more. Returns false at the deadline, or when
+  /// there will be no other session.
   bool wait_for_next(const Context& lost, Clock::time_point deadline);
-  /// No wait set uses a place of this session any more.
+  /// Removes the places of this session from all wait sets.
   void release_places(const Context& former) noexcept;
 
  private:
@@ -74,7 +75,7 @@ class Reregistration {
     std::weak_ptr<SubscriptionEndpoint> endpoint;
     Request request;
   };
-  /// A publisher whose successor is there and gets nothing yet.
+  /// A publisher whose successor exists and gets no messages yet.
   struct Pending {
     std::shared_ptr<PublisherEndpoint> publisher, successor;
     Clock::time_point since;
@@ -100,9 +101,9 @@ class Reregistration {
   std::vector<Subscription> subscriptions_;
   std::vector<std::weak_ptr<WaitSet>> wait_sets_;
   bool is_running_ = false, is_wanted_ = false;
-  bool is_refused_ = false;                        // nobody waits for it
-  bool is_hopeless_ = false;                       // nor tries
-  std::chrono::milliseconds pause_ = pause_first;  // of the thread, as the next
+  bool is_refused_ = false;                        // so callers do not wait for it
+  bool is_hopeless_ = false;                       // nor does the thread try again
+  std::chrono::milliseconds pause_ = pause_first;  // of the thread: the next one
   std::vector<Pending> pending_;
 };
 

@@ -1,12 +1,12 @@
 // SPDX-License-Identifier: Apache-2.0
 //
-// ScanTimer: how long the control thread may sleep before somebody must look at the publishers
+// ScanTimer: decides how long the control thread may sleep before it must look at the publishers
 // again. Pure.
 //
 // Scans of an idle publisher come soon after the last publish, then ever more rarely
-// (docs/protocol.md, who runs a scan). A subscription that has not linked yet is looked for sooner:
-// usually it links within a millisecond, and nobody rings when it has. A session without a daemon
-// is looked at at one pace: nobody says who is gone.
+// (docs/protocol.md, who runs a scan). A subscription that has not linked yet is checked sooner:
+// usually it links within a millisecond, and does not ring when it has. A session without a daemon
+// is checked at a constant interval, because no daemon reports which peers are gone.
 #pragma once
 
 #include <algorithm>
@@ -19,7 +19,8 @@ class ScanTimer {
   static constexpr int link_first_ms = 1;
   static constexpr int alone_ms = 20;
 
-  /// What there is to wait for: a message that a scan may free, a subscription that has not linked.
+  /// Returns the next sleep. `reclaimable`: a scan may free a message. `awaits_link`: a
+  /// subscription has not linked yet.
   int next_ms(bool reclaimable, bool awaits_link, bool is_alone) noexcept {
     if (!reclaimable) {
       pause_ = last_ms;

@@ -1,6 +1,6 @@
 // SPDX-License-Identifier: Apache-2.0
 //
-// SessionState: how far one session of this process has come, and what its users are told. Pure.
+// SessionState: the phase of one session of this process, and what its users are notified of. Pure.
 //
 //   the first session      unconnected ──connected──▶ serving
 //
@@ -12,18 +12,17 @@
 //                          lost ────────drop─────────┘
 //                           └──be_present──▶ alone
 //
-//   whatever is present    unconnected, moving, arrived, serving ──lose──▶ alone
+//   the current session    unconnected, moving, arrived, serving ──lose──▶ alone
 //
 //   step         caller                               meaning
-//   connected    Context::connect                     it has said hello, and its control thread
-//   runs be_present   Reregistration::begin_next           new endpoints are made in it from now on
-//   drop         Context::Drop                        it could not begin; its control thread ends
-//   it arrived      Reregistration::move_everything      whatever moves from the former session was
-//   asked for once speak        the control thread, while connected  it tells its users of its
-//   connection from now on lose         the control thread                   its daemon's store is
-//   lost, and nobody will know this session again
+//   connected    Context::connect                     hello is answered, the control thread runs
+//   be_present   Reregistration::begin_next           new endpoints are made in it from now on
+//   drop         Context::Drop                        it could not begin: its thread ends it
+//   arrived      Reregistration::move_everything      all that moves was asked for once
+//   speak        the control thread, while connected  from now on it notifies its users
+//   lose         the control thread                   its daemon's store is lost, for good
 //
-// A step that a phase does not know changes nothing. `alone` and `dropped` are left by none.
+// A step that a phase does not list changes nothing. `alone` and `dropped` are final.
 //
 //                  unconnected  beginning  lost  dropped  moving  arrived  serving  alone
 //   is_connected        ·           x        x      ·        x       x        x       x
@@ -31,10 +30,10 @@
 //   is_alone            ·           ·        x      ·        ·       ·        ·       x
 //   speaks              x           ·        ·      ·        ·       ·        x       x
 //
-// Of a session that is beginning its starter decides how it ends, also when it is lost meanwhile.
-// Its users still know it as an orphaned session, as the former session told them, so it does not
-// speak before its endpoints are there. One that is alone was an orphaned session before, whether
-// it spoke or not, so there is nothing more to say of its connection.
+// The thread that begins a session decides how the beginning ends, also if the session is lost
+// meanwhile. Users still know it as orphaned, from the previous session, so it does not notify them
+// before its endpoints are there. A session that is alone was orphaned before, whether it spoke or
+// not, so there is nothing more to report of its connection.
 #pragma once
 
 #include <agnocast/connection_state.hpp>
@@ -80,8 +79,8 @@ class SessionState {
     return phase;
   }
 
-  /// Of a further session, before anybody else knows it: it is an orphaned session for the reason
-  /// that the former one has.
+  /// Begins a further session, before any other thread knows it: it is orphaned for the same reason
+  /// as the previous one.
   void begin_beside(const SessionState& former) noexcept {
     phase_.store(Phase::beginning, std::memory_order_relaxed);
     connection_.store(ConnectionState::orphaned, std::memory_order_relaxed);
@@ -97,49 +96,49 @@ class SessionState {
   }
   Phase phase() const noexcept { return phase_.load(std::memory_order_acquire); }
 
-  // --- truths
+  // --- properties of the phases
 
-  /// The process has a place with the daemon, or had one.
+  /// Returns whether the process has a place with the daemon, or had one.
   bool is_connected() const noexcept {
     const Phase now = phase();
     return now != Phase::unconnected && now != Phase::dropped;
   }
-  /// It is not present yet, and its starter ends it.
+  /// Returns whether it is not current yet; the thread that began it ends it.
   bool is_beginning() const noexcept {
     const Phase now = phase();
     return now == Phase::beginning || now == Phase::lost;
   }
   bool is_dropped() const noexcept { return phase() == Phase::dropped; }
-  /// An orphaned session whose daemon will not come back.
+  /// Returns whether it is an orphaned session whose daemon will not come back.
   bool is_alone() const noexcept {
     const Phase now = phase();
     return now == Phase::alone || now == Phase::lost;
   }
-  /// It was present, and is alone: it ends by itself as soon as another session is present and
-  /// nobody uses it.
+  /// Returns whether it was current and is alone: it ends by itself as soon as another session is
+  /// current and nothing uses it.
   bool may_end_by_itself() const noexcept { return phase() == Phase::alone; }
-  /// What becomes of its connection is told to its users.
+  /// Returns whether users are notified of its connection.
   bool speaks() const noexcept {
     const Phase now = phase();
     return now == Phase::unconnected || now == Phase::serving || now == Phase::alone;
   }
 
-  // --- what users are told
+  // --- what users are notified of
 
   ConnectionState connection() const noexcept {
     return connection_.load(std::memory_order_acquire);
   }
-  /// Why it is an orphaned session.
+  /// Returns why it is an orphaned session.
   Errc reason() const noexcept { return reason_.load(std::memory_order_acquire); }
-  /// Returns whether that is news that users are to hear.
+  /// Returns whether users have to be notified of this.
   bool tell(ConnectionState connection) noexcept {
     return speaks() && connection_.exchange(connection, std::memory_order_acq_rel) != connection;
   }
-  /// Returns whether it is another reason than before.
+  /// Returns whether the reason has changed.
   bool give_reason(Errc reason) noexcept {
     return reason_.exchange(reason, std::memory_order_acq_rel) != reason;
   }
-  /// What there was before. Nobody is told.
+  /// Sets the state without notifying users. Returns the state before.
   ConnectionState set(ConnectionState connection) noexcept {
     return connection_.exchange(connection, std::memory_order_acq_rel);
   }

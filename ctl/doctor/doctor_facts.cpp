@@ -4,6 +4,7 @@
 
 #include <base/clock.hpp>
 #include <base/text/text.hpp>
+#include <ctl/doctor/machine_files.hpp>
 #include <ctl/snapshot/numbers.hpp>
 #include <journal/record.hpp>
 
@@ -11,17 +12,13 @@
 #include <fcntl.h>
 #include <grp.h>
 #include <pwd.h>
-#include <spawn.h>
 #include <sys/socket.h>
 #include <sys/stat.h>
-#include <sys/wait.h>
 #include <unistd.h>
 
 #include <algorithm>
 #include <array>
 #include <cerrno>
-#include <charconv>
-#include <cstdlib>
 #include <filesystem>
 #include <sstream>
 #include <string_view>
@@ -30,76 +27,14 @@
 namespace agnocast::ctl {
 namespace {
 
-// Bound for files whose length others choose: environment and mappings of a process.
-constexpr std::size_t file_bytes_max = std::size_t{4} << 20;
 constexpr const char* usual_configuration = "/etc/agnocast/agnocastd.toml";
 constexpr int cap_ipc_lock = 14;
 // Enough to include the restarts of the last minutes, unless much has happened since.
 constexpr std::uint64_t journal_records = 1024;
 
-std::string contents_of(const std::string& path) {
-  const UniqueFd file(::open(path.c_str(), O_RDONLY | O_CLOEXEC));
-  std::string text;
-  std::array<char, 16384> buffer;
-  while (file && text.size() < file_bytes_max) {
-    const ssize_t count = ::read(file.get(), buffer.data(), buffer.size());
-    if (count < 0 && errno == EINTR) continue;
-    if (count <= 0) break;
-    text.append(buffer.data(), static_cast<std::size_t>(count));
-  }
-  return text;
-}
-
-std::string target_of(const std::string& link) {
-  std::array<char, 4096> path;
-  const ssize_t bytes = ::readlink(link.c_str(), path.data(), path.size());
-  return bytes > 0 ? std::string(path.data(), static_cast<std::size_t>(bytes)) : std::string();
-}
-
-std::string of_process(pid_t pid, const char* what) {
-  return "/proc/" + std::to_string(pid) + '/' + what;
-}
-
-std::optional<std::uint64_t> number_in(std::string_view text, int base = 10) {
-  while (!text.empty() && (text.front() == ' ' || text.front() == '\t')) text.remove_prefix(1);
-  std::uint64_t number = 0;
-  const auto parsed = std::from_chars(text.data(), text.data() + text.size(), number, base);
-  if (parsed.ec != std::errc()) return std::nullopt;
-  return number;
-}
-
-/// Returns the rest of the first line that begins with `key`.
-std::string_view line_after(std::string_view text, std::string_view key) {
-  for (std::size_t at = 0; at < text.size();) {
-    const std::size_t end = std::min(text.find('\n', at), text.size());
-    const std::string_view line = text.substr(at, end - at);
-    if (line.starts_with(key)) return line.substr(key.size());
-    at = end + 1;
-  }
-  return {};
-}
-
-std::vector<std::string> split(const std::string& text, char mark) {
-  std::vector<std::string> parts;
-  std::istringstream in(text);
-  for (std::string part; std::getline(in, part, mark);) parts.push_back(part);
-  return parts;
-}
-
-std::string command_name(pid_t pid) {
-  std::string name = contents_of(of_process(pid, "comm"));
-  if (!name.empty()) name.pop_back();
-  return name;
-}
 bool is_agnocastd(pid_t pid) { return pid > 0 && command_name(pid).starts_with("agnocastd"); }
 
 // --- this shell
-
-std::optional<std::string> variable(const char* name) {
-  const char* const value = ::secure_getenv(name);
-  if (value == nullptr || *value == '\0') return std::nullopt;
-  return value;
-}
 
 /// Returns the AppArmor profile (without the mode behind it) or SELinux context; empty: none.
 std::string confinement() {
@@ -138,16 +73,6 @@ std::string first_closed(const std::string& path) {
       return directory;
   }
   return {};
-}
-
-template <class Use>
-void for_each_entry(const std::string& directory, Use use) {
-  DIR* const entries = ::opendir(directory.c_str());
-  if (entries == nullptr) return;
-  while (const dirent* const entry = ::readdir(entries)) {
-    if (entry->d_name[0] != '.') use(std::string(entry->d_name));
-  }
-  ::closedir(entries);
 }
 
 pid_t parent_of(pid_t pid) {
@@ -255,6 +180,8 @@ void read_maps(Running& running) {
   }
 }
 
+}  // namespace
+
 Running look_at_process(pid_t pid) {
   Running running;
   running.pid = pid;
@@ -276,6 +203,8 @@ Running look_at_process(pid_t pid) {
   running.address_limit = limit_in(limits, "Max address space");
   return running;
 }
+
+namespace {
 
 /// Returns whether the pid names the daemon's process here: not if it is in another PID namespace.
 bool is_same_process(const wire::DumpProcess& facts) {
@@ -318,46 +247,9 @@ void collect_processes(Facts& facts, bool is_named) {
 
 // --- the daemon's process
 
-/// Returns the path that a process was given with --config; empty: none.
-std::string named_configuration_of(pid_t pid) {
-  const auto words = split(contents_of(of_process(pid, "cmdline")), '\0');
-  for (std::size_t i = 0; i < words.size(); ++i) {
-    std::string path;
-    if (words[i].starts_with("--config=")) path = words[i].substr(9);
-    if (words[i] == "--config" && i + 1 < words.size()) path = words[i + 1];
-    if (path.empty()) continue;
-    return path.front() == '/' ? path : target_of(of_process(pid, "cwd")) + '/' + path;
-  }
-  return {};
-}
 std::string configuration_of(pid_t pid) {
   if (std::string named = named_configuration_of(pid); !named.empty()) return named;
   return ::access(usual_configuration, F_OK) == 0 ? usual_configuration : "";
-}
-
-/// Returns what a program prints to stderr when it fails; empty: it succeeds or does not exist.
-std::string complaint_of(std::vector<std::string> words) {
-  int ends[2];
-  if (::pipe2(ends, O_CLOEXEC) != 0) return {};
-  UniqueFd read(ends[0]), write(ends[1]);
-  posix_spawn_file_actions_t actions;
-  ::posix_spawn_file_actions_init(&actions);
-  ::posix_spawn_file_actions_addopen(&actions, STDOUT_FILENO, "/dev/null", O_WRONLY, 0);
-  ::posix_spawn_file_actions_adddup2(&actions, write.get(), STDERR_FILENO);
-  std::vector<char*> argv;
-  for (std::string& word : words) argv.push_back(word.data());
-  argv.push_back(nullptr);
-  pid_t pid = 0;
-  const int error = ::posix_spawnp(&pid, argv[0], &actions, nullptr, argv.data(), environ);
-  ::posix_spawn_file_actions_destroy(&actions);
-  write.reset();
-  if (error != 0) return {};
-  std::string said = contents_of("/dev/fd/" + std::to_string(read.get()));
-  int status = 0;
-  while (::waitpid(pid, &status, 0) < 0 && errno == EINTR) {
-  }
-  if (!WIFEXITED(status) || WEXITSTATUS(status) == 0) return {};
-  return said;
 }
 
 /// Returns the error of `agnocastd --check-config`; empty: none, or no such program here.
@@ -378,149 +270,6 @@ void collect_daemon(Facts& facts) {
   facts.descriptor_limit =
       limit_in(contents_of(of_process(pid, "limits")), "Max open files").value_or(0);
   for_each_entry(of_process(pid, "fd"), [&](const std::string&) { ++facts.descriptors; });
-}
-
-// --- the bridges
-
-constexpr const char* bridge_configurations = "/etc/agnocast/";
-constexpr const char* bridge_configuration = "/etc/agnocast/bridge.toml";
-constexpr const char* bridge_defaults = "/etc/default/agnocast-bridge";
-constexpr const char* enabled_units = "/etc/systemd/system/multi-user.target.wants/";
-
-/// Returns a variable's value in the file that the units read; the last assignment counts.
-std::string default_of(const char* variable) {
-  std::string value;
-  const std::string key = std::string(variable) + '=';
-  for (const std::string& line : split(contents_of(bridge_defaults), '\n'))
-    if (line.starts_with(key)) value = line.substr(key.size());
-  if (value.size() > 1 && (value.front() == '\'' || value.front() == '"') &&
-      value.back() == value.front())
-    value = value.substr(1, value.size() - 2);
-  return value;
-}
-
-/// Returns the domain that agnocast-bridge.service serves.
-std::uint64_t domain_of_unit() {
-  const std::string text = contents_of(bridge_configuration);
-  std::string_view written =
-      line_after(std::string_view(text).substr(0, text.find("\n[")), "domain");
-  written.remove_prefix(std::min(written.find_first_not_of(" =\t"), written.size()));
-  if (const auto domain = number_in(written)) return *domain;
-  return number_in(default_of("ROS_DOMAIN_ID")).value_or(0);
-}
-
-/// Returns the unit of a bridge, by the name of its cgroup; empty: it has none.
-std::string unit_of(pid_t pid) {
-  std::string path = contents_of(of_process(pid, "cgroup"));
-  path.resize(std::min(path.find('\n'), path.size()));
-  std::string unit = path.substr(path.rfind('/') + 1);
-  return unit.starts_with("agnocast-bridge") && unit.ends_with(".service") ? unit : std::string();
-}
-
-void collect_running_bridges(Facts& facts) {
-  for (const BridgeState& bridge : facts.bridges) {
-    const auto pid = static_cast<pid_t>(bridge.pid);
-    if (command_name(pid) != "agnocast-bridge") continue;
-    if (std::string unit = unit_of(pid); !unit.empty()) {
-      facts.bridge_units[bridge.pid] = std::move(unit);
-    } else {
-      facts.bridge_commands[bridge.pid] = look_at_process(pid).command;
-    }
-  }
-}
-
-/// Returns the file in /tmp that CYCLONEDDS_URI names: units have a private /tmp.
-std::string hidden_file_in(const std::string& uri) {
-  for (std::string word : split(uri, ',')) {
-    if (word.starts_with("file://")) word.erase(0, 7);
-    if (word.starts_with("/tmp/") || word.starts_with("/var/tmp/")) return word;
-  }
-  return {};
-}
-
-void collect_bridges(const Arguments& arguments, Facts& facts) {
-  const std::string prefix = "bridge-", suffix = ".sock";
-  for (const std::string& path : bridge_sockets(arguments.socket)) {
-    auto bridge = read_bridge(path);
-    if (bridge) {
-      facts.bridges.push_back(std::move(*bridge));
-    } else if (bridge.error().status == Status::not_reachable) {
-      const std::string name = path.substr(path.rfind('/') + 1);
-      if (!name.starts_with(prefix)) continue;
-      if (const auto domain = number_in(std::string_view(name).substr(prefix.size())))
-        facts.dead_bridges.emplace_back(path, *domain);
-    }
-  }
-  const auto answers_for = [&](std::uint64_t domain) {
-    return std::any_of(facts.bridges.begin(), facts.bridges.end(),
-                       [&](const BridgeState& bridge) { return bridge.domain == domain; });
-  };
-  facts.unit_domain = domain_of_unit();
-  const auto is_installed = [](const std::string& name) {
-    return ::access((enabled_units + name).c_str(), F_OK) == 0;
-  };
-  std::size_t instances = 0;
-  bool has_unit = false;
-  std::string rival;
-  if (facts.door.is_systems) {
-    for_each_entry(enabled_units, [&](const std::string& name) {
-      const std::string_view instance = "agnocast-bridge@";
-      has_unit |= name == "agnocast-bridge.service" && is_installed(name);
-      // A unit that is enabled but no longer installed leaves its link.
-      if (!name.starts_with(instance) || !is_installed(name)) return;
-      const auto domain = number_in(std::string_view(name).substr(instance.size()));
-      if (domain == facts.unit_domain) rival = name;
-      if (domain && answers_for(*domain)) {
-        ++instances;
-      } else {
-        facts.idle_bridge_units.push_back(name);
-      }
-    });
-  }
-  if (has_unit && !rival.empty()) {
-    facts.rival_bridge_unit = rival;
-    std::erase(facts.idle_bridge_units, rival);
-  } else if (has_unit && !answers_for(facts.unit_domain) && facts.bridges.size() <= instances) {
-    // A drop-in may have given it another domain: one that no instance serves.
-    facts.idle_bridge_units.emplace_back("agnocast-bridge.service");
-  }
-  collect_running_bridges(facts);
-  facts.prefix_path = variable("AMENT_PREFIX_PATH").value_or("");
-  facts.receive_buffer_max = number_in(contents_of("/proc/sys/net/core/rmem_max")).value_or(0);
-
-  std::vector<std::string> check{"env"};
-  if (facts.door.is_systems) {
-    facts.units_prefix_path = default_of("AMENT_PREFIX_PATH");
-    const std::string uri = default_of("CYCLONEDDS_URI");
-    facts.hidden_cyclonedds_file = hidden_file_in(uri);
-    if (!uri.empty()) check.push_back("CYCLONEDDS_URI=" + uri);
-  }
-  check.insert(check.end(), {"agnocast-bridge", "--check-config"});
-  // The files of running bridges, and those that a bridge of any domain would read if started now.
-  std::vector<std::string> files{""};
-  for_each_entry(bridge_configurations, [&](const std::string& name) {
-    if (name.starts_with("bridge-") && name.ends_with(".toml"))
-      files.push_back(bridge_configurations + name);
-  });
-  for (const BridgeState& bridge : facts.bridges) {
-    std::string file = named_configuration_of(static_cast<pid_t>(bridge.pid));
-    if (!file.empty() && std::find(files.begin(), files.end(), file) == files.end())
-      files.push_back(std::move(file));
-  }
-  for (const std::string& file : files) {
-    std::vector<std::string> words = check;
-    if (!file.empty()) words.insert(words.end(), {"--config", file});
-    for (const std::string& line : split(complaint_of(std::move(words)), '\n')) {
-      const std::string_view own = "agnocast-bridge: ";
-      if (!line.starts_with(own)) continue;
-      const std::string what = escaped(std::string_view(line).substr(own.size()));
-      if (what.starts_with("CYCLONEDDS_URI")) {
-        facts.cyclonedds_fault = what;
-      } else if (!what.starts_with("ROS_DOMAIN_ID")) {
-        facts.bridge_faults.emplace_back(file.empty() ? bridge_configuration : file, what);
-      }
-    }
-  }
 }
 
 // --- what the daemon says

@@ -130,4 +130,11 @@ inline constexpr std::uint64_t lately_ns = 600'000'000'000;
 
 Facts collect_facts(const Arguments& arguments);
 
+// --- parts of it
+
+/// Returns what /proc says of a process.
+Running look_at_process(pid_t pid);
+/// Collects running bridges, their units and their configurations (doctor_facts_bridge.cpp).
+void collect_bridges(const Arguments& arguments, Facts& facts);
+
 }  // namespace agnocast::ctl

@@ -155,37 +155,8 @@ Outcome<std::string> read_text(const std::string& path) {
   }
 }
 
-}  // namespace
-
-std::vector<std::string> bridge_sockets(const std::string& daemon_socket) {
-  if (const char* const named = ::secure_getenv("AGNOCAST_BRIDGE_SOCKET");
-      named != nullptr && *named != '\0')
-    return {named};
-  std::vector<std::string> directories{std::filesystem::path(daemon_socket).parent_path().string()};
-  if (daemon_socket == system_socket) directories.emplace_back(systems_directory);
-  std::vector<std::string> sockets;
-  for (const std::string& directory : directories) {
-    std::error_code unreadable;
-    for (const auto& entry : std::filesystem::directory_iterator(directory, unreadable)) {
-      const std::string name = entry.path().filename().string();
-      if (name.starts_with("bridge-") && name.ends_with(".sock"))
-        sockets.push_back(entry.path().string());
-    }
-  }
-  std::sort(sockets.begin(), sockets.end());
-  return sockets;
-}
-
-Outcome<BridgeState> parse_bridge(std::string_view text, const std::string& path) {
-  if (text.empty()) return problem_of(Status::timed_out, path, "it is busy or is ending");
-  const Value json = Value::parse(text, nullptr, false);
-  Fields fields(json);
-  std::string schema;
-  fields("schema", schema);
-  if (schema != "agnocast.bridge-status/1")
-    return problem_of(Status::failed, path, "its answer is not valid for a bridge of this version");
-  BridgeState state;
-  state.path = path;
+/// Reads what a bridge says of itself.
+void read_head(Fields& fields, BridgeState& state) {
   fields("version", state.version);
   fields("pid", state.pid);
   fields("domain", state.domain);
@@ -207,6 +178,10 @@ Outcome<BridgeState> parse_bridge(std::string_view text, const std::string& path
       of("refused", limit.refused);
     });
   }
+}
+
+/// Reads topics: on both sides, what flows and what is lost.
+void read_endpoints(Fields& fields, BridgeState& state) {
   fields.each("dds_writers", [&](Fields& of) {
     BridgeEndpoint& endpoint = state.endpoints.emplace_back();
     read_traffic(of, endpoint);
@@ -239,6 +214,10 @@ Outcome<BridgeState> parse_bridge(std::string_view text, const std::string& path
     of("qos", local_reader.qos);
     if (of.has("lost")) of("lost", local_reader.lost);
   });
+}
+
+/// Reads services and their counts.
+void read_services(Fields& fields, BridgeState& state) {
   fields.each("services", [&](Fields& of) {
     BridgeService& service = state.services.emplace_back();
     of("service", service.service);
@@ -261,6 +240,10 @@ Outcome<BridgeState> parse_bridge(std::string_view text, const std::string& path
     of("age_ns", service.age_ns);
     of("last_age_ns", service.last_age_ns);
   });
+}
+
+/// Reads what is not bridged, and what failed.
+void read_lacks(Fields& fields, BridgeState& state) {
   fields.each("unbridged", [&](Fields& of) {
     BridgeLack& lack = state.unbridged.emplace_back();
     std::string kind;
@@ -278,6 +261,43 @@ Outcome<BridgeState> parse_bridge(std::string_view text, const std::string& path
     of("what", what);
     of("why", why);
   });
+}
+
+}  // namespace
+
+std::vector<std::string> bridge_sockets(const std::string& daemon_socket) {
+  if (const char* const named = ::secure_getenv("AGNOCAST_BRIDGE_SOCKET");
+      named != nullptr && *named != '\0')
+    return {named};
+  std::vector<std::string> directories{std::filesystem::path(daemon_socket).parent_path().string()};
+  if (daemon_socket == system_socket) directories.emplace_back(systems_directory);
+  std::vector<std::string> sockets;
+  for (const std::string& directory : directories) {
+    std::error_code unreadable;
+    for (const auto& entry : std::filesystem::directory_iterator(directory, unreadable)) {
+      const std::string name = entry.path().filename().string();
+      if (name.starts_with("bridge-") && name.ends_with(".sock"))
+        sockets.push_back(entry.path().string());
+    }
+  }
+  std::sort(sockets.begin(), sockets.end());
+  return sockets;
+}
+
+Outcome<BridgeState> parse_bridge(std::string_view text, const std::string& path) {
+  if (text.empty()) return problem_of(Status::timed_out, path, "it is busy or is ending");
+  const Value json = Value::parse(text, nullptr, false);
+  Fields fields(json);
+  std::string schema;
+  fields("schema", schema);
+  if (schema != "agnocast.bridge-status/1")
+    return problem_of(Status::failed, path, "its answer is not valid for a bridge of this version");
+  BridgeState state;
+  state.path = path;
+  read_head(fields, state);
+  read_endpoints(fields, state);
+  read_services(fields, state);
+  read_lacks(fields, state);
   if (!fields.is_right() || state.domain > domain_max)
     return problem_of(Status::failed, path, "its answer is not valid for a bridge of this version");
   return state;

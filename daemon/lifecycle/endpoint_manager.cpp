@@ -18,9 +18,9 @@ EndpointManager::EndpointManager(Registry& registry, Regions& regions, Doorbells
       endings_(registry),
       leaving_(registry, endings_),
       announcing_(registry, endings_),
-      announcer_(registry, regions, doorbells, post),
-      runner_(registry, endings_, announcer_, doorbells, post),
-      welcome_back_(registry, announcing_, announcer_, runner_, post) {
+      announcer_(registry, regions, doorbells, channel),
+      runner_(registry, endings_, announcer_, doorbells, channel),
+      welcome_back_(registry, announcing_, announcer_, runner_, channel) {
   runner_.on_client_freed = [this](ClientIndex client) {
     if (on_client_freed) on_client_freed(client);
   };

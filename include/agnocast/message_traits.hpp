@@ -332,7 +332,8 @@ constexpr bool is_stable_spelling(std::string_view name) {
   return !name.empty() && name.find_first_of("<>(){} ,") == std::string_view::npos;
 }
 
-/// Compiles if T can be a message; otherwise stops with one sentence.
+/// Compiles if T can be a message; otherwise stops with one sentence. Long because each refusal has
+/// its sentence, and the first that applies must stop the others.
 template <class T>
 constexpr bool require_message() {
   if constexpr (std::is_pointer_v<T> || std::is_reference_v<T> || std::is_null_pointer_v<T>) {

@@ -31,9 +31,9 @@ expect 2 "--load goes with --repeat" "$scripts/test" --load 2
 repeat=$scripts/repeat-tests
 mkdir "$work/built"
 expect 0 "N LOAD BUILD" "$repeat" --help
-expect 2 "N, LOAD and BUILD are wanted" "$repeat" 1 2
-expect 2 "N is a number from 1, not '0'" "$repeat" 0 0 "$work/built"
-expect 2 "LOAD is a number from 0 to 999, not 'much'" "$repeat" 1 much "$work/built"
+expect 2 "N, LOAD and BUILD are required" "$repeat" 1 2
+expect 2 "N must be a number from 1 to 999999, not '0'" "$repeat" 0 0 "$work/built"
+expect 2 "LOAD must be a number from 0 to 999, not 'much'" "$repeat" 1 much "$work/built"
 expect 2 "no tests are built in '$work/built'" "$repeat" 1 0 "$work/built"
 
 # One that passes, one that fails in each second run, one that sees the load: processes that compute, of the parent of its ctest.

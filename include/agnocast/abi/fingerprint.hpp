@@ -44,6 +44,7 @@ class Fingerprint {
   std::uint64_t hash_ = 0xcbf29ce484222325;
 };
 
+/// Returns the fingerprint of this layout. Long because it lists each size, offset and limit once.
 constexpr std::uint64_t fingerprint() noexcept {
   Fingerprint sum;
   sum.add(layout_version, cache_line_bytes, page_bytes, depth_max, ring_count, slot_count_max,

@@ -109,7 +109,7 @@ TEST(BadInput, AStoppedDaemonIsWaitedForAndNamed) {
   ASSERT_EQ(::kill(daemon.pid(), SIGSTOP), 0);
   const Outcome outcome = node(daemon, "sub");
   ::kill(daemon.pid(), SIGCONT);
-  expect_refusal(outcome, daemon.socket_path() + ": no answer of agnocastd within 5 s",
+  expect_refusal(outcome, daemon.socket_path() + ": no answer from agnocastd within 5 s",
                  Errc::daemon_not_running);
 }
 
@@ -173,11 +173,11 @@ TEST(BadInput, AnAnswerWithoutItsDescriptorsIsDistinguishedFromALimitOfOpenFiles
   const std::string path = daemon.directory() + "/proxy.sock";
   {
     const ProxyWithoutDescriptors proxy(path, daemon.socket_path());
-    expect_refusal(node(path, "sub"), "the welcome of agnocastd", Errc::descriptors_withheld);
+    expect_refusal(node(path, "sub"), "the welcome from agnocastd", Errc::descriptors_withheld);
   }
   // Enough for the program, its connection and one of the welcome's two.
   expect_refusal(node(daemon, "sub", "LD_PRELOAD=" AGNOCAST_HOOK " prlimit --nofile=7"),
-                 "the welcome of agnocastd: Too many open files", Errc::os_failure);
+                 "the welcome from agnocastd: Too many open files", Errc::os_failure);
 }
 
 // --- requests

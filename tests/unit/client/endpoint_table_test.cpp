@@ -1,7 +1,7 @@
 // SPDX-License-Identifier: Apache-2.0
 //
-// Goal: endpoints are found by place and generation, and those that are over are taken out before
-// anybody is told. Method: endpoints over memory of this process, where nobody else is.
+// Goal: the table finds endpoints by place and generation, and removes ended ones before they are
+// reported. Method: endpoints over memory of this process, without any other process.
 
 #include <client/endpoint/endpoint_table.hpp>
 
@@ -63,8 +63,9 @@ struct EndpointTableTest : testing::Test {
   }
   std::vector<Key> collect() {
     std::vector<Key> all;
-    table.collect_subscriptions([](std::uint32_t, const Link&) { FAIL() << "nobody was linked"; },
-                                [&](const Key& key, std::uint64_t) { all.push_back(key); });
+    table.collect_subscriptions(
+        [](std::uint32_t, const Link&) { FAIL() << "no subscription was linked"; },
+        [&](const Key& key, std::uint64_t) { all.push_back(key); });
     return all;
   }
 
@@ -74,7 +75,7 @@ struct EndpointTableTest : testing::Test {
   EndpointTable table;
 };
 
-TEST_F(EndpointTableTest, FindsWhatIsHereByPlaceAndGeneration) {
+TEST_F(EndpointTableTest, FindsEndpointsByPlaceAndGeneration) {
   EXPECT_TRUE(table.is_empty());
   const auto publisher = add_publisher({1, 2}, 7);
   const auto subscription = add_subscription({1, 2}, 8);
@@ -94,7 +95,7 @@ TEST_F(EndpointTableTest, FindsWhatIsHereByPlaceAndGeneration) {
   EXPECT_FALSE(table.is_attached(1, 2, 8));
 }
 
-TEST_F(EndpointTableTest, ListsAllAndTakesOutWhatItIsTold) {
+TEST_F(EndpointTableTest, ListsAllEndpointsAndErasesTheGivenOnes) {
   const auto one = add_publisher({1, 0}, 1), other = add_publisher({2, 0}, 2);
   const auto subscription = add_subscription({1, 0}, 3);
   EXPECT_EQ(table.publishers(), (std::vector{one, other}));
@@ -105,7 +106,7 @@ TEST_F(EndpointTableTest, ListsAllAndTakesOutWhatItIsTold) {
   EXPECT_TRUE(table.subscriptions().empty());
 }
 
-TEST_F(EndpointTableTest, CollectsASubscriptionThatIsClosedAndOfWhichTheDaemonKnows) {
+TEST_F(EndpointTableTest, CollectsAClosedSubscriptionWhenTheDaemonKnows) {
   const auto gone = add_subscription({1, 0}, 1), here = add_subscription({1, 1}, 2);
   EXPECT_TRUE(collect().empty());
   gone->close();

@@ -1,8 +1,7 @@
 // SPDX-License-Identifier: Apache-2.0
 //
-// Goal: a wait set gets one place in a session, places and numbers are used again, and none is
-// lost. Method: wait sets of this process, a page as the client region, and a daemon that is a
-// function.
+// Goal: a wait set gets one place in a session, places and numbers are reused, and none is lost.
+// Method: wait sets of this process, a page as the client region, and a function as the daemon.
 
 #include <client/session/executor_places.hpp>
 
@@ -67,7 +66,7 @@ TEST_F(ExecutorPlacesTest, GivesAWaitSetOnePlace) {
   EXPECT_EQ(other->index_in(this), 1u);
 }
 
-TEST_F(ExecutorPlacesTest, GivesOutAgainWhatComesBack) {
+TEST_F(ExecutorPlacesTest, ReusesReturnedPlaces) {
   auto one = wait_set();
   ASSERT_TRUE(give(*one));
   EXPECT_FALSE(places.end()) << "it is lent";
@@ -95,7 +94,7 @@ TEST_F(ExecutorPlacesTest, AsksAgainForANumberWhoseDoorbellsDidNotCome) {
   EXPECT_EQ(other->index_in(this), 1u);
 }
 
-TEST_F(ExecutorPlacesTest, GivesNoneWhereItMayNot) {
+TEST_F(ExecutorPlacesTest, GivesNoPlaceWithoutPermission) {
   permit = fail(Errc::started_anew, "lost");
   const auto one = wait_set();
   const Result<void> refused = give(*one);
@@ -104,7 +103,7 @@ TEST_F(ExecutorPlacesTest, GivesNoneWhereItMayNot) {
   EXPECT_TRUE(asked.empty());
 }
 
-TEST_F(ExecutorPlacesTest, HasAsManyAsTheClientRegion) {
+TEST_F(ExecutorPlacesTest, HasAsManyPlacesAsTheClientRegion) {
   std::vector<std::shared_ptr<WaitSet>> all;
   for (std::uint64_t i = 0; i < abi::executor_count_max; ++i) {
     all.push_back(wait_set());
@@ -119,7 +118,7 @@ TEST_F(ExecutorPlacesTest, HasAsManyAsTheClientRegion) {
   EXPECT_EQ(more->index_in(this), 7u);
 }
 
-TEST_F(ExecutorPlacesTest, RenewsTheDoorbellsOfAPlaceThatNobodyHas) {
+TEST_F(ExecutorPlacesTest, RenewsTheDoorbellsOfAnUnusedPlace) {
   auto one = wait_set();
   ASSERT_TRUE(give(*one));
   DoorbellReceiver others = doorbells();

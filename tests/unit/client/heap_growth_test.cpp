@@ -16,7 +16,7 @@ struct HeapGrowthTest : testing::Test {
   bool is_asked_for(bool wants) const { return growth.may_ask() && growth.is_due(now, wants); }
 };
 
-TEST_F(HeapGrowthTest, AsksForWhatIsWantedAndOnceAtATime) {
+TEST_F(HeapGrowthTest, AsksForAWantedWindowOneAtATime) {
   EXPECT_FALSE(is_asked_for(false));
   ASSERT_TRUE(is_asked_for(true));
   growth.asked();
@@ -33,7 +33,7 @@ TEST_F(HeapGrowthTest, AsksAgainWhenThereWasNoMemoryToAsk) {
   EXPECT_FALSE(growth.is_refused());
 }
 
-TEST_F(HeapGrowthTest, AsksEverMoreRarelyWhatWasRefusedAndAtOnceWhatWasNot) {
+TEST_F(HeapGrowthTest, AsksLessAndLessOftenAfterRefusalsAndAtOnceAfterASuccess) {
   auto pause = HeapGrowth::pause_first;
   for (int refusals = 0; refusals < 10; ++refusals) {
     growth.asked();
@@ -56,7 +56,7 @@ TEST_F(HeapGrowthTest, AsksEverMoreRarelyWhatWasRefusedAndAtOnceWhatWasNot) {
   EXPECT_TRUE(is_asked_for(true)) << "the pause is short again";
 }
 
-TEST_F(HeapGrowthTest, GoesOnWhereTheDaemonAsksItTo) {
+TEST_F(HeapGrowthTest, ContinuesInTheWindowThatTheDaemonRequests) {
   growth.move_to(1);
   EXPECT_TRUE(is_asked_for(false));
   growth.asked();
@@ -64,7 +64,7 @@ TEST_F(HeapGrowthTest, GoesOnWhereTheDaemonAsksItTo) {
   EXPECT_FALSE(is_asked_for(false));
 }
 
-TEST_F(HeapGrowthTest, DoesNotGrowBeforeItIsPermittedTo) {
+TEST_F(HeapGrowthTest, DoesNotGrowBeforeItIsPermitted) {
   growth.hold_back();
   growth.bring(3);
   EXPECT_EQ(growth.window_count(), 3u);

@@ -1,9 +1,8 @@
 // SPDX-License-Identifier: Apache-2.0
 //
-// Goal: a process is mapped with the first endpoint that is announced of it, stays as long as
-// anybody uses it, and is unmapped before the daemon could be told; whatever the daemon announces,
-// nothing lies outside the arena. Method: this test is the daemon, with memfds as regions and
-// windows.
+// Goal: a process is mapped with its first announced endpoint, stays mapped as long as it is used,
+// and is unmapped before that is reported to the daemon. Whatever the daemon announces, nothing is
+// mapped outside the arena. Method: this test is the daemon, with memfds as regions and windows.
 
 #include <client/endpoint/peer_table.hpp>
 
@@ -59,7 +58,7 @@ struct PeerTableTest : testing::Test {
   std::vector<PeerTable::Key> collect() {
     std::vector<PeerTable::Key> all;
     table.collect([&](const PeerTable::Key& process) {
-      EXPECT_FALSE(table.has(process)) << "it is said before it is done";
+      EXPECT_FALSE(table.has(process)) << "reported before it was unmapped";
       all.push_back(process);
     });
     return all;
@@ -100,7 +99,7 @@ TEST_F(PeerTableTest, KnowsOtherGenerationsAsOtherProcesses) {
   EXPECT_NE(one.get(), next.get());
 }
 
-TEST_F(PeerTableTest, IsAPeerItselfAndTellsNobodyOfItsEnd) {
+TEST_F(PeerTableTest, HasItsOwnProcessAsAPeerAndDoesNotReportItsEnd) {
   auto here = use(announcement(self));
   ASSERT_NE(here, nullptr);
   EXPECT_EQ(here->region(), region.base());
@@ -111,7 +110,7 @@ TEST_F(PeerTableTest, IsAPeerItselfAndTellsNobodyOfItsEnd) {
   EXPECT_TRUE(table.is_empty());
 }
 
-TEST_F(PeerTableTest, HasTheWindowsThatAreAnnounced) {
+TEST_F(PeerTableTest, HasTheAnnouncedWindows) {
   const auto peer = use(announcement(other, 2));
   ASSERT_NE(peer, nullptr);
   EXPECT_EQ(peer->heap().window_count(), 2u);
@@ -119,7 +118,7 @@ TEST_F(PeerTableTest, HasTheWindowsThatAreAnnounced) {
                    file(window_bytes));
   EXPECT_EQ(peer->heap().window_count(), 3u);
   table.add_window({3, 30}, {0, arena.base(), window_bytes, 0}, file(window_bytes));
-  EXPECT_FALSE(table.has({3, 30})) << "a window makes nobody known";
+  EXPECT_FALSE(table.has({3, 30})) << "a window does not make its process known";
 }
 
 TEST_F(PeerTableTest, MapsNothingOutsideTheArena) {
@@ -132,7 +131,7 @@ TEST_F(PeerTableTest, MapsNothingOutsideTheArena) {
   EXPECT_EQ(peer->heap().window_count(), 0u);
 }
 
-TEST_F(PeerTableTest, UsesNobodyWhoseDescriptorsAreMissing) {
+TEST_F(PeerTableTest, UsesNoProcessWithMissingDescriptors) {
   std::size_t used = 0;
   EXPECT_EQ(table.use(announcement(other), {}, used), nullptr);
   EXPECT_FALSE(table.has(other));

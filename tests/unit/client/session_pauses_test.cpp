@@ -1,7 +1,7 @@
 // SPDX-License-Identifier: Apache-2.0
 //
-// Goal: the control thread looks, and asks again, as often as scan_timer.hpp and reannouncement.hpp
-// say.
+// Goal: the control thread looks, and asks again, at the intervals of scan_timer.hpp and
+// reannouncement.hpp.
 
 #include <client/session/reannouncement.hpp>
 #include <client/session/scan_timer.hpp>
@@ -15,7 +15,7 @@ namespace {
 
 using namespace std::chrono_literals;
 
-TEST(ScanTimer, LooksSoonAfterAPublishAndThenEverMoreRarely) {
+TEST(ScanTimer, LooksSoonAfterAPublishAndThenLessAndLessOften) {
   ScanTimer timer;
   EXPECT_EQ(timer.next_ms(false, false, false), ScanTimer::last_ms);
   std::vector<int> pauses;
@@ -35,7 +35,7 @@ TEST(ScanTimer, LooksForALinkSooner) {
   EXPECT_EQ(timer.next_ms(false, true, false), ScanTimer::link_first_ms);
 }
 
-TEST(ScanTimer, LooksAtOnePaceWithoutADaemon) {
+TEST(ScanTimer, LooksAtAConstantIntervalWithoutADaemon) {
   ScanTimer timer;
   for (const bool reclaimable : {false, true})
     EXPECT_EQ(timer.next_ms(reclaimable, true, true), ScanTimer::alone_ms);
@@ -52,11 +52,11 @@ struct ReannouncementTest : testing::Test {
   }
 };
 
-TEST_F(ReannouncementTest, WaitsTwiceAsLongEachTimeThatDescriptorsAreLost) {
+TEST_F(ReannouncementTest, DoublesThePauseEachTimeDescriptorsAreLost) {
   EXPECT_FALSE(again.is_awaited());
   for (const auto pause : {1s, 2s, 4s, 8s, 16s, 30s, 30s}) {
     again.lost(now);
-    again.lost(now + 1ms);  // of the same connection
+    again.lost(now + 1ms);  // on the same connection
     EXPECT_TRUE(again.is_awaited());
     EXPECT_EQ(wait(), pause);
     again.begun();
@@ -85,7 +85,7 @@ TEST_F(ReannouncementTest, LooksForLargerSharesOnceASecondAndAsksForThemMoreRare
   again.ask(now);
   EXPECT_TRUE(again.is_due(now));
   now += Reannouncement::pause_last;
-  EXPECT_FALSE(again.may_look(now)) << "while it is awaited";
+  EXPECT_FALSE(again.may_look(now)) << "while announcements are outstanding";
   again.begun();
   EXPECT_TRUE(again.may_look(now));
 }

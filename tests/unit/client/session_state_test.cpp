@@ -1,7 +1,7 @@
 // SPDX-License-Identifier: Apache-2.0
 //
-// Goal: the drawing and the table of truths in session_state.hpp are what the class does. Method:
-// every phase with every step, and the ways that sessions go.
+// Goal: the class follows the drawing and the table of properties in session_state.hpp. Method:
+// every phase with every step, and the sequences that occur.
 
 #include <client/session/session_state.hpp>
 
@@ -23,7 +23,7 @@ constexpr Phase phases[] = {Phase::unconnected, Phase::beginning, Phase::lost,  
 constexpr Step steps[] = {Step::connected, Step::be_present, Step::drop,
                           Step::arrived,   Step::speak,      Step::lose};
 
-/// The steps by which a session comes to each phase.
+/// The steps that lead a session to each phase.
 const std::map<Phase, std::vector<Step>> ways{
     {Phase::unconnected, {}},
     {Phase::beginning, {}},
@@ -35,7 +35,7 @@ const std::map<Phase, std::vector<Step>> ways{
     {Phase::alone, {Step::be_present, Step::lose}},
 };
 
-/// In place: it has atomics.
+/// Constructed in place, because it has atomics.
 struct In {
   explicit In(Phase phase) {
     former.give_reason(Errc::started_anew);
@@ -74,7 +74,7 @@ TEST(SessionState, KnowsTheStepsOfTheDrawingAndNoOthers) {
   }
 }
 
-TEST(SessionState, HasTheTruthsOfItsTable) {
+TEST(SessionState, HasThePropertiesOfItsTable) {
   const auto is_in = [](Phase phase, std::set<Phase> set) { return set.count(phase) != 0; };
   for (const Phase phase : phases) {
     SCOPED_TRACE(static_cast<int>(phase));
@@ -89,7 +89,7 @@ TEST(SessionState, HasTheTruthsOfItsTable) {
   }
 }
 
-TEST(SessionState, TellsWhatIsNewAndNothingTwice) {
+TEST(SessionState, NotifiesOfEachChangeOnce) {
   SessionState state;
   EXPECT_EQ(state.connection(), ConnectionState::unconnected);
   EXPECT_TRUE(state.tell(ConnectionState::connected));
@@ -101,7 +101,7 @@ TEST(SessionState, TellsWhatIsNewAndNothingTwice) {
   EXPECT_EQ(state.reason(), Errc::revoked);
 }
 
-TEST(SessionState, IsTheOrphanedSessionThatTheFormerOneWasUntilItSpeaks) {
+TEST(SessionState, StaysOrphanedForThePreviousReasonUntilItSpeaks) {
   In session(Phase::beginning);
   SessionState& state = session.state;
   for (const Step step : {Step::be_present, Step::arrived, Step::speak}) {
@@ -113,8 +113,8 @@ TEST(SessionState, IsTheOrphanedSessionThatTheFormerOneWasUntilItSpeaks) {
   EXPECT_TRUE(state.tell(ConnectionState::connected));
 }
 
-// Its control thread loses it while another thread makes it the present one.
-TEST(SessionState, IsAloneInWhateverOrderItIsLostAndBecomesPresent) {
+// The control thread loses the session while another thread makes it the current one.
+TEST(SessionState, IsAloneWhetherItIsLostBeforeOrAfterItBecomesCurrent) {
   for (const bool is_lost_first : {false, true}) {
     In session(Phase::beginning);
     session.state.step(is_lost_first ? Step::lose : Step::be_present);

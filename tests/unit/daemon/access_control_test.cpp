@@ -1,8 +1,8 @@
 // SPDX-License-Identifier: Apache-2.0
 //
-// Goal: a rule about a topic is true of the memory behind it: who may not subscribe to a topic of a
-// process is given nothing of that process. Method: rules as values, a registry and nothing else;
-// each request is asked for as a process would.
+// Goal: a rule about a topic also holds for the memory behind it: a user that may not subscribe to
+// one topic of a process gets no memory of that process. Method: rules as values and a registry;
+// each request is checked as a process would send it.
 
 #include <daemon/admission/access_control.hpp>
 #include <tests/support/registry_scene.hpp>
@@ -39,7 +39,7 @@ class AccessControlTest : public testing::Test {
   }
 
   test::RegistryScene scene;
-  // /secret is alice's to read; bob publishes nowhere.
+  // Only alice may read /secret; bob may publish nothing.
   std::vector<AccessRule> rules{{"/secret", {}, {}, only(alice), 3},
                                 {"/**", {}, only(alice), {}, 7}};
   std::string lines;
@@ -51,7 +51,7 @@ class AccessControlTest : public testing::Test {
   AccessControl access{rules, scene.registry, log};
 };
 
-TEST_F(AccessControlTest, SaysWhichRuleForbids) {
+TEST_F(AccessControlTest, NamesTheRuleThatForbids) {
   const ClientIndex client = scene.process(bob);
   EXPECT_TRUE(check(bob, client, Kind::subscription, "/open"));
   const auto reads = check(bob, client, Kind::subscription, "/secret");
@@ -73,8 +73,8 @@ TEST_F(AccessControlTest, OneHeapHasOneSetOfReaders) {
   EXPECT_TRUE(check(alice, client, Kind::publisher, "/secret")) << "the same readers";
 }
 
-TEST_F(AccessControlTest, NobodyReadsAProcessThatAlsoPublishesWhatIsForbidden) {
-  // As only a change of the rules leaves it.
+TEST_F(AccessControlTest, NoUserReadsAProcessThatAlsoPublishesATopicForbiddenToIt) {
+  // Only a change of the rules leads to this.
   const ClientIndex client = scene.process(alice);
   publish(client, "/secret");
   publish(client, "/open");
@@ -85,7 +85,7 @@ TEST_F(AccessControlTest, NobodyReadsAProcessThatAlsoPublishesWhatIsForbidden) {
   EXPECT_TRUE(check(alice, reader, Kind::subscription, "/open"));
 }
 
-TEST_F(AccessControlTest, FindsWhatAProcessHasAgainstTheRulesInForce) {
+TEST_F(AccessControlTest, FindsEndpointsThatTheCurrentRulesForbid) {
   const ClientIndex client = scene.process(bob);
   scene.subscription(client, "/open");
   EXPECT_EQ(access.forbidden_endpoint(client, identity(bob)), "");
@@ -96,7 +96,7 @@ TEST_F(AccessControlTest, FindsWhatAProcessHasAgainstTheRulesInForce) {
   EXPECT_EQ(access.forbidden_endpoint(client, identity(bob)), "") << "it leaves already";
 }
 
-TEST_F(AccessControlTest, WarnsWhenOthersMayReadNowThanWereGivenTheMemory) {
+TEST_F(AccessControlTest, WarnsWhenTheAllowedReadersDifferFromThoseWithTheMemory) {
   const ClientIndex client = scene.process(alice);
   scene.publisher(client, "/secret");
   scene.registry.set_readers(client, everybody_reads);

@@ -1,8 +1,8 @@
 // SPDX-License-Identifier: Apache-2.0
 //
-// Goal: one user has what its quotas allow and nothing more, a refusal names the quota and what it
-// is, and no user's quota depends on what another one has. Method: the daemon's core with small
-// quotas; each request is asked for before it is carried out.
+// Goal: one user gets what its quotas allow and no more, a refusal names the quota and its value,
+// and no user's quota depends on the use by another one. Method: the daemon's core with small
+// quotas; each request is checked before it is carried out.
 
 #include <daemon/admission/admission.hpp>
 #include <tests/support/processes/daemon_core.hpp>
@@ -53,7 +53,7 @@ class AdmissionTest : public testing::Test {
                       core.store, access};
 };
 
-TEST_F(AdmissionTest, CountsProcessesOfEachUserAlone) {
+TEST_F(AdmissionTest, CountsTheProcessesOfEachUserSeparately) {
   EXPECT_TRUE(admission.admit_client(alice, false));
   core.process(alice);
   core.process(alice);
@@ -64,7 +64,7 @@ TEST_F(AdmissionTest, CountsProcessesOfEachUserAlone) {
   EXPECT_EQ(admission.exceeded().used, 2u);
   admission.begin_request();
   EXPECT_TRUE(admission.admit_client(bob, false));
-  EXPECT_EQ(admission.exceeded().limit, "") << "nothing of the request before";
+  EXPECT_EQ(admission.exceeded().limit, "") << "the result of the previous request is cleared";
   EXPECT_FALSE(admission.admit_client(bob, true)) << "its connection was accepted only to observe";
 }
 
@@ -91,7 +91,7 @@ TEST_F(AdmissionTest, RefusesADepthThatNoPublisherMayHave) {
   EXPECT_EQ(refused.error().code, Errc::depth_refused);
 }
 
-TEST_F(AdmissionTest, CountsGonePublishersOfTheUserUntilTheyAreRead) {
+TEST_F(AdmissionTest, CountsGonePublishersOfAUserUntilTheyAreRead) {
   const ClientIndex owner = core.process(alice), reader = core.process(bob);
   core.create(reader, Kind::subscription, "/a");
   core.create(owner, Kind::publisher, "/a");
@@ -99,10 +99,10 @@ TEST_F(AdmissionTest, CountsGonePublishersOfTheUserUntilTheyAreRead) {
   const auto refused = endpoint(core.process(alice), Kind::publisher, "/a");
   ASSERT_FALSE(refused);
   EXPECT_NE(std::string(detail_of(refused.error())).find("has not let go of 1"), std::string::npos)
-      << "who keeps it is named: " << detail_of(refused.error());
+      << "the process that keeps it is named: " << detail_of(refused.error());
 }
 
-TEST_F(AdmissionTest, BoundsWindowsOfAProcessAndAddressesOfAUser) {
+TEST_F(AdmissionTest, BoundsTheWindowsOfAProcessAndTheAddressesOfAUser) {
   const ClientIndex first = core.process(alice);
   EXPECT_TRUE(admission.admit_window(core.registry.client(first)));
   core.registry.open_window(first, {arena.base, arena.window_bytes, 0});
@@ -117,7 +117,7 @@ TEST_F(AdmissionTest, BoundsWindowsOfAProcessAndAddressesOfAUser) {
   EXPECT_TRUE(admission.admit_window(core.registry.client(core.process(bob))));
 }
 
-TEST_F(AdmissionTest, LeavesAQuarterToOthersWhereNothingIsConfigured) {
+TEST_F(AdmissionTest, LeavesAQuarterToOtherUsersWithoutAConfiguredQuota) {
   config.quota.publishers_per_topic = 0;
   config.limits.publishers_per_topic = 100;
   EXPECT_EQ(admission.places_quota(Kind::publisher), 75u);

@@ -1,8 +1,8 @@
 // SPDX-License-Identifier: Apache-2.0
 //
-// Goal: a process hears of exactly the endpoints that concern it, behind the record of that, when
-// one is created and when it comes back. Method: a registry and nothing else; the effects say who
-// is told of what.
+// Goal: a process is notified of exactly the endpoints that concern it, after that is recorded,
+// when an endpoint is created and when a process comes back. Method: a registry only; the effects
+// show which process is notified of which endpoint.
 
 #include <daemon/lifecycle/announcing.hpp>
 #include <tests/support/registry_scene.hpp>
@@ -27,7 +27,7 @@ class AnnouncingTest : public testing::Test {
     }
     return found;
   }
-  /// Of the first effect of this type.
+  /// Returns the position of the first effect of this type.
   template <class Kind>
   static std::size_t place_of(const Effects& effects) {
     std::size_t at = 0;
@@ -48,7 +48,7 @@ class AnnouncingTest : public testing::Test {
   Announcing announcing{scene.registry, endings};
 };
 
-TEST_F(AnnouncingTest, RecordsMembersThenAnswersThenTellsReadersThenThePublisher) {
+TEST_F(AnnouncingTest, RecordsReceiversThenAnswersThenNotifiesReadersThenThePublisher) {
   const ClientIndex owner = scene.process(), first = scene.process(), second = scene.process();
   const EndpointRef a = scene.subscription(first), b = scene.subscription(second);
   const EndpointRef publisher = scene.publisher(owner);
@@ -64,13 +64,13 @@ TEST_F(AnnouncingTest, RecordsMembersThenAnswersThenTellsReadersThenThePublisher
   const auto notified = all<effect::Announce>(effects);
   ASSERT_EQ(notified.size(), 4u);
   EXPECT_EQ(notified[0].subject, publisher);
-  EXPECT_EQ(notified[0].member, a);
-  EXPECT_EQ(notified[1].member, b);
+  EXPECT_EQ(notified[0].receiver, a);
+  EXPECT_EQ(notified[1].receiver, b);
   EXPECT_EQ(notified[2].subject, a) << "a reader has mapped the publisher before it is rung";
-  EXPECT_EQ(notified[2].member, publisher);
+  EXPECT_EQ(notified[2].receiver, publisher);
 }
 
-TEST_F(AnnouncingTest, TellsNobodyWhoLeavesOrIsOver) {
+TEST_F(AnnouncingTest, NotifiesNoEndpointThatLeavesOrIsOver) {
   const EndpointRef leaving = scene.subscription(scene.process());
   const EndpointRef orphan = scene.publisher(scene.process());
   registry.change_subscription(leaving.topic, leaving.index, EndpointState::leaving);
@@ -79,10 +79,11 @@ TEST_F(AnnouncingTest, TellsNobodyWhoLeavesOrIsOver) {
   EXPECT_EQ(announcing.created(scene.publisher(owner), 1).size(), 1u) << "the answer alone";
   const EndpointRef subscription = scene.subscription(owner);
   const auto notified = all<effect::Announce>(announcing.created(subscription, 2));
-  for (const auto& one : notified) EXPECT_NE(one.subject, orphan) << "nobody joins an orphan";
+  for (const auto& one : notified)
+    EXPECT_NE(one.subject, orphan) << "no subscription joins an orphan";
 }
 
-TEST_F(AnnouncingTest, AnswersAgainToItsProcessAlone) {
+TEST_F(AnnouncingTest, AnswersAgainOnlyToTheOwner) {
   const ClientIndex owner = scene.process(), reader = scene.process();
   const EndpointRef subscription = scene.subscription(reader), publisher = scene.publisher(owner);
   const Effects effects = announcing.answered_again(publisher, 7);
@@ -91,10 +92,10 @@ TEST_F(AnnouncingTest, AnswersAgainToItsProcessAlone) {
   const auto notified = all<effect::Announce>(effects);
   ASSERT_EQ(notified.size(), 1u);
   EXPECT_EQ(notified[0].subject, subscription);
-  EXPECT_EQ(notified[0].member, publisher);
+  EXPECT_EQ(notified[0].receiver, publisher);
 }
 
-TEST_F(AnnouncingTest, AReaderThatComesBackHearsOfAnOrphanThatItHadJoined) {
+TEST_F(AnnouncingTest, AReaderThatComesBackIsNotifiedOfAnOrphanThatItHadJoined) {
   const ClientIndex owner = scene.process(), reader = scene.process();
   const EndpointRef publisher = scene.publisher(owner);
   const EndpointRef before = scene.subscription(reader);
@@ -108,7 +109,7 @@ TEST_F(AnnouncingTest, AReaderThatComesBackHearsOfAnOrphanThatItHadJoined) {
   EXPECT_TRUE(announcing.what_is_over(reader, publisher.topic).empty());
 }
 
-TEST_F(AnnouncingTest, APublisherThatComesBackIsAskedToUnmapWhatItDoesNotLookAt) {
+TEST_F(AnnouncingTest, APublisherThatComesBackIsAskedToUnmapDeadSubscriptions) {
   const ClientIndex owner = scene.process(), reader = scene.process();
   scene.publisher(owner);
   const EndpointRef subscription = scene.subscription(reader);
@@ -119,7 +120,7 @@ TEST_F(AnnouncingTest, APublisherThatComesBackIsAskedToUnmapWhatItDoesNotLookAt)
   EXPECT_EQ(count_of<effect::Announce>(announcing.to_publishers_of(subscription)), 0u);
 }
 
-TEST_F(AnnouncingTest, TellsBothOwnersOfAMismatchAndAnnouncesNothing) {
+TEST_F(AnnouncingTest, NotifiesBothOwnersOfAMismatchAndAnnouncesNothing) {
   const ClientIndex owner = scene.process();
   const EndpointRef publisher = scene.publisher(owner);
   subscription_with_history(scene.process());

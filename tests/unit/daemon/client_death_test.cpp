@@ -1,8 +1,8 @@
 // SPDX-License-Identifier: Apache-2.0
 //
-// Goal: a dead client goes through its states in one order, each step is said once, and what others
-// do between two steps is theirs. Method: a registry and nothing else; each step is carried out on
-// the registry as the reaper does it.
+// Goal: a dead client goes through its states in one order, each step comes once, and changes that
+// others make between two steps are respected. Method: a registry only; the test carries out each
+// step on it, as the reaper does.
 
 #include <daemon/death/client_death.hpp>
 #include <tests/support/registry_scene.hpp>
@@ -25,7 +25,7 @@ class ClientDeathTest : public testing::Test {
     scene.subscription(client, "/other");
     return client;
   }
-  /// What the reaper does to the tables.
+  /// Applies the step to the tables, as the reaper does.
   void carry_out(ClientIndex client, const DeathStep& step) {
     if (const auto* const close = std::get_if<death::Close>(&step)) {
       registry.change_subscription(close->subscription.topic, close->subscription.index,
@@ -62,7 +62,7 @@ TEST_F(ClientDeathTest, GoesThroughTheStatesInOrder) {
   EXPECT_EQ(death.state(), DeathState::forgotten);
   EXPECT_EQ(registry.client(client).state, ClientState::forgotten);
   EXPECT_FALSE(registry.notified_of(known).contains(number(client)));
-  // Two subscriptions, one publisher, the region; three topics with one endpoint or two each; the
+  // Two subscriptions, one publisher, the region; three topics with one or two endpoints each; the
   // end.
   const std::size_t close = DeathStep(death::Close{}).index(),
                     orphan = DeathStep(death::Orphan{}).index(),
@@ -75,7 +75,7 @@ TEST_F(ClientDeathTest, GoesThroughTheStatesInOrder) {
   EXPECT_FALSE(death.next()) << "it is over";
 }
 
-TEST_F(ClientDeathTest, DoesNotRepeatWhatAnEarlierDaemonHasDone) {
+TEST_F(ClientDeathTest, DoesNotRepeatTheStepsOfAnEarlierDaemon) {
   const ClientIndex client = dead_client();
   registry.client_died(client, journal::DeathReason::died);
   {
@@ -89,7 +89,7 @@ TEST_F(ClientDeathTest, DoesNotRepeatWhatAnEarlierDaemonHasDone) {
   EXPECT_TRUE(std::holds_alternative<death::Unmap>(*step));
 }
 
-TEST_F(ClientDeathTest, LeavesAPlaceThatIsAnothersByNow) {
+TEST_F(ClientDeathTest, LeavesAReusedPlaceAlone) {
   const ClientIndex client = scene.process(), other = scene.process();
   const EndpointRef first = scene.subscription(client, "/a"),
                     second = scene.subscription(client, "/b");
@@ -106,11 +106,11 @@ TEST_F(ClientDeathTest, LeavesAPlaceThatIsAnothersByNow) {
   EXPECT_EQ(registry.subscription(first.topic, first.index).state, EndpointState::dead);
 }
 
-TEST_F(ClientDeathTest, OfAProcessThatHadNothingOnlyTheMemoryIsLeft) {
+TEST_F(ClientDeathTest, UnmapsAndForgetsAProcessWithoutEndpoints) {
   const ClientIndex client = scene.process();
   registry.client_died(client, journal::DeathReason::unmapped);
   ClientDeath death(client, registry);
-  EXPECT_EQ(run(death).size(), 2u) << "its region, and itself";
+  EXPECT_EQ(run(death).size(), 2u) << "unmap its region, and forget it";
 }
 
 }  // namespace

@@ -1,8 +1,8 @@
 // SPDX-License-Identifier: Apache-2.0
 //
-// Goal: the end of a connection ends nobody's session; the end of a process does, once; a process
-// that was revoked has its place until it ends. Method: the daemon's core with peers that have no
-// socket, and a log that is read.
+// Goal: the end of a connection ends no session; the end of a process does, once; a revoked process
+// keeps its place until it ends. Method: the daemon's core with peers without sockets, and a log
+// that the test reads.
 
 #include <daemon/death/client_termination.hpp>
 #include <tests/support/processes/daemon_core.hpp>
@@ -22,17 +22,17 @@ constexpr std::uint32_t alice = 1000;
 
 class ClientTerminationTest : public testing::Test {
  protected:
-  /// A connection of somebody who is no endpoint.
+  /// A connection without a session.
   Peer& stranger() {
     PeerIdentity identity;
     identity.uid = alice;
     identity.pid = ::getpid();
     auto peer = std::make_unique<Peer>(
         Peer{connections.next_id(), Session(PacketSocket(), std::move(identity))});
-    peer->session.set_may_carry(false);  // there is nothing to close
+    peer->session.set_may_carry(false);  // there is no socket to close
     return connections.add(std::move(peer));
   }
-  /// A process with a publisher, whose region nobody maps.
+  /// A process with a publisher; no process maps its region.
   Peer& member() {
     const ClientIndex client = core.process(alice);
     core.create(client, Kind::publisher, "/" + std::to_string(number(client)));
@@ -62,14 +62,14 @@ class ClientTerminationTest : public testing::Test {
                                 reaping,     region_look, log};
 };
 
-TEST_F(ClientTerminationTest, AStrangersConnectionLeavesNothing) {
+TEST_F(ClientTerminationTest, AConnectionWithoutASessionLeavesNothing) {
   const PeerId id = stranger().id;
   termination.disconnect(*connections.find(id), "test");
   EXPECT_EQ(connections.find(id), nullptr);
   EXPECT_EQ(core.registry.client_high(), 0u);
 }
 
-TEST_F(ClientTerminationTest, AMemberThatLosesItsConnectionIsAMember) {
+TEST_F(ClientTerminationTest, AProcessThatLosesItsConnectionKeepsItsSession) {
   Peer& peer = member();
   const ClientIndex client = *peer.session.client();
   termination.disconnect(peer, "test");
@@ -79,7 +79,7 @@ TEST_F(ClientTerminationTest, AMemberThatLosesItsConnectionIsAMember) {
   EXPECT_EQ(core.registry.endpoints_of(client).size(), 1u);
 }
 
-TEST_F(ClientTerminationTest, AProcessThatEndsIsReapedAndItsPlaceIsFree) {
+TEST_F(ClientTerminationTest, AProcessThatEndsIsReapedAndItsPlaceIsFreed) {
   Peer& peer = member();
   const PeerId id = peer.id;
   const ClientIndex client = *peer.session.client();
@@ -92,13 +92,13 @@ TEST_F(ClientTerminationTest, AProcessThatEndsIsReapedAndItsPlaceIsFree) {
   EXPECT_TRUE(has_logged("client gone")) << lines;
 }
 
-TEST_F(ClientTerminationTest, ARevokedProcessHasItsPlaceUntilItEnds) {
+TEST_F(ClientTerminationTest, ARevokedProcessKeepsItsPlaceUntilItEnds) {
   Peer& peer = member();
   const PeerId id = peer.id;
   const ClientIndex client = *peer.session.client();
   termination.revoke(peer, "test");
-  EXPECT_EQ(connections.of_client(client), nullptr) << "it is no endpoint";
-  ASSERT_EQ(connections.find(id), &peer) << "and is watched";
+  EXPECT_EQ(connections.of_client(client), nullptr) << "it has no session";
+  ASSERT_EQ(connections.find(id), &peer) << "and the daemon watches it";
   EXPECT_TRUE(core.registry.is_revoked(client));
   EXPECT_EQ(core.registry.client(client).state, ClientState::forgotten);
   EXPECT_TRUE(core.registry.endpoints_of(client).empty());
@@ -109,7 +109,7 @@ TEST_F(ClientTerminationTest, ARevokedProcessHasItsPlaceUntilItEnds) {
   EXPECT_EQ(core.registry.counters().clients_revoked, 1u);
 }
 
-TEST_F(ClientTerminationTest, AStrangerThatEndsIsNobodysDeath) {
+TEST_F(ClientTerminationTest, TheEndOfAProcessWithoutASessionIsNoDeath) {
   Peer& peer = stranger();
   const PeerId id = peer.id;
   termination.reap(peer, journal::DeathReason::died, "process ended");
@@ -117,7 +117,7 @@ TEST_F(ClientTerminationTest, AStrangerThatEndsIsNobodysDeath) {
   EXPECT_FALSE(has_logged("client gone"));
 }
 
-TEST_F(ClientTerminationTest, WhatIsKnownToBeInTheWayOfAClientGoesWithIt) {
+TEST_F(ClientTerminationTest, TheOccupiedRangesOfAClientGoWithIt) {
   Peer& peer = member();
   const ClientIndex client = *peer.session.client();
   ASSERT_TRUE(obstacles.add(client, alice, std::uint64_t{1} << 45, 4096, "a library"));

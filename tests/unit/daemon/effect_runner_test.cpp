@@ -1,8 +1,8 @@
 // SPDX-License-Identifier: Apache-2.0
 //
-// Goal: effects are carried out in their order; a decision that is an effect sees what the effects
-// before it have done, and its answer comes before the effects behind it. Method: the runner over a
-// registry, with connections that only count; what happened is read from the tables.
+// Goal: effects are carried out in their order. A decision that is an effect sees the results of
+// the effects before it, and its own effects run before those after it. Method: the runner over a
+// registry, with connections that only count; the test reads the results from the tables.
 
 #include <daemon/lifecycle/effect_runner.hpp>
 #include <tests/support/processes/daemon_core.hpp>
@@ -56,7 +56,7 @@ TEST_F(EffectRunnerTest, TheLastAcknowledgementFreesPlaceTopicAndProcess) {
   EXPECT_EQ(registry.client(owner).state, ClientState::free);
 }
 
-TEST_F(EffectRunnerTest, EverybodyWhoKnowsAnOrphanIsSentOnePacket) {
+TEST_F(EffectRunnerTest, EachPeerOfAnOrphanIsSentOnePacket) {
   const ClientIndex owner = scene.process(), reader = scene.process(), away = scene.process();
   const EndpointRef publisher = scene.publisher(owner);
   for (const ClientIndex to : {reader, away}) registry.tell(publisher, to);
@@ -68,7 +68,7 @@ TEST_F(EffectRunnerTest, EverybodyWhoKnowsAnOrphanIsSentOnePacket) {
   EXPECT_EQ(registry.publisher(publisher.topic, publisher.index).state, EndpointState::orphan);
 }
 
-TEST_F(EffectRunnerTest, ADecisionSeesWhatTheEffectsBeforeItHaveDone) {
+TEST_F(EffectRunnerTest, ADecisionSeesTheResultsOfTheEffectsBeforeIt) {
   const ClientIndex owner = scene.process();
   const EndpointRef subscription = scene.subscription(owner);
   runner.run({effect::FreeUnused{subscription},
@@ -78,7 +78,7 @@ TEST_F(EffectRunnerTest, ADecisionSeesWhatTheEffectsBeforeItHaveDone) {
   EXPECT_EQ(topics_freed, 1);
 }
 
-TEST_F(EffectRunnerTest, ABookThatForgetsIsThatOfTheConnectionThatIsThere) {
+TEST_F(EffectRunnerTest, ForgetsInTheBookOfTheCurrentConnection) {
   const ClientIndex reader = scene.process();
   const Announced subject{Kind::publisher, 1, 2};
   runner.run({effect::ForgetAnnounced{reader, subject}});

@@ -1,9 +1,8 @@
 // SPDX-License-Identifier: Apache-2.0
 //
-// Goal: the end of an endpoint rings and tells exactly the processes that it concerns, in the order
-// that a death of the daemon needs, and a place is free only when nobody has it any more. Method: a
-// registry and nothing else; what is decided is compared with what was there. Decisions write no
-// record.
+// Goal: the end of an endpoint rings and notifies exactly the processes concerned, in the order
+// that a death of the daemon requires, and a place is free only when no process has it any more.
+// Method: a registry only; the decisions are compared with its contents. Decisions write no record.
 
 #include <daemon/lifecycle/endings.hpp>
 #include <tests/support/registry_scene.hpp>
@@ -37,7 +36,7 @@ class EndingsTest : public testing::Test {
   Endings endings{scene.registry};
 };
 
-TEST_F(EndingsTest, RecordsAnOrphanThenRingsReadersThenTellsThoseWhoKnowIt) {
+TEST_F(EndingsTest, RecordsAnOrphanThenRingsReadersThenNotifiesItsPeers) {
   const ClientIndex owner = scene.process(), reader = scene.process(), knows = scene.process();
   const EndpointRef publisher = scene.publisher(owner);
   scene.subscription(reader);
@@ -53,13 +52,14 @@ TEST_F(EndingsTest, RecordsAnOrphanThenRingsReadersThenTellsThoseWhoKnowIt) {
   EXPECT_EQ(std::get<effect::OrphanPublisher>(effects[0]).final_head, 77u);
   EXPECT_EQ(std::get<effect::OrphanPublisher>(effects[0]).cause, journal::LeaveCause::rolled_back);
   ASSERT_TRUE(is<effect::Ring>(effects, 1));
-  EXPECT_EQ(std::get<effect::Ring>(effects[1]).client, reader) << "who leaves sleeps no more";
+  EXPECT_EQ(std::get<effect::Ring>(effects[1]).client, reader)
+      << "a leaving subscription does not sleep";
   EXPECT_EQ(receivers(effects), (std::set{reader, knows}));
   EXPECT_EQ(std::get<wire::Orphaned>(std::get<effect::Send>(effects[2]).packet).final_head, 77u);
-  EXPECT_TRUE(is<effect::GiveUpOrphans>(effects, 4)) << "its own end is told first";
+  EXPECT_TRUE(is<effect::GiveUpOrphans>(effects, 4)) << "its own end is sent first";
 }
 
-TEST_F(EndingsTest, ClosesASubscriptionBeforeAnybodyHearsOfIt) {
+TEST_F(EndingsTest, ClosesASubscriptionBeforeItNotifiesPeers) {
   const ClientIndex owner = scene.process(), reader = scene.process(), stranger = scene.process();
   scene.publisher(owner);
   scene.publisher(stranger);
@@ -69,10 +69,10 @@ TEST_F(EndingsTest, ClosesASubscriptionBeforeAnybodyHearsOfIt) {
   ASSERT_TRUE(is<effect::ChangeSubscription>(effects, 0));
   EXPECT_EQ(std::get<effect::ChangeSubscription>(effects[0]).state, EndpointState::dead);
   EXPECT_EQ(receivers(effects), std::set{owner}) << "the other publisher never knew it";
-  EXPECT_EQ(count_of<effect::Send>(effects), 2u) << "unmap it, and look at it once more";
+  EXPECT_EQ(count_of<effect::Send>(effects), 2u) << "unmap it, and scan once more";
 }
 
-TEST_F(EndingsTest, FreesNothingThatSomebodyHas) {
+TEST_F(EndingsTest, FreesNoPlaceThatAPeerHas) {
   const ClientIndex owner = scene.process(), reader = scene.process();
   const EndpointRef publisher = scene.publisher(owner);
   registry.tell(publisher, reader);
@@ -82,7 +82,7 @@ TEST_F(EndingsTest, FreesNothingThatSomebodyHas) {
   EXPECT_FALSE(endings.free_unused(publisher).empty());
 }
 
-TEST_F(EndingsTest, LeavesWhatIsActiveAloneAlthoughNobodyKnowsIt) {
+TEST_F(EndingsTest, KeepsAnActiveEndpointWithoutPeers) {
   const EndpointRef publisher = scene.publisher(scene.process());
   const Effects effects = endings.free_unused(publisher);
   EXPECT_EQ(effects.size(), count_of<effect::BeginFree>(effects));
@@ -114,7 +114,7 @@ TEST_F(EndingsTest, KeepsThePlaceOfARevokedProcessUntilThatEnds) {
   const ClientIndex revoked = scene.process(), died = scene.process();
   registry.client_died(revoked, journal::DeathReason::revoked);
   registry.client_died(died, journal::DeathReason::died);
-  EXPECT_TRUE(endings.free_unused_client(died).empty()) << "it is not forgotten yet";
+  EXPECT_TRUE(endings.free_unused_client(died).empty()) << "the daemon has not forgotten it yet";
   registry.client_forgotten(revoked);
   registry.client_forgotten(died);
   EXPECT_TRUE(endings.free_unused_client(revoked).empty());
@@ -124,7 +124,7 @@ TEST_F(EndingsTest, KeepsThePlaceOfARevokedProcessUntilThatEnds) {
   EXPECT_EQ(endings.free_unused_clients().size(), 2u);
 }
 
-TEST_F(EndingsTest, OwesTheAcknowledgementsOfWhoHasNoEndpointLeftThatReads) {
+TEST_F(EndingsTest, OwesTheAcknowledgementsOfAProcessWithoutAReadingEndpoint) {
   const ClientIndex owner = scene.process(), reads = scene.process(), drained = scene.process();
   const EndpointRef publisher = scene.publisher(owner);
   scene.subscription(reads);
@@ -149,7 +149,7 @@ TEST(Endings, GiveUpTheOldestOrphansOnce) {
     scene.orphan(orphans.back());
   }
   const Effects effects = endings.give_up_orphans(orphans[0].topic);
-  EXPECT_EQ(count_of<effect::Send>(effects), 2u) << "half of the places are for those that live";
+  EXPECT_EQ(count_of<effect::Send>(effects), 2u) << "half of the places are for living publishers";
   for (const Effect& one : effects)
     EXPECT_EQ(std::get<wire::Orphaned>(std::get<effect::Send>(one).packet).final_head, 0u);
   EXPECT_TRUE(endings.give_up_orphans(orphans[0].topic).empty());

@@ -1,8 +1,8 @@
 // SPDX-License-Identifier: Apache-2.0
 //
-// Goal: a process ends and acknowledges only what is its own to end and to acknowledge, each once,
-// and is answered again when its answer was lost. Method: a registry and the book of one
-// connection; each statement is made as a process could make it.
+// Goal: a process can end and acknowledge only its own endpoints and its own announcements, each
+// once, and gets the answer again if it was lost. Method: a registry and the book of one
+// connection; each packet is one that a process could send.
 
 #include <daemon/lifecycle/leaving.hpp>
 #include <daemon/lifecycle/references.hpp>
@@ -51,7 +51,7 @@ class LeavingTest : public testing::Test {
   std::uint64_t packet_count = 10;
 };
 
-TEST_F(LeavingTest, NobodyEndsWhatIsAnothersOrWasAnothers) {
+TEST_F(LeavingTest, NoProcessEndsAnotherOnesEndpointOrAnEarlierGeneration) {
   const ClientIndex owner = scene.process(), other = scene.process();
   const EndpointRef publisher = scene.publisher(owner);
   ASSERT_FALSE(leave(other, publisher));
@@ -64,7 +64,7 @@ TEST_F(LeavingTest, NobodyEndsWhatIsAnothersOrWasAnothers) {
   EXPECT_FALSE(leaving.leave(owner, {false, nowhere}, 9));
 }
 
-TEST_F(LeavingTest, APublisherLeavesOnceAndIsAnsweredBehindTheRecord) {
+TEST_F(LeavingTest, APublisherLeavesOnceAndIsAnsweredAfterTheRecord) {
   const ClientIndex owner = scene.process();
   const EndpointRef publisher = scene.publisher(owner);
   const auto effects = leave(owner, publisher);
@@ -90,7 +90,7 @@ TEST_F(LeavingTest, NothingIsDrainedBeforeItHasLeft) {
   EXPECT_TRUE(drained(owner, subscription));
 }
 
-TEST_F(LeavingTest, ADrainedSubscriptionAcknowledgesThePublishersThatNoOtherOneReads) {
+TEST_F(LeavingTest, ADrainedSubscriptionAcknowledgesPublishersWithoutAnotherReaderInItsProcess) {
   const ClientIndex owner = scene.process(), reader = scene.process();
   const EndpointRef publisher = scene.publisher(owner), first = scene.subscription(reader);
   registry.tell(publisher, reader);
@@ -119,7 +119,7 @@ TEST_F(LeavingTest, AStatementMadeBeforeTheLastAnnouncementIsVoid) {
   registry.tell(publisher, reader);
   book.announced(subject_of(publisher), 5);
   EXPECT_EQ(unlinked(reader, publisher, 11).error().code, Errc::protocol_violation)
-      << "nobody has seen more than was sent";
+      << "a client cannot have read more packets than were sent";
   EXPECT_TRUE(unlinked(reader, publisher, 4)->empty());
   const auto effects = unlinked(reader, publisher, 5);
   ASSERT_TRUE(effects);
@@ -127,9 +127,9 @@ TEST_F(LeavingTest, AStatementMadeBeforeTheLastAnnouncementIsVoid) {
   EXPECT_EQ(count_of<effect::Acknowledge>(*effects), 1u);
 }
 
-TEST_F(LeavingTest, WhatTheBookHasForgottenIsToldOnANewConnection) {
+TEST_F(LeavingTest, AnAnnouncementThatTheBookHasDroppedIsRepeatedOnANewConnection) {
   const auto user = std::make_shared<KeptForUser>();
-  user->book_bytes = BookBytes::of_user_max;  // others of the user have the rest
+  user->book_bytes = BookBytes::of_user_max;  // other processes of the user have the rest
   AnnouncementNumbers small(user);
   for (std::uint32_t i = 0; i < 1000; ++i) small.announced({Kind::publisher, 1, i}, i + 1);
   const ClientIndex owner = scene.process(), reader = scene.process();
@@ -145,20 +145,21 @@ TEST_F(LeavingTest, WhatTheBookHasForgottenIsToldOnANewConnection) {
   EXPECT_EQ(effects->size(), 1u);
 }
 
-TEST_F(LeavingTest, ARegionIsAcknowledgedAfterEverythingInIt) {
+TEST_F(LeavingTest, ARegionIsAcknowledgedAfterAllItsEndpoints) {
   const ClientIndex owner = scene.process(), reader = scene.process();
   const EndpointRef publisher = scene.publisher(owner);
   registry.tell(publisher, reader);
-  EXPECT_FALSE(region_unlinked(reader, owner, false)) << "a publisher of it is mapped";
+  EXPECT_FALSE(region_unlinked(reader, owner, false)) << "one of its publishers is mapped";
   registry.acknowledge_unmap(publisher, reader);
-  EXPECT_TRUE(region_unlinked(reader, owner, true)->empty()) << "it may be told of another one";
+  EXPECT_TRUE(region_unlinked(reader, owner, true)->empty())
+      << "an announcement of another endpoint may be on its way";
   const auto effects = region_unlinked(reader, owner, false);
   ASSERT_TRUE(effects);
   EXPECT_EQ(count_of<effect::AcknowledgeRegion>(*effects), 1u);
   EXPECT_EQ(count_of<effect::FreeUnusedClient>(*effects), 1u);
 }
 
-TEST_F(LeavingTest, AnAcknowledgementThatComesTooLateChangesNothing) {
+TEST_F(LeavingTest, ALateAcknowledgementChangesNothing) {
   const ClientIndex owner = scene.process(), reader = scene.process();
   wire::Unlinked statement{};
   statement.kind = Kind::publisher;

@@ -1,8 +1,8 @@
 // SPDX-License-Identifier: Apache-2.0
 //
-// Goal: ends of processes that take many steps share the loop's turns, and whoever waits for an end
-// is called once, when all of it is done. Method: registry, endpoint manager and regions as the
-// daemon has them; a budget of nothing, so each turn is one step.
+// Goal: deaths that take many steps share the cycles of the event loop, and a function that waits
+// for a death is called once, when all of it is done. Method: registry, endpoint manager and
+// regions as in the daemon, with a budget of zero, so that each cycle does one step.
 
 #include <daemon/death/reaping_queue.hpp>
 #include <tests/support/processes/daemon_core.hpp>
@@ -40,7 +40,7 @@ class ReapingQueueTest : public testing::Test {
   std::uint64_t publishers = 0;
 };
 
-TEST_F(ReapingQueueTest, JournalsTheEndAtOnceAndCallsWhenAllOfItIsDone) {
+TEST_F(ReapingQueueTest, LogsTheDeathAtOnceAndCallsWhenItIsDone) {
   const ClientIndex client = process_with(3);
   begin(client);
   EXPECT_EQ(core.registry.client(client).state, ClientState::dead);
@@ -52,19 +52,19 @@ TEST_F(ReapingQueueTest, JournalsTheEndAtOnceAndCallsWhenAllOfItIsDone) {
   EXPECT_EQ(core.registry.client(client).state, ClientState::free);
 }
 
-TEST_F(ReapingQueueTest, KeepsNothingThatIsDoneWithinItsBudget) {
+TEST_F(ReapingQueueTest, KeepsNoDeathThatIsDoneWithinTheBudget) {
   const ClientIndex client = process_with(3);
   begin(client, UINT64_MAX);
   EXPECT_EQ(ended, std::vector{client});
   EXPECT_TRUE(queue.is_empty());
 }
 
-TEST_F(ReapingQueueTest, AppendsToAnEndThatIsUnderWayAndToNoOther) {
+TEST_F(ReapingQueueTest, AppendsOnlyToADeathInProgress) {
   const ClientIndex client = process_with(2), other = process_with(1);
   begin(client);
   int called = 0;
   const auto then = [&](const Reaped&) {
-    EXPECT_EQ(ended, std::vector{client}) << "behind what was there before";
+    EXPECT_EQ(ended, std::vector{client}) << "after the functions that were there before";
     ++called;
   };
   EXPECT_TRUE(queue.append(client, then));
@@ -74,12 +74,12 @@ TEST_F(ReapingQueueTest, AppendsToAnEndThatIsUnderWayAndToNoOther) {
   EXPECT_FALSE(queue.append(client, then)) << "it is done";
 }
 
-TEST_F(ReapingQueueTest, GivesEachEndItsTurn) {
+TEST_F(ReapingQueueTest, GivesEachDeathItsShare) {
   const ClientIndex much = process_with(300), little = process_with(1);
   begin(much);
   begin(little);
-  // One turn does at least one step and at most what fits into its budget: a turn each is enough
-  // for the little one.
+  // A cycle does at least one step, and at most as many as fit into its budget. One cycle for each
+  // is enough for the small one.
   for (int turns = 0; ended.empty() && turns < 100; ++turns) queue.go_on();
   ASSERT_FALSE(ended.empty());
   while (!queue.is_empty()) queue.go_on();
