@@ -13,8 +13,9 @@ namespace {
 constexpr std::uint64_t granule = abi::window_granule_bytes;
 constexpr std::uint64_t mib = std::uint64_t{1} << 20;
 constexpr std::uint64_t tib = std::uint64_t{1} << 40;
-// Leaves room for the names of doorbells below it; Listener checks the exact length.
-constexpr std::size_t runtime_directory_bytes_max = socket_path_bytes_max - 27;
+// Room for the name of a doorbell below it, with the usual name of the socket: "/agnocastd.sock",
+// ".bells", "/2047.31". Listener checks the exact length.
+constexpr std::size_t runtime_directory_bytes_max = socket_path_bytes_max - (15 + 6 + 8);
 
 #define AGNOCAST_NUMBER(field)                                                   \
   [](const Config& config) { return static_cast<std::uint64_t>(config.field); }, \

@@ -50,7 +50,7 @@ TEST(DoctorTable, NamesEachCheckOnceWithCauseAndCommand) {
 TEST(DoctorTable, HasATestForEachRow) {
   std::string sources;
   for (const char* const name :
-       {"doctor_daemon_test.cpp", "doctor_door_test.cpp", "doctor_processes_test.cpp",
+       {"ctl/doctor_daemon_test.cpp", "ctl/doctor_door_test.cpp", "ctl/doctor_processes_test.cpp",
         "client/doctor_live_test.cpp", "bridge/bridge_doctor_test.cpp",
         "../system/containers_test.cpp"}) {
     std::ifstream in(std::string(AGNOCAST_TEST_SOURCES "/") + name);

@@ -353,7 +353,7 @@ TEST(LogEvents, HaveAUniqueIdAndAnEntryInTheCatalogue) {
 
 // In the sources the words follow the level directly, or a choice of levels.
 TEST(LogEvents, MatchTheSourcesAndTheDocument) {
-  std::string sources = text_of(AGNOCAST_SOURCE_DIR "/base/log.cpp");
+  std::string sources = text_of(AGNOCAST_SOURCE_DIR "/base/text/log.cpp");
   for (const auto& entry :
        std::filesystem::recursive_directory_iterator(AGNOCAST_SOURCE_DIR "/daemon")) {
     if (entry.path().extension() == ".cpp") sources += text_of(entry.path());
