@@ -70,8 +70,8 @@ class Lane {
     char system[64];
     char topic[128];
     std::atomic<std::uint32_t> state;            ///< a futex
-    std::atomic<std::uint32_t> ready;            ///< processes that have made their side
-    std::atomic<std::uint32_t> has_matched;      ///< the sender would reach all
+    std::atomic<std::uint32_t> ready;            ///< processes that have opened their end
+    std::atomic<std::uint32_t> has_matched;      ///< the sender is matched with all receivers
     std::atomic<std::uint32_t> is_without_fifo;  ///< SCHED_FIFO was refused in a process
     std::atomic<std::uint32_t> has_error;
     std::int64_t sender_cpu_ns;  ///< of all threads of its process, for the measured messages

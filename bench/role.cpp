@@ -62,7 +62,7 @@ void insist(const std::string& what, std::int64_t pause_ns, Attempt attempt) {
   }
 }
 
-// Without a period, the next message does not wait for the end of a nap.
+// Without a period, the next message does not wait until a sleep ends.
 std::int64_t nap_ns(const Plan& plan) noexcept { return plan.period_ns > 0 ? 50'000 : 0; }
 
 void send_one(const Lane& lane, Sender& sender, std::uint64_t number) {

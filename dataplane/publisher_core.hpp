@@ -1,7 +1,7 @@
 // SPDX-License-Identifier: Apache-2.0
 //
-// Publisher core: publish, retain, retire, free. docs/protocol.md §3.1 and §3.4 use the same
-// numbers.
+// Publisher core: publish, retain, retire, free. docs/protocol.md, "Publish" and
+// "Retain, retire, free", uses the same numbers.
 //
 // A publish is one commit (P5) between an intent and a scan. A scan looks once at every
 // subscription of the topic and decides what to free. It loads from peers and stores to its own

@@ -1,7 +1,7 @@
 // SPDX-License-Identifier: Apache-2.0
 //
-// Subscription core: link, take, release, unlink, sleep. docs/protocol.md §3.2, §3.3, §3.5 and
-// §4.1 use the same numbers.
+// Subscription core: link, take, release, unlink, sleep. docs/protocol.md, "Take",
+// "Sleep and wake" and "Join, leave, death", uses the same numbers.
 //
 // A link is the state of one subscription towards one publisher. A take publishes a hold bit and
 // only then checks that the entry is still the wanted one (the reader's half of the handshake

@@ -3,9 +3,10 @@
 // Rights of a forked child on the parent's messages: it may read them, and change its own copy.
 //
 //                        parent                              child
-//   memory of a window   MAP_SHARED, MADV_DONTFORK           MAP_PRIVATE of the read-only
-//   descriptor, up to the frontier owner word           1                                   0
-//   (MADV_WIPEONFORK), from its first instruction on malloc in a scope    shared arena libc
+//   memory of a window   MAP_SHARED, MADV_DONTFORK           MAP_PRIVATE of the read-only descriptor,
+//                                                            up to the frontier
+//   owner word           1                                   0 (MADV_WIPEONFORK), at once
+//   malloc in a scope    shared arena                        libc
 //   free(shared)         to the arena                        nothing
 //   realloc(shared)      in the arena, else copied to libc   copied to libc
 //

@@ -3,8 +3,7 @@
 // Windows: the shared memory itself. Records its addresses, its mapped part, and the process that
 // may write it.
 //
-//      base                          used          frontier                                    base
-//      + length
+//      base                          used          frontier                          base + length
 //       |  opened for the shared arena |  mapped     |  not mapped: nothing, or the caller's PROT_NONE  |
 //       |<------ MAP_SHARED, MADV_DONTFORK --------->|
 //

@@ -1,7 +1,7 @@
 // SPDX-License-Identifier: Apache-2.0
 //
 // Announce set: the processes notified about one generation of a reusable object (rule RU,
-// docs/protocol.md §3.6).
+// docs/protocol.md, "Rules that everything follows from").
 //
 // A publisher index, an extent, a client region, a heap window or its addresses may be reused
 // only when every process that was ever sent an announcement of that generation has sent UNLINKED

@@ -1,7 +1,7 @@
 // SPDX-License-Identifier: Apache-2.0
 //
-// Board steps: the daemon's changes to the endpoints of one topic. docs/protocol.md §2.1,
-// §3.5–§3.7.
+// Board steps: the daemon's changes to the endpoints of one topic. docs/protocol.md,
+// "Join, leave, death".
 //
 // Descriptor, then word (release), then epoch (seq_cst), always in this order: a process that
 // sees the epoch sees the word, and one that sees the word sees the descriptor. Every function

@@ -1,7 +1,7 @@
 // SPDX-License-Identifier: Apache-2.0
 //
-// Recovery of a dead publisher's queue: roll back or roll forward. docs/protocol.md §3.7 (D3) and
-// its crash table.
+// Recovery of a dead publisher's queue: roll back or roll forward. docs/protocol.md, "Join,
+// leave, death" (D3).
 //
 // The commit is one store (head, P5), so the intent beside head decides every interruption: rows
 // @A to

@@ -3,11 +3,9 @@
 // Log: the output of our programs for people, one line per event.
 //
 //   to people     2026-01-31T12:00:00.123Z warning client refused uid=1000 why="no rule"
-//   to journald   an entry: the same line as MESSAGE=, and for searches AGNOCAST_EVENT=client
-//   refused,
+//   to journald   an entry: the same line as MESSAGE=; for searches AGNOCAST_EVENT=client refused,
 //                 AGNOCAST_UID=1000, AGNOCAST_WHY=no rule, and MESSAGE_ID= of events that have one
-//   to its pipe   <4>client refused uid=1000 why="no rule"     (stderr, when the entry cannot be
-//   sent)
+//   to its pipe   <4>client refused uid=1000 why="no rule"    if the entry cannot be sent; stderr
 //
 // Event texts are constant and never contain data, so that one can search for them; the data are
 // fields. Untrusted texts (names, paths) are escaped and cut, so no client can forge a line,

@@ -37,7 +37,7 @@ struct Sample {
 constexpr const char* topic_of_dying_publisher = "/death/heard";
 constexpr const char* topic_of_dying_subscriber = "/death/held";
 constexpr const char* topic_of_stream = "/death/stream";
-constexpr std::size_t stream_depth = 500;  // half a second: a lost message is lost, not late
+constexpr std::size_t stream_depth = 500;  // half a second: what is late by then counts as lost
 
 /// Reads a byte of each page.
 void touch(const Sample& sample) noexcept;

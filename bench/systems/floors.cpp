@@ -18,8 +18,9 @@
 //
 // One buffer of shared memory has the payload; the loop is closed, so it is not read while it is
 // written. In scratch:
-//   published  the number of the last message   chain  for floor-chain   futexes[receivers]  the
-//   futexes
+//   published             the number of the last message
+//   chain                 for floor-chain
+//   futexes[receivers]    the futexes
 
 #include <bench/system.hpp>
 

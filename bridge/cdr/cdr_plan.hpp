@@ -10,8 +10,7 @@
 //
 //   geometry_msgs/PoseArray   run: header.stamp.sec, .nanosec   8 bytes, aligned to 4
 //                             text: header.frame_id
-//                             elements: poses, each of them     run: 7 doubles, 56 bytes, aligned
-//                             to 8
+//                             elements: poses, each a run     7 doubles, 56 bytes, aligned to 8
 //
 // An element that is a single run of its own size is dense: one memcpy moves a sequence of such
 // elements.

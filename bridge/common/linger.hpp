@@ -17,7 +17,7 @@ inline constexpr std::chrono::seconds linger{1};
 /// counts no more.
 inline constexpr std::chrono::seconds held_linger{10};
 
-/// Returns the earlier time; nothing means never.
+/// Returns the earlier time; no value means never.
 inline std::optional<Time> earliest(std::optional<Time> a, std::optional<Time> b) noexcept {
   if (!a || !b) return a ? a : b;
   return std::min(*a, *b);

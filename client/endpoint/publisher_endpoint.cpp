@@ -205,7 +205,7 @@ void PublisherEndpoint::note_links() noexcept {
 }
 
 void PublisherEndpoint::detach(std::uint64_t index, std::uint64_t generation) noexcept {
-  std::shared_ptr<Peer> to_unmap;
+  std::shared_ptr<Peer> ended_uses;
   Match match = Match::ended;
   in_control_thread([&](Work& work) {
     const auto found =
@@ -217,7 +217,7 @@ void PublisherEndpoint::detach(std::uint64_t index, std::uint64_t generation) no
     AGNOCAST_CRASH_POINT(C_detach);
     core_->detach(index, generation);
     if (--executors_[found->executor].users == 0) executors_[found->executor] = {};
-    to_unmap = std::move(found->peer);
+    ended_uses = std::move(found->peer);
     match = found->match;
     if (moved_ && match == Match::awaited) match = Match::ended;
     attached_.erase(found);
@@ -239,7 +239,7 @@ void PublisherEndpoint::revoke() noexcept {
 }
 
 std::vector<PublisherEndpoint::EndpointId> PublisherEndpoint::detach_all() {
-  std::vector<Attached> to_unmap;
+  std::vector<Attached> ended_uses;
   std::vector<EndpointId> endpoints;
   const std::lock_guard lock(mutex_);
   endpoints.reserve(attached_.size());
@@ -247,7 +247,7 @@ std::vector<PublisherEndpoint::EndpointId> PublisherEndpoint::detach_all() {
     core_->detach(attached.index, attached.generation);
     endpoints.push_back({attached.index, attached.generation});
   }
-  to_unmap.swap(attached_);
+  ended_uses.swap(attached_);
   executors_.clear();
   return endpoints;
 }
@@ -461,9 +461,9 @@ bool PublisherEndpoint::is_finished() noexcept {
 }
 
 void PublisherEndpoint::finish() noexcept {
-  std::vector<Attached> to_unmap;  // after the lock
+  std::vector<Attached> ended_uses;  // after the lock
   const std::lock_guard lock(mutex_);
-  to_unmap.swap(attached_);
+  ended_uses.swap(attached_);
   executors_.clear();
   moved_ = true;
   core_.reset();

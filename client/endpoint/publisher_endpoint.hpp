@@ -51,7 +51,7 @@ class PublisherEndpoint {
     std::uint64_t persistent_id = 0;
     bool announces_persistent_id_later = false;
     bool (*make_room_everywhere)() noexcept =
-        nullptr;              // destroys the messages that no reader needs, of every publisher
+        nullptr;              // destroys the unneeded messages of every publisher
     SignalMask signals = {};  // of its creator: for message destructors in library threads
   };
   /// For small messages: most publishes look at no link, and so take no cache line from a reader on
@@ -125,7 +125,8 @@ class PublisherEndpoint {
   /// already, its doorbell is replaced and false is returned. Allocates.
   bool attach(const Subscription& subscription, std::shared_ptr<Peer> peer, PeerDoorbell doorbell);
   bool is_attached(std::uint64_t index, std::uint64_t generation) const noexcept;
-  /// The subscription is over: stops looking at it and unmaps its region.
+  /// The subscription is over: stops looking at it and ends its use of the peer, which PeerTable
+  /// unmaps once nothing uses it.
   void detach(std::uint64_t index, std::uint64_t generation) noexcept;
   /// The session of the process was revoked: ends all matches.
   void revoke() noexcept;
@@ -134,7 +135,7 @@ class PublisherEndpoint {
     std::uint64_t index;
     std::uint64_t generation;
   };
-  /// Unmaps every region, at the very end. Returns the readers.
+  /// Ends the use of every peer, at the very end. Returns the readers.
   std::vector<EndpointId> detach_all();
   struct Reader {
     Core::EndpointId id;
@@ -142,12 +143,12 @@ class PublisherEndpoint {
   };
   /// Replaces `readers` by the attached subscriptions of other users. Allocates.
   void list_foreign_readers(std::vector<Reader>& readers) const;
-  /// See PublisherCore.
+  /// Returns the bytes of messages that stay because of these readers; see PublisherCore.
   std::uint64_t kept_bytes(std::span<const Core::EndpointId> readers) const noexcept;
   /// Withdraws a reader whose user keeps more than its share.
   void withdraw(const Core::EndpointId& reader) noexcept;
-  /// Notes an announced subscription that cannot be mapped. Its user has some seconds; or none, if
-  /// it `is_out`: its earlier ones could not be mapped either. Allocates.
+  /// Notes an announced subscription that cannot be mapped. It is withdrawn after some seconds;
+  /// at once if its user `is_out`, because earlier ones could not be mapped either. Allocates.
   void note_unmapped(const EndpointId& endpoint, PeerOwner owner, bool is_out,
                      ReaderShares::Clock::time_point now);
   /// Withdraws readers that could not be mapped for too long and bans their users in `unmapped`,
@@ -203,7 +204,7 @@ class PublisherEndpoint {
   // One borrow or publish destroys this many at most. The rest waits for the next ones, or for the
   // timer of the control thread. On average a publish frees as many as it adds.
   static constexpr std::size_t destroy_at_once_max = 16;
-  // protocol §4.2: to ring the first one or two wait sets at once costs 1–6 µs each; to hand over
+  // docs/protocol.md, "Sleep and wake": to ring the first one or two wait sets at once costs 1–6 µs each; to hand over
   // the rest costs 2–3 µs for all.
   static constexpr std::uint64_t ring_at_once_max = 2;
 

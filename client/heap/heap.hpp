@@ -21,12 +21,12 @@ class Heap {
   [[nodiscard]] static Result<Heap> find();
 
   /// Opens the first window. `client_region`: where the frontier is stored; `grown`: called after
-  /// that, without locks of ours, must not allocate. Errors: hook_missing, arena_occupied,
-  /// lock_limit, os_failure.
+  /// the store, outside the library's locks; it must not allocate. Errors: hook_missing,
+  /// arena_occupied, lock_limit, os_failure.
   [[nodiscard]] Result<void> attach(std::byte* client_region, std::uint64_t base,
                                     std::uint64_t length, UniqueFd write_fd, int read_fd,
                                     HeapScope scope, void (*grown)() noexcept);
-  /// Checks that ordinary allocations in a scope come from this heap; attach finds that out.
+  /// Checks that ordinary allocations in a scope come from this heap, which attach has found out.
   /// Errors: hook_ineffective (another library provides malloc or new).
   [[nodiscard]] Result<void> check_interposition() const;
   /// Adds the next window; a `fresh` one is the only one to allocate from, and to publish from,
@@ -47,8 +47,8 @@ class Heap {
   /// Describes the windows in one more client region, and stores frontiers there from now on.
   /// Returns false if there are too many regions already.
   [[nodiscard]] static bool follow(std::byte* client_region) noexcept;
-  /// Stops that; afterwards nothing of the region is touched. Waits for a growth in progress.
-  /// Does nothing if it is not followed. For library threads.
+  /// Stops storing frontiers in a region; nothing of it is touched afterwards. Waits for a growth
+  /// in progress. Does nothing for a region that was never added. For library threads.
   static void leave_region(std::byte* client_region) noexcept;
 
   /// From now on a full heap counts as unable to grow.
@@ -60,7 +60,7 @@ class Heap {
   struct Room {
     std::uint64_t bytes;      // maximum in use so far: of a heap that refuses, its whole capacity
     std::uint64_t refused;    // allocations without room so far: see the hook's refused_count
-    std::uint64_t bytes_max;  // in all windows it may have, if each is as long as the present ones
+    std::uint64_t bytes_max;  // of all windows that it may have, each as long as the present ones
   };
   Room room() const noexcept;
 

@@ -31,7 +31,8 @@ class HeapGrowth {
   using Clock = std::chrono::steady_clock;
   static constexpr std::chrono::seconds pause_first{1}, pause_last{60};
 
-  // --- before the control thread begins
+  // --- before the control thread begins, or while growth is held back, which it then does not
+  // touch
 
   /// Sets how many windows are brought along. None is requested before permit().
   void bring(std::uint64_t windows) noexcept { windows_ = windows; }

@@ -55,8 +55,8 @@ Result<void> Context::connect() {
   return {};
 }
 
-// If a daemon was there and has died meanwhile, another one follows: hello has the time of every
-// request. For one that may have died just before, the client waits less.
+// If a daemon was there and has died meanwhile, another one follows: its hello gets the
+// full patience of a request. If the daemon may have died just before, the client waits less.
 Result<void> Context::become_known() {
   const auto deadline = Reconnection::Clock::now() + Connection::answer_timeout;
   std::optional<Reconnection::Clock::time_point> refused;  // time of the first refusal
@@ -81,7 +81,7 @@ Result<void> Context::become_known() {
 Result<void> Context::start_control_thread() {
   if (Result<void> prepared = control_.prepare(); !prepared) return prepared;
   registration_.connection().open();
-  // Users hear of a new session when the endpoints are in it.
+  // The new session is reported when the endpoints have moved to it.
   if (state_.is_beginning()) return start_thread();
   const ConnectionState before = state_.set(ConnectionState::connected);
   Result<void> started = start_thread();

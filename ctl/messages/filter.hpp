@@ -6,8 +6,9 @@
 //   and        = not { "and" not }
 //   not        = "not" not | comparison
 //   comparison = operand [ ("==" | "!=" | "<" | "<=" | ">" | ">=") operand ]
-//   operand    = number | string | "true" | "false" | place | "len" "(" place ")" | "(" expression
-//   ")" place      = ("m" | "msg") { "." name | "[" index "]" }
+//   operand    = number | string | "true" | "false" | place
+//              | "len" "(" place ")" | "(" expression ")"
+//   place      = ("m" | "msg") { "." name | "[" index "]" }
 //
 // The expression is checked against the type when it is parsed: numbers are compared with numbers,
 // texts with texts, truth values with truth values. A missing place (an index beyond the end)

@@ -77,12 +77,12 @@ std::optional<DeathStep> ClientDeath::next_acknowledge() {
   std::optional<TopicIndex> topic = registry_.known_topic_of(client_);
   if (!topic && !topics_.empty()) topic = *topics_.begin();
   if (!topic) return std::nullopt;
-  topics_.erase(*topic);
   for (const Kind kind : {Kind::subscription, Kind::publisher}) {
     for (auto at = registry_.next_place(kind, *topic, 0); at;
          at = registry_.next_place(kind, *topic, *at + 1))
       to_free_.push_back({kind, *topic, *at});
   }
+  topics_.erase(*topic);  // behind what may fail
   return death::Acknowledge{*topic};
 }
 

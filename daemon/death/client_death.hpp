@@ -27,8 +27,8 @@
 // daemon that starts begins: its `recover` and `finish` are the first one, its `settle` is the
 // last one.
 //
-// Truths: from `orphaning` on no subscription of it is active or leaving; from `unmapping` on no
-// publisher of it is active; from `forgetting` on no announce set of an endpoint has it. The
+// Invariants: from `orphaning` on no subscription of it is active or leaving; from `unmapping` on
+// no publisher of it is active; from `forgetting` on no announce set of an endpoint has it. The
 // daemon may die in each state: the tables have `dead`, so the next daemon begins again with
 // `closing` and finds completed steps done. A daemon that dies in `forgotten` leaves nothing to
 // repeat.

@@ -1,11 +1,11 @@
 // SPDX-License-Identifier: Apache-2.0
 //
-// Reaper: the work after the end of a process.
+// Reaping: the work after the end of a process.
 //
-// A dead process leaves (a) holds on other processes' messages, (b) at most one open intent per
-// publisher, (c) a region and windows that others still map. The reaper undoes them in exactly
-// this order, and a window may be used again only when every process that was notified of it has
-// unmapped it (rule RU). The steps and their order: client_death.hpp.
+// A dead process leaves holds on other processes' messages, at most one open intent per publisher,
+// a region and windows that others still map. client_death.hpp has the steps and their order. A
+// window may be used again only when every process that was notified of it has unmapped it (rule
+// RU).
 //
 // Every step may be repeated. The reaper never trusts a value that the dead process wrote, and
 // never takes the end of a connection for a death: only the pidfd proves it, or a process that has

@@ -5,6 +5,7 @@
 #include <base/check.hpp>
 #include <daemon/lifecycle/endpoint_manager.hpp>
 #include <daemon/lifecycle/references.hpp>
+#include <daemon/state/memory_reserve.hpp>
 #include <daemon/state/steps.hpp>
 
 namespace agnocast::daemon {
@@ -177,8 +178,12 @@ void EndpointManager::announce_renewed() {
 }
 
 // --- leave
+//
+// What a process reports of itself has happened already: it is never refused for lack of memory, so
+// the reserve serves from the beginning of each of these.
 
 Result<void> EndpointManager::leave(ClientIndex client, const LeaveRequest& request) {
+  MemoryReserve::no_return();
   const EndpointRef ref = ref_of(request.reference);
   std::uint64_t final_head = 0;
   if (ref.kind == Kind::publisher && leaving_.is_own(client, request.reference)) {
@@ -191,10 +196,12 @@ Result<void> EndpointManager::leave(ClientIndex client, const LeaveRequest& requ
 }
 
 Result<void> EndpointManager::drained(ClientIndex client, const DrainedRequest& request) {
+  MemoryReserve::no_return();
   return run(leaving_.drained(client, request));
 }
 
 Result<void> EndpointManager::unlinked(ClientIndex client, const wire::Unlinked& statement) {
+  MemoryReserve::no_return();
   Session* const session = channel_.session_of(client);
   AGNOCAST_CHECK(session != nullptr);
   return run(leaving_.unlinked(

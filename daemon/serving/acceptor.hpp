@@ -67,7 +67,7 @@ class Acceptor {
   UniqueFd spare_;  // closed for a moment when no descriptor is left
   Dispatcher::Token listening_ = 0;
   bool listens_ = true;
-  bool knocks_ = false;  // a connection waits
+  bool knocks_ = false;  // a connection waits to be accepted
 };
 
 }  // namespace agnocast::daemon

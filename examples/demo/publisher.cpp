@@ -7,8 +7,8 @@
 //   clouds FIRST COUNT BYTES           builds and publishes COUNT messages; for each
 //                                        sent NUMBER ADOPTED_BYTES PLACES
 //   corrupt                            the next message gets one wrong byte after it was sealed
-//   move_in NUMBER BYTES               msg->data = std::move(v), v built before the loan was
-//   borrowed latency BYTES COUNT SECONDS dds|alone
+//   move_in NUMBER BYTES               msg->data = std::move(v), v built before the loan was borrowed
+//   latency BYTES COUNT SECONDS dds|alone
 //                                      COUNT messages per transport in turn, fewer if time is up
 //                                        latency ROAD COUNT P50_NS P99_NS WRONG LOST
 

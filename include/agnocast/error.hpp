@@ -136,9 +136,9 @@ namespace agnocast {
   X(daemon_untrusted, "the socket is served by another user that this process does not trust",                                                 \
     "another user's program listens there instead of agnocastd, or agnocastd has a user of its own that this process does not know of",        \
     "name the right socket in AGNOCAST_SOCKET; if that user's daemon is meant, put its number into AGNOCAST_DAEMON_UID")                       \
-  X(readers_differ, "other users than the readers of this topic may read the shared memory of this process",                                   \
+  X(readers_differ, "the readers of this topic differ from the readers of this process's first topic",                                   \
     "all topics of a process lie in one heap, and the rules of [[access]] let other users subscribe to this topic than to the one that is named beside it", \
-    "publish it from a process of its own, or let the rules name the same users for both: agnocast-ctl access TOPIC")
+    "publish it from another process; or give both topics the same users in [[access]] (agnocast-ctl access TOPIC), restart agnocastd with SIGHUP, and restart this process if the first topic's rule changed")
 // clang-format on
 
 /// The codes of all errors that a user of the library can get. Zero is success (the convention of

@@ -335,6 +335,8 @@ class LendingPublisher : public PublisherBase, public Lender<T, Code> {
     Patience patience(timeout);
     std::uint64_t adopted_bytes = 0;
     for (;;) {
+      // publish() keeps it unless it succeeds.
+      // NOLINTNEXTLINE(bugprone-move-forwarding-reference,bugprone-use-after-move)
       PublishResult result = publish(std::move(message));
       result.adopted_bytes = adopted_bytes += result.adopted_bytes;
       if (result.code != Errc::would_block || !patience.wait()) return result;

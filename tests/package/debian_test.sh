@@ -11,7 +11,7 @@
 set -euo pipefail
 PATH=$PATH:/usr/sbin:/sbin  # not everybody's has them
 build=$1 source=$2 node=$3
-. "$source/tests/support/systemd_machine.sh"
+. "$source/tests/support/machine/systemd_machine.sh"
 
 skip() { echo "SKIPPED: $1"; exit 77; }
 [ "$(id -u)" -eq 0 ] || skip "needs root: it boots a systemd"

@@ -270,7 +270,7 @@ TEST_F(Death, AStoppedSubscriberBlocksNobodyIsReportedAndCanBeRevoked) {
   EXPECT_TRUE(eventually([&] { return process(gone).is_null(); }));
   counted_once();
   const CtlResult status = run_ctl(daemon_.socket_path(), {"status"});
-  EXPECT_THAT(status.out, HasSubstr("1 process: 0 died, 0 unmapped, 1 revoked"));
+  EXPECT_THAT(status.out, HasSubstr("1 process: 0 died, 0 left, 1 revoked"));
 }
 
 TEST_F(Death, OfTheDaemonKeepsARevocationAndAStoppedProcessLearnsOfItWhenItGoesOn) {

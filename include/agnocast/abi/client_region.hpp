@@ -49,9 +49,8 @@ static_assert(sizeof(QueueSlot) == 32 && offsetof(QueueSlot, address) == 8 &&
 //   24  published_bytes u64  of all messages together, what a reader may touch; for people
 //   64  intent         op, sequence, slot; read by the daemon after the owner's death
 //   88  counters       adopted messages and bytes, refused publishes by reason; for people. They
-//   share
-//                      the intent's line, which no other process reads while the owner lives
-//  128  withdrawn[24] u64  two bits for each subscription of the topic: it is served no more, and
+//                      share the intent's line, which no other process reads while the owner lives
+//  128  withdrawn[24] u64  two bits for each subscription of the topic: not served any more, and
 //  why
 //                      [sync:hold] release at E1, seq_cst at T5
 //  320  order[R]  u64  sequence<<16 | slot, at sequence mod R

@@ -3,7 +3,7 @@
  * Interface between a client library and the heap hook (libagnocast_heaphook.so, preloaded or
  * linked).
  *
- * The hook interposes the malloc family and scans calls through until `attach`. Then it allocates
+ * The hook interposes the malloc family and passes calls through until `attach`. Then it allocates
  * from up to eight *windows*: address ranges that are the same in every process, each backed by one
  * memfd, of which only the first `frontier` bytes are mapped. The caller makes the memfds and
  * announces the frontiers to readers; the hook communicates with no other process. docs/heaphook.md

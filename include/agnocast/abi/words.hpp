@@ -44,7 +44,7 @@ enum class BoardState : std::uint8_t {
   active = 1,
   leaving = 2,  // a subscription that takes no more; its holds still count
   orphan = 3,   // a publisher that publishes no more; its committed messages are still delivered
-  revoked = 4,  // a subscription ended by the daemon
+  revoked = 4,  // reserved: never stored
   dead = 5,     // its process is dead
 };
 constexpr std::uint64_t pack_board_word(std::uint64_t generation, BoardState state) noexcept {

@@ -26,7 +26,7 @@ using namespace std::chrono_literals;
 using std_msgs::msg::String;
 
 constexpr std::size_t route_count = 50;  // each way
-// Every lane already has some of these.
+// Few routes, but enough that every lane has some.
 constexpr std::size_t few_count = 8;
 constexpr auto window = 10s;
 // Once a second, and half as often again for a busy machine.

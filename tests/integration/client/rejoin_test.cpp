@@ -272,7 +272,7 @@ TEST(Rejoin, ARequestWhoseAnswerIsLostIsCarriedOutOnce) {
     }
     return client.answer();
   };
-  // Hello is not repeated; the first endpoints of both get it out of the way.
+  // hello is sent once: the first endpoint of each process sends it here, before the test begins.
   ASSERT_EQ(publisher.ask("connect"), "ok");
   ASSERT_EQ(subscriber.ask("connect"), "ok");
   for (int round = 1; round <= 3; ++round) {
@@ -382,7 +382,7 @@ TEST(Rejoin, ADaemonThatDiesRepeatedlyDisturbsNobody) {
   ASSERT_TRUE(meet(subscriber, "sub /t 100", publisher, "pub /t 1"));
   for (int round = 1; round <= 12; ++round) {
     const pid_t before = daemon.kill_worker();
-    // The next daemon is not awaited before all this.
+    // All this happens before the test waits for the next daemon.
     ASSERT_EQ(publisher.ask("publish 1 100"), "ok") << round;
     auto guest = std::make_unique<ClientTool>(daemon.socket_path());
     ASSERT_EQ(guest->ask("pub /t 5"), "ok") << round;

@@ -68,7 +68,8 @@ class ShortOfMemory : public testing::TestWithParam<bool> {
              const Act& act) {
     SCOPED_TRACE(what);
     const pid_t pid = daemon_.pid();
-    unsigned done = 0, refused = 0, hung_up = 0;
+    unsigned done = 0, hung_up = 0;
+    unsigned& refused = refused_ = 0;
     memory_->failures = 0;
     for (std::uint64_t n = 1; n < 2000 && !HasFailure(); ++n) {
       SCOPED_TRACE("allocation " + std::to_string(n));
@@ -113,6 +114,7 @@ class ShortOfMemory : public testing::TestWithParam<bool> {
     probe();
   }
 
+  unsigned refused_ = 0;  // in the last sweep
   std::string directory_ = make_directory(), path_;
   FailingMemory* memory_;
   DaemonProcess daemon_;
@@ -202,6 +204,7 @@ TEST_P(ShortOfMemory, LeavingAndRejoining) {
   };
   sweep("leave", join,
         [&](RawNode& node) { return node.wire.try_ask(Opcode::leave, reference()); });
+  EXPECT_EQ(refused_, 0u) << "it has left already: a refusal would leave its place behind";
   sweep("rejoin", join, [&](RawNode& node) {
     WireClient again(daemon_.socket_path());
     node.wire = WireClient(daemon_.socket_path());  // closes its own

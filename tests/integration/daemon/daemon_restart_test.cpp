@@ -304,8 +304,8 @@ TEST(DaemonRestart, RefusesADamagedRedoLogAndNamesTheDamage) {
     EXPECT_EQ(all.processes.size(), 1u);
   };
   with(0, 1, "the redo log has no valid header");
-  with(64, 1'000, "has not committed");
-  with(64, 0, "has not committed");
+  with(64, 1'000, "contradict each other");
+  with(64, 0, "contradict each other");
 }
 
 TEST(DaemonRestart, RecreatesItsSocketWhereItsNameWasRemoved) {

@@ -247,7 +247,7 @@ TEST_F(Services, RefuseImpossibleOptions) {
   const auto topic = try_create_publisher<Repeat::Request>(node, "/_service/request/name", 1);
   ASSERT_FALSE(topic);
   EXPECT_EQ(topic.error().code, Errc::invalid_name);
-  EXPECT_THAT(text_of(topic.error()), testing::HasSubstr("topics of services"));
+  EXPECT_THAT(text_of(topic.error()), testing::HasSubstr("are reserved for services"));
 }
 
 TEST_F(Services, OfAnotherTypeAreRefusedAlsoWhenOnlyTheResponseDiffers) {

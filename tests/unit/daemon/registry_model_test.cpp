@@ -159,7 +159,7 @@ TEST_F(RegistryTest, AgreesWithAModelOverManyRestarts) {
   std::vector<ClientIndex> clients;
   for (int i = 0; i < 6; ++i) clients.push_back(life->add_client({1, 1, 1, 0, "process"}).value());
   const TopicIndex t = life->add_topic({0, "/topic", "T", 1}).value();
-  std::vector<KnownPublisher> publishers;  // publishers
+  std::vector<KnownPublisher> publishers;
   std::set<std::uint64_t> generations;
   for (int step = 0; step < 5000; ++step) {
     const auto what = random() % 6;

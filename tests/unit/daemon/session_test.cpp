@@ -1,7 +1,7 @@
 // SPDX-License-Identifier: Apache-2.0
 //
 // Goal: a session's record of what its process was notified of is right and bounded. Method: the
-// books alone, without a socket, and with the endpoint manager that asks them.
+// record alone, without a socket, and with the endpoint manager that asks it.
 
 #include <daemon/transport/session.hpp>
 #include <tests/support/processes/daemon_core.hpp>
