@@ -242,6 +242,7 @@ class Script {
   wire::Kind kind() { return static_cast<wire::Kind>(few()); }
   std::uint32_t topic() { return static_cast<std::uint32_t>(some(0)); }
 
+  // Long because each packet that a daemon may send has its branch.
   void say_something() {
     switch (input_.ConsumeIntegralInRange(0, 9)) {
       case 0:

@@ -103,6 +103,7 @@ const abi::Qos offered{3, false, true, false, false};
 const abi::Qos requested{5, false, true, false, false};
 
 // A hostile publisher, with any content in its region.
+// Long because it sets up the region, and then has a branch for each step of either side.
 void read_from_a_liar(FuzzedDataProvider& input) {
   const std::uint64_t first = abi::first_sequence_of(generation);
   static Memory board(abi::topic_offset(1));
@@ -199,6 +200,7 @@ void read_from_a_liar(FuzzedDataProvider& input) {
 }
 
 // A hostile subscriber beside an honest one.
+// Long because it sets up the region, and then has a branch for each step of either side.
 void publish_to_a_liar(FuzzedDataProvider& input) {
   const std::uint64_t first = abi::first_sequence_of(generation);
   Memory board(abi::topic_offset(1)), queue(extent + abi::publisher_extent_bytes);

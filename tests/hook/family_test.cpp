@@ -232,6 +232,7 @@ const std::size_t odd_sizes[] = {0, largest, largest + 1, SIZE_MAX - page, SIZE_
 const std::size_t odd_alignments[] = {0, 1, 2, 4, 8, 24, 48, largest, largest + 1};
 
 // Compares our functions with libc's for invalid and boundary arguments, in scope and out of it.
+// Long because each function of the family has its odd arguments.
 HOOKED_TEST(HookFamily, OddArgumentsGiveTheResultsOfLibc) {
   WindowFile file(64 * MiB);
   attach(file);

@@ -63,6 +63,7 @@ HOOKED_TEST(HookLifetime, ThreadsBeforeMainAllocate) {
 
 // --- the first call of a thread -----------------------------------------------------------------
 
+// Long because it is the table of entry points.
 HOOKED_TEST(HookLifetime, EveryEntryPointWorksAsTheFirstCallOfAThread) {
   WindowFile file(512 * MiB);
   attach(file);

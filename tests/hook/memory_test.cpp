@@ -376,6 +376,7 @@ bool intact(const Slot& slot) {
   return slot.size == 0 || slot.block[slot.size - 1] == slot.pattern;
 }
 
+// Long because each random operation has its branch.
 HOOKED_TEST(HookMemory, SoakOfRandomOperationsByFourThreads) {
   static Slot slots[512];
   WindowFile file(512 * MiB);

@@ -87,6 +87,7 @@ TEST(HostileChurn, OtherTypesUnderTheRightNameMatchNobody) {
   EXPECT_EQ(stage.publisher().ask("matched"), matched);
 }
 
+// Long because the attack and the list of all commands that show names stand here.
 TEST(HostileChurn, NamesFullOfControlCharactersReachNoTerminal) {
   AGNOCAST_NEEDS_TWO_USERS();
   Stage stage;

@@ -7,6 +7,7 @@
 
 namespace agnocast::model {
 
+// Long because each operation of a publisher is one branch, as the explorer interleaves them.
 inline void QueueScenario::run_publisher(W& world, std::uint8_t t) {
   // Private state is committed when the operation is complete; until then every run starts from
   // the same copy.

@@ -8,6 +8,7 @@
 
 namespace agnocast::model {
 
+// Long because each operation of a subscription is one branch, as the explorer interleaves them.
 inline void QueueScenario::run_subscription(W& world, std::uint32_t s) {
   alignas(8) unsigned char scratch[sizeof(SubscriptionPrivate)];
   std::memcpy(scratch, world.state.sub[s], sizeof scratch);

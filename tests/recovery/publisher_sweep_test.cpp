@@ -53,6 +53,7 @@ struct Totals {
 };
 
 /// Runs the script with a death at crash point n (0 = none). Returns whether the child survived.
+// Long because the commands of the child and those of its parent stand beside each other.
 bool run(const Script& script, std::uint64_t n, Totals& totals) {
   Stage stage(script.setup);
   Child child(n, [&](int socket, std::uint64_t crash_at) {

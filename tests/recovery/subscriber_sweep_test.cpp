@@ -34,6 +34,7 @@ const Script scripts[] = {
 
 class SubscriberSweep : public testing::TestWithParam<Script> {};
 
+// Long because the commands of the child and those of its parent stand beside each other.
 bool run(const Script& script, std::uint64_t n, unsigned& points) {
   Stage stage(script.setup);
   PublisherSide publisher(stage);

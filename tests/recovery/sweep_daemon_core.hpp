@@ -255,6 +255,7 @@ class Core final : private ClientChannel {
   References& references_;
 };
 
+// Long because each table of the registry is printed here, one after the other.
 inline std::string Core::state(Generations generations) const {
   const Registry& registry = registry_;
   std::set<std::uint64_t> all;

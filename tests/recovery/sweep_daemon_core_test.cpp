@@ -214,6 +214,7 @@ class CoreSweep : public testing::Test {
   std::vector<std::string> after_;
 };
 
+// Long because one loop dies, restarts, compares and counts, and each uses what the former found.
 TEST_F(CoreSweep, AfterADeathAtAnyStoreTheNextDaemonContinues) {
   const char* const extent = std::getenv("AGNOCAST_SWEEP");
   const std::uint64_t stride = extent != nullptr && std::string(extent) == "all" ? 1 : 29;

@@ -114,6 +114,7 @@ std::string take_all(Container& subscriber) {
   }
 }
 
+// Long because the containers of one story go through all of its steps.
 TEST_P(Containers, OfDifferentUsersTalkThroughTheSocketsDirectoryAlsoAfterARestart) {
   Container publisher({AGNOCAST_CLIENT_TOOL}, options(lidar));
   ContainerOptions elsewhere = options(viewer);

@@ -346,6 +346,7 @@ class Soak : public testing::Test {
                          .environment = {control_.variable()}}};
 };
 
+// Long because it is one run: start, kill for minutes, end, and the sums of all of it.
 TEST_F(Soak, ADeathNeverAffectsRemainingProcesses) {
   const double minutes = option("minutes", "AGNOCAST_SOAK_MINUTES", 1);
   auto seed = static_cast<std::uint64_t>(option("seed", "AGNOCAST_SEED", 0));

@@ -154,6 +154,8 @@ class BridgeTest : public testing::Test {
   /// Starts one more bridge; all write to one log.
   std::unique_ptr<SteeredProcess> make_bridge(const std::vector<std::string>& arguments = {},
                                               const std::vector<std::string>& environment = {}) {
+    EXPECT_TRUE(std::getenv("AMENT_PREFIX_PATH"))
+        << "the bridge finds message types by AMENT_PREFIX_PATH: source install/setup.bash first";
     std::vector<std::string> words = {"/bin/sh", "-c", "log=$1; shift; exec env \"$@\" 2>>\"$log\"",
                                       "sh", log_path_};
     words.insert(words.end(), environment.begin(), environment.end());

@@ -54,6 +54,7 @@ struct Asking {
 
 class Peer {
  public:
+  // Long because each command has its branch.
   std::string answer(const std::string& line) {
     std::istringstream words(line);
     std::string what, name;

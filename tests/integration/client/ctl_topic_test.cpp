@@ -393,6 +393,7 @@ TEST_F(CtlTopic, AClosedPipeEndsThemWithoutNoise) {
   publishing.join();
 }
 
+// Long because it is the table of bad input.
 TEST_F(CtlTopic, BadInputIsRefusedInTwoLines) {
   const auto publisher = latched("/refused", cloud());
   struct Case {

@@ -254,6 +254,7 @@ TEST_F(MemoryShortageOnce, EachResponseReachesItsCallback) {
   EXPECT_GT(at, 1) << "no allocation failed";
 }
 
+// Long because the failing allocation, its streams and their sums are one story.
 TEST_P(MemoryShortage, LosesNothing) {
   struct Stream {
     std::shared_ptr<Publisher<Number>> publisher;

@@ -367,6 +367,7 @@ TEST(Ctl, PrintsNoControlCharactersOfOthers) {
 
 // --- errors
 
+// Long because it is the table of errors.
 TEST(Ctl, ReportsErrorsInTwoLines) {
   DaemonProcess daemon;
   Node a(daemon.socket_path()), far(daemon.socket_path(), 3);

@@ -52,6 +52,7 @@ TEST(CtlVerify, HoldsForHonestProcesses) {
   EXPECT_EQ(result.out, "every invariant holds: 2 processes, 1 topic, 1 queue at rest, 1 link\n");
 }
 
+// Long because it is the table of broken words.
 TEST(CtlVerify, NamesEveryBrokenWordAndWhereItIs) {
   DaemonProcess daemon;
   Node a(daemon.socket_path()), b(daemon.socket_path());

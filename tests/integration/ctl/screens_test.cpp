@@ -36,6 +36,7 @@ std::string shape_of(std::string text) {
   return text;
 }
 
+// Long because it builds the one system that all screens show.
 TEST(Screens, EqualTheOutput) {
   if (!Doctored::has_namespaces()) GTEST_SKIP() << "needs root: a mount namespace";
   const DaemonProcess daemon({.config = "", .more_config = ""});

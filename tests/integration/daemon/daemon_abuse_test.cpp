@@ -129,6 +129,7 @@ TEST(DaemonProtocol, UsesNoMemoryForPlacesThatARequestOnlyNames) {
 // Well-formed requests in any order, about the client's own endpoints and others': whatever a
 // client claims to have left, drained or unlinked, the daemon's own invariants hold (it aborts
 // when one does not), and when all are gone nothing is left.
+// Long because each request has its branch.
 TEST(DaemonProtocol, SurvivesAnyOrderOfPlausibleRequests) {
   for (const std::uint64_t seed : {1u, 2u, 3u}) {
     SCOPED_TRACE("seed " + std::to_string(seed));

@@ -219,6 +219,7 @@ void restart(DaemonProcess& daemon) {
 
 enum class End : std::uint8_t { later, while_away, becomes_another_program };
 
+// Long because the three ends of the process share all steps but one.
 TEST(DaemonRevoke, OutlivesTheDaemonAndThePlaceIsKeptUntilTheProcessEnds) {
   for (const End end : {End::later, End::while_away, End::becomes_another_program}) {
     SCOPED_TRACE(static_cast<int>(end));

@@ -12,6 +12,7 @@ bool matches(bool offers_reliable, bool offers_history, bool wants_reliable, boo
   return (offers_reliable || !wants_reliable) && (offers_history || !wants_history);
 }
 
+// Long because each relation between the parts of a plan is checked, one after the other.
 TEST_F(Routes, CarryEveryMessageOnceInAnySituation) {
   std::mt19937 random(7);
   const auto flip = [&] { return random() % 2 == 0; };

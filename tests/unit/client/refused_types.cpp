@@ -275,6 +275,7 @@ bool describe() {
   return agnocast::message_type_of<T>().has_value();
 }
 
+// Long because each type that must be refused is one case.
 bool all() {
 #if defined(CASE_pointer)
   return describe<refused::Flat*>();

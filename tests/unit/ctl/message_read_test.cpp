@@ -110,6 +110,7 @@ TEST(MessageRead, NumbersAreReadInAllForms) {
   EXPECT_EQ(message.numbers[5], 1000);
 }
 
+// Long because it is the table of bad texts.
 TEST(MessageRead, OtherTextIsRefusedWithThePlaceOfTheError) {
   struct Case {
     const char* text;

@@ -64,6 +64,7 @@ TEST(Config, SampleFileEqualsThePrintedDefaults) {
   EXPECT_EQ(*config, Config{});
 }
 
+// Long because it has every key, in the text and in the result.
 TEST(Config, EveryKeyArrives) {
   const auto config = parse(R"(
 [daemon]
@@ -148,6 +149,7 @@ publish = []
   EXPECT_FALSE(config->access[1].publish->contains(0, {}));
 }
 
+// Long because it is the table of all mistakes.
 TEST(Config, MistakesAreReportedWithPositionAndRemedy) {
   const std::string long_path = "/" + std::string(107, 'x');
   const struct {

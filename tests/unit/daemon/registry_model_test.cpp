@@ -56,6 +56,7 @@ Usage counted(const Registry& registry, std::uint32_t uid) {
 }
 
 // Places of processes are reused by other users, and a later daemon completes changes.
+// Long because each random operation has its branch.
 TEST_F(RegistryTest, KeepsTheUsageEqualToACount) {
   std::mt19937 random(7);
   auto life = std::make_unique<Registry>(memory.parts());
@@ -146,6 +147,7 @@ TEST_F(RegistryTest, KeepsTheUsageEqualToACount) {
 // A trivial model of the tables, maintained beside random operations. Now and then the last record
 // is made pending again, as a death between commit and applied would leave it, and a new registry
 // takes over: redoing the record must change nothing but the epoch.
+// Long because each random operation has its branch, in the registry and in the model.
 TEST_F(RegistryTest, AgreesWithAModelOverManyRestarts) {
   struct KnownPublisher {
     std::uint32_t owner, index;

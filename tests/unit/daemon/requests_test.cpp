@@ -211,6 +211,7 @@ TEST(Requests, RefusesReferencesOutsideTheTables) {
   EXPECT_EQ(with([](auto& r) { r.generation = std::uint64_t{1} << 48; }), Errc::protocol_violation);
 }
 
+// Long because it has an honest example of each kind of packet.
 TEST(Requests, SurvivesRandomPackets) {
   std::mt19937_64 random(20260101);
   const wire::Opcode opcodes[] = {wire::Opcode::hello,
