@@ -66,8 +66,8 @@ endfunction()
 # agnocast_precompile(TARGET [GROUP name] [HEADERS …]): if tests are built, precompiles common
 # headers once for all targets of a group, which have the same compile options. Only headers from
 # outside this tree, so that a change in the tree recompiles only the sources that include it.
-# Precompiled headers hide a missing #include; the presets fuzz and release build without them, as
-# does -DCMAKE_DISABLE_PRECOMPILE_HEADERS=ON.
+# Precompiled headers hide a missing #include. scripts/check --tidy reads sources without them, and
+# the preset release builds without, as does -DCMAKE_DISABLE_PRECOMPILE_HEADERS=ON.
 function(agnocast_precompile target)
   if(NOT AGNOCAST_BUILD_TESTS)
     return()

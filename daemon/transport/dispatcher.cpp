@@ -49,7 +49,10 @@ Result<void> Dispatcher::wait(int timeout_ms) {
   }
   for (int i = 0; i < count; ++i) {
     const epoll_event& event = events_[static_cast<std::size_t>(i)];
-    const auto found = sources_.find(event.data.u64);
+    // Copied, because epoll_event is packed on x86-64: find() takes a reference, which must be
+    // aligned.
+    const std::uint64_t token = event.data.u64;
+    const auto found = sources_.find(token);
     if (found == sources_.end()) continue;
     const std::shared_ptr<const Handler> handler = found->second.handler;
     (*handler)(event.events);

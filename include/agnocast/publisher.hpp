@@ -466,7 +466,7 @@ class Publisher : public detail::LendingPublisher<T, detail::TypedCode<T>> {
   auto copy_of(const T& message) noexcept {
     if constexpr (detail::is_described<T>) {
       const WindowSet windows = detail::windows_of_another(&message);
-      if (windows.count() != 0) [[unlikely]] {
+      if (windows.count() != 0) {
         bool is_whole = true;
         auto copy = this->copy_in(detail::CheckedCode<T>(windows, is_whole), message);
         if (!is_whole) copy = {nullptr, 0, Errc::protocol_violation};

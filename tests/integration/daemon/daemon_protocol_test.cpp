@@ -138,7 +138,7 @@ TEST(DaemonProtocol, AnnouncesBothSidesInOrderWithWorkingDescriptors) {
   EXPECT_EQ(doorbell.ring(), Doorbell::Rung::rung);
   epoll_event event{};
   ASSERT_EQ(::epoll_wait(epoll.get(), &event, 1, 1000), 1);
-  EXPECT_EQ(event.data.u64, 1u);
+  EXPECT_EQ(std::uint64_t{event.data.u64}, 1u);
 
   // A second publisher, in the subscriber's own process: announced like any other.
   const auto own = subscriber.publisher("/topic");
@@ -218,7 +218,7 @@ TEST(DaemonProtocol, GivesAnotherUserOnlyTheDatagramDoorbell) {
             0);
   epoll_event event{};
   ASSERT_EQ(::epoll_wait(epoll.get(), &event, 1, 1000), 1);
-  EXPECT_EQ(event.data.u64, 2u);
+  EXPECT_EQ(std::uint64_t{event.data.u64}, 2u);
 }
 
 TEST(DaemonProtocol, RingsSubscriptionsWhoseDoorbellFilesWereRemoved) {

@@ -59,7 +59,10 @@ struct Executor {
     std::array<epoll_event, 4> events{};
     const int count = ::epoll_wait(epoll.get(), events.data(), int{events.size()}, timeout_ms);
     std::vector<std::uint64_t> tags;
-    for (int i = 0; i < count; ++i) tags.push_back(events[static_cast<std::size_t>(i)].data.u64);
+    for (int i = 0; i < count; ++i) {
+      const std::uint64_t tag = events[static_cast<std::size_t>(i)].data.u64;  // packed on x86-64
+      tags.push_back(tag);
+    }
     return tags;
   }
 };

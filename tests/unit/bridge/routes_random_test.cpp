@@ -67,7 +67,8 @@ TEST_F(Routes, CarryEveryMessageOnceInAnySituation) {
       EXPECT_TRUE(std::any_of(
           now.dds_writers.begin(), now.dds_writers.end(),
           [&](const auto& dds_writer) { return dds_writer.second.local_reader == local_reader; }));
-    for (const auto& [key, dds_reader] : now.dds_readers) {
+    for (const auto& [reader_key, dds_reader] : now.dds_readers) {
+      const auto& key = reader_key;  // clang 14 captures no structured binding
       EXPECT_FALSE(dds_reader.nodes.empty());
       const bool is_written =
           std::any_of(now.remote_publishers.begin(), now.remote_publishers.end(),

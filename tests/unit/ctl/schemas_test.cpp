@@ -64,7 +64,8 @@ void each_reference(const nlohmann::json& part,
 
 TEST(Schemas, ReferToExistingDefinitions) {
   const auto all = schemas();
-  for (const auto& [id, schema] : all) {
+  for (const auto& [key, schema] : all) {
+    const std::string& id = key;  // clang 14 captures no structured binding
     each_reference(schema, [&](const std::string& reference) {
       const auto hash = reference.find('#');
       const auto found = all.find(hash == 0 ? id : reference.substr(0, hash));
