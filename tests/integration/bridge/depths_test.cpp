@@ -200,12 +200,20 @@ TEST_F(Depths, OfDdsReadersGrowWithoutALossForExistingReaders) {
   const auto has_come_but = [&](int rest) {
     return other_.eventually([&] {
       while (const auto message = early->take()) {
+        if (message->data == "hello") continue;
         EXPECT_EQ(message->data, std::to_string(got));
         ++got;
       }
       return got >= written - rest || HasFailure();
     });
   };
+  // The writer matches before the bridge's participant knows it, so the first messages may be lost.
+  ASSERT_TRUE(other_.eventually([&] {
+    String hello;
+    hello.data = "hello";
+    EXPECT_TRUE(Other::write(writer, hello));
+    return early->take() != nullptr;
+  }));
   const auto reader_depths = [&] {
     std::set<std::int32_t> depths;
     for (const auto& [guid, remote] : other_.participant().remotes()) {
