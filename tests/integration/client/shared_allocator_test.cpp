@@ -244,9 +244,7 @@ TEST_F(ExplicitAllocator, OrdinaryTypesNeedTheHookInFrontOfMalloc) {
       EXPECT_EQ(publisher.has_value(), !malloc_is_the_sanitizers);
       if (publisher) continue;
       EXPECT_EQ(publisher.error().code, Errc::hook_ineffective);
-      EXPECT_THAT(Error(publisher.error()).what(),
-                  testing::AllOf(testing::HasSubstr("malloc comes from "),
-                                 testing::ContainsRegex("lib[at]san")));
+      EXPECT_THAT(Error(publisher.error()).what(), testing::HasSubstr("malloc comes from "));
     }
   }));
 }
