@@ -48,10 +48,10 @@ class Board {
   struct alignas(64) Head {
     sem_t go[lidar_count];
     sem_t done;
-    sem_t over;                            ///< for concatenate
-    std::atomic<std::uint32_t> is_over;    ///< for the LiDARs, after their go
-    std::atomic<std::uint32_t> ready;      ///< processes that have found their peers
-    std::atomic<std::uint32_t> under_way;  ///< index of the present frame
+    sem_t over;                          ///< for concatenate
+    std::atomic<std::uint32_t> is_over;  ///< for the LiDARs, after their go
+    std::atomic<std::uint32_t> ready;    ///< processes that have found their peers
+    std::atomic<std::uint32_t> current;  ///< index of the present frame
     std::atomic<std::uint32_t> has_error;
     std::size_t frames;
     char error[512];

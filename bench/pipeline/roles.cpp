@@ -82,7 +82,7 @@ void run_lidar(Board& board, std::size_t index, std::vector<Cloud> inputs) {
   for (;;) {
     wait(board.head().go[index]);
     if (board.head().is_over != 0) return;
-    Frame& frame = board.frames()[board.head().under_way];
+    Frame& frame = board.frames()[board.head().current];
     CloudSender& sender = *senders.at(frame.edge);
     Cloud& scan = inputs.at(frame.input);
     scan.header.stamp = stamp_of(frame.released_ns);
@@ -102,7 +102,7 @@ class Concatenate {
 
   void take(std::size_t lidar, std::shared_ptr<const Cloud> cloud) {
     const std::int64_t received_ns = now_ns();
-    Frame& frame = board_.frames()[board_.head().under_way];
+    Frame& frame = board_.frames()[board_.head().current];
     const std::string name = lidars()[lidar].name;
     if (!is_of_points(*cloud)) throw std::runtime_error("a cloud of " + name + " came changed");
     if (cloud->header.stamp != stamp_of(frame.released_ns) || clouds_[lidar] != nullptr)

@@ -109,7 +109,7 @@ class Conductor {
     frame.edge = edge;
     frame.input = static_cast<std::uint32_t>(input);
     frame.released_ns = next_beat();
-    board_.head().under_way = static_cast<std::uint32_t>(index);
+    board_.head().current = static_cast<std::uint32_t>(index);
     for (sem_t& go : board_.head().go) ::sem_post(&go);
     const std::string name =
         "frame " + std::to_string(index) + " over " + std::string(edges()[edge].name);

@@ -38,7 +38,7 @@ void InwardRoutes::end_changed(const Plan& plan) {
   });
   const Time end = std::chrono::steady_clock::now() + linger;
   for (auto& [writer, remote_publisher] : remote_publishers_.all())
-    remote_publisher.way.end_dds_readers(ended, end);
+    remote_publisher.handover.end_dds_readers(ended, end);
 }
 
 void InwardRoutes::end_all() {
@@ -83,7 +83,8 @@ void InwardRoutes::open_remote_publishers(const Plan& plan, Applied& applied) {
         old != remote_publishers_.all().end()) {
       old->second.end.reset();
       old->second.plan = remote_publisher;
-      if (old->second.way.dds_reader() != dds_reader) old->second.way.go_over(dds_reader, end);
+      if (old->second.handover.dds_reader() != dds_reader)
+        old->second.handover.go_over(dds_reader, end);
       continue;
     }
     // Lingering ones still count.
@@ -102,14 +103,14 @@ void InwardRoutes::open_remote_publishers(const Plan& plan, Applied& applied) {
       continue;
     }
     ++count;
-    Way& way = (*made)->way;
-    way = Way(dds_reader);
+    ReaderHandover& handover = (*made)->handover;
+    handover = ReaderHandover(dds_reader);
     // The reader that waited for it may have messages that the new one misses; a history contains
     // all of them.
     const auto looks_out = dds_readers_.lower_bound({dds_reader.of, 0, false});
     if (!remote_publisher.dds_reader.transient_local && !dds_readers_.contains(dds_reader) &&
         looks_out != dds_readers_.end() && looks_out->first.of == dds_reader.of)
-      way.begin_with(looks_out->first, end);
+      handover.begin_with(looks_out->first, end);
   }
 }
 
@@ -167,8 +168,8 @@ void InwardRoutes::publish_former(const ReaderKey& dds_reader, std::span<const D
   for (const DdsSample& sample : taken) {
     const auto remote_publisher = remote_publishers_.all().find(sample.writer);
     if (remote_publisher == remote_publishers_.all().end()) continue;
-    const Way& way = remote_publisher->second.way;
-    if (way.former() && way.dds_reader() == dds_reader) left.insert(*way.former());
+    const ReaderHandover& handover = remote_publisher->second.handover;
+    if (handover.former() && handover.dds_reader() == dds_reader) left.insert(*handover.former());
   }
   for (const ReaderKey& former : left) {
     const auto open = dds_readers_.find(former);
@@ -190,7 +191,7 @@ void InwardRoutes::publish_one(const ReaderKey& dds_reader, DdsSample sample) {
   if (sample.state != DdsSample::State::valid) return;
   const auto remote_publisher = remote_publishers_.all().find(sample.writer);
   if (remote_publisher != remote_publishers_.all().end()) {
-    if (remote_publisher->second.way.takes(dds_reader, sample.source_time_ns))
+    if (remote_publisher->second.handover.takes(dds_reader, sample.source_time_ns))
       remote_publishers_.publish(sample.writer, remote_publisher->second,
                                  *static_cast<Received*>(sample.object.get()));
     return;
@@ -214,8 +215,8 @@ std::optional<Time> InwardRoutes::settle(Time now) {
   const std::optional<Time> next = remote_publishers_.tidy(now);
   std::set<ReaderKey> needed;
   for (const auto& [writer, remote_publisher] : remote_publishers_.all()) {
-    needed.insert(remote_publisher.way.dds_reader());
-    if (remote_publisher.way.former()) needed.insert(*remote_publisher.way.former());
+    needed.insert(remote_publisher.handover.dds_reader());
+    if (remote_publisher.handover.former()) needed.insert(*remote_publisher.handover.former());
   }
   erase_dds_readers_if([&](const ReaderKey& key, const OpenDdsReader& dds_reader) {
     return dds_reader.is_over && !needed.contains(key);

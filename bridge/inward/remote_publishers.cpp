@@ -2,7 +2,7 @@
 
 #include <bridge/inward/remote_publishers.hpp>
 
-#include <bridge/common/room.hpp>
+#include <bridge/common/retry_interval.hpp>
 
 #include <algorithm>
 #include <string>
@@ -115,8 +115,8 @@ void RemotePublishers::drop(OpenRemotePublisher& remote_publisher, const char* w
 
 std::optional<Time> RemotePublishers::publish_waiting(Time now) {
   if (!held_.empty() && next_room_look_ <= now) {
-    room_interval_ = room_interval_after(room_interval_, publish_held());
-    next_room_look_ = now + room_interval_;
+    retry_interval_ = retry_interval_after(retry_interval_, publish_held());
+    next_room_look_ = now + retry_interval_;
   }
   return held_.empty() ? std::nullopt : std::optional(next_room_look_);
 }
@@ -159,7 +159,7 @@ std::optional<Time> RemotePublishers::tidy(Time now) {
       continue;
     }
     // A message that both DDS readers received may still be taken from the other one.
-    next = earliest(next, remote_publisher.way.tidy(now));
+    next = earliest(next, remote_publisher.handover.tidy(now));
     if (remote_publisher.end) next = earliest(next, is_late ? now + linger : *remote_publisher.end);
     ++at;
   }

@@ -3,8 +3,8 @@
 // Remote publishers: the remote publishers, each a publisher on this host in place of a remote
 // writer, and their costs. A message that keep-all blocks (a subscription of this host has not read
 // enough) waits here, within bounds; nothing signals room, so it is tried again at intervals
-// (room.hpp). The histories of transient-local publishers are bounded, for each and for all of
-// them.
+// (retry_interval.hpp). The histories of transient-local publishers are bounded, for each and for
+// all of them.
 //
 // One thread, run()'s.
 #pragma once
@@ -18,7 +18,7 @@
 #include <bridge/common/traffic.hpp>
 #include <bridge/dds/limits.hpp>
 #include <bridge/dds/participant.hpp>
-#include <bridge/inward/way.hpp>
+#include <bridge/inward/reader_handover.hpp>
 #include <bridge/plan/routes.hpp>
 
 #include <chrono>
@@ -47,7 +47,7 @@ struct OpenRemotePublisher {
   std::size_t depth = 1;            // of the publisher; less than planned after a Limit
   std::deque<std::size_t> history;  // if transient-local: bytes of each retained message
   std::size_t history_bytes = 0;
-  Way way;
+  ReaderHandover handover;
 };
 
 class RemotePublishers {
@@ -95,7 +95,7 @@ class RemotePublishers {
   std::set<Guid> held_;            // writers with waiting messages
   std::size_t held_bytes_ = 0;
   Time next_room_look_;  // when to try held_ again
-  std::chrono::nanoseconds room_interval_{0};
+  std::chrono::nanoseconds retry_interval_{0};
 };
 
 }  // namespace agnocast::bridge

@@ -2,7 +2,7 @@
 
 #include <bridge/services/service_routes.hpp>
 
-#include <bridge/common/room.hpp>
+#include <bridge/common/retry_interval.hpp>
 #include <bridge/dds/names.hpp>
 
 #include <algorithm>
@@ -296,7 +296,7 @@ std::optional<Time> ServiceRoutes::send_kept(Time now) {
   std::erase_if(keeping_, [&](const ServiceKey& key) {
     Served& served = served_.at(key);
     if (served.next_look <= now) {
-      served.interval = room_interval_after(served.interval, look_at_kept(served, now));
+      served.interval = retry_interval_after(served.interval, look_at_kept(served, now));
       served.next_look = now + served.interval;
     }
     if (served.kept.empty()) return true;
@@ -325,14 +325,14 @@ bool ServiceRoutes::look_at_kept(Served& served, Time now) {
   };
   const auto is_done = [&](const Kept& kept) {
     if (has_server && served.has_room && has_way(kept.writer)) {
-      const Sent sent = served.under_way.has_room(now) ? send_on(served, kept, now) : Sent::no_room;
+      const Sent sent = served.pending.has_room(now) ? send_on(served, kept, now) : Sent::no_room;
       has_server = sent != Sent::no_server;
       served.has_room = sent != Sent::no_room;
       any = any || sent == Sent::sent;
       if (sent == Sent::sent || sent == Sent::dropped) return true;
     }
     if (has_server && !served.has_room)
-      return drop_after(std::max(kept.end, served.under_way.newest() + UnderWay::patience),
+      return drop_after(std::max(kept.end, served.pending.newest() + PendingRequests::patience),
                         traffic.refused, "the server takes no more");
     return drop_after(kept.end, traffic.timed_out, "no route to the server and back");
   };
@@ -401,7 +401,7 @@ ServiceRoutes::Sent ServiceRoutes::send_on(Served& served, const Kept& kept, Tim
       });
   if (sent) {
     traffic.count_request(kept.request->bytes.size());
-    const auto oldest = served.under_way.add(sent->request_id, header, now);
+    const auto oldest = served.pending.add(sent->request_id, header, now);
     if (oldest && served.client->remove_pending_request(*oldest)) ++traffic.forgotten;
     return Sent::sent;
   }

@@ -11,8 +11,8 @@
 //
 // A request without a server in time is dropped and counted, as it would be lost on a network. Its
 // client decides how long to wait, so while a server takes requests, others wait for their turn.
-// Nothing signals room: kept requests are tried again at intervals (room.hpp). Everything except
-// callbacks is run()'s thread.
+// Nothing signals room: kept requests are tried again at intervals (retry_interval.hpp). Everything
+// except callbacks is run()'s thread.
 #pragma once
 
 #include <agnocast/agnocast.hpp>
@@ -25,7 +25,7 @@
 #include <bridge/dds/participant.hpp>
 #include <bridge/dds/ros_graph.hpp>
 #include <bridge/plan/service_plan.hpp>
-#include <bridge/services/under_way.hpp>
+#include <bridge/services/pending_requests.hpp>
 
 #include <atomic>
 #include <chrono>
@@ -141,7 +141,7 @@ class ServiceRoutes {
     bool has_room = true;         // at the last attempt
     Time next_look;
     std::chrono::nanoseconds interval{0};
-    UnderWay under_way;
+    PendingRequests pending;
   };
   struct Asking {
     BridgedService type;

@@ -3,7 +3,7 @@
 // Goal: a server has no more requests pending than it has room for answers, however long it does
 // not answer. Method: time as a value, completions as pointers.
 
-#include <bridge/services/under_way.hpp>
+#include <bridge/services/pending_requests.hpp>
 
 #include <gtest/gtest.h>
 
@@ -13,15 +13,15 @@
 namespace agnocast::bridge {
 namespace {
 
-class RequestsUnderWay : public testing::Test {
+class RequestsPending : public testing::Test {
  protected:
   /// Sends as many requests as there is room for now. Returns their count.
   std::size_t send() {
     std::size_t count = 0;
-    for (; count <= UnderWay::unanswered_max && under_way_.has_room(now_); ++count) {
+    for (; count <= PendingRequests::unanswered_max && pending_.has_room(now_); ++count) {
       const auto completion = std::make_shared<int>();
       completions_[++newest_] = completion;
-      if (const auto oldest = under_way_.add(newest_, completion, now_)) {
+      if (const auto oldest = pending_.add(newest_, completion, now_)) {
         EXPECT_EQ(*oldest, completions_.begin()->first) << "an older request exists";
         completions_.erase(*oldest);
         ++forgotten_;
@@ -30,17 +30,17 @@ class RequestsUnderWay : public testing::Test {
     return count;
   }
   void answer(std::int64_t request) { completions_.erase(request); }
-  void pass_time() { now_ += UnderWay::patience; }
+  void pass_time() { now_ += PendingRequests::patience; }
 
-  const std::size_t at_once_ = UnderWay::at_once_max();
-  UnderWay under_way_;
-  UnderWay::Time now_{std::chrono::hours(1)};
+  const std::size_t at_once_ = PendingRequests::at_once_max();
+  PendingRequests pending_;
+  PendingRequests::Time now_{std::chrono::hours(1)};
   std::map<std::int64_t, std::shared_ptr<int>> completions_;  // of unanswered requests
   std::int64_t newest_ = 0;
   std::size_t forgotten_ = 0;
 };
 
-TEST_F(RequestsUnderWay, AreReplacedAsTheyAreAnswered) {
+TEST_F(RequestsPending, AreReplacedAsTheyAreAnswered) {
   EXPECT_EQ(send(), at_once_);
   EXPECT_EQ(send(), 0u);
   answer(3);
@@ -49,10 +49,10 @@ TEST_F(RequestsUnderWay, AreReplacedAsTheyAreAnswered) {
   EXPECT_EQ(send(), 0u);
 }
 
-TEST_F(RequestsUnderWay, GetNewRoomASecondAfterTheLastOne) {
+TEST_F(RequestsPending, GetNewRoomASecondAfterTheLastOne) {
   for (std::size_t second = 1; second <= 5; ++second) {
     EXPECT_EQ(send(), at_once_);
-    now_ += UnderWay::patience - std::chrono::milliseconds(1);
+    now_ += PendingRequests::patience - std::chrono::milliseconds(1);
     EXPECT_EQ(send(), 0u);
     EXPECT_EQ(completions_.size(), second * at_once_);
     now_ += std::chrono::milliseconds(1);
@@ -65,23 +65,23 @@ TEST_F(RequestsUnderWay, GetNewRoomASecondAfterTheLastOne) {
   EXPECT_EQ(send(), 0u);
 }
 
-TEST_F(RequestsUnderWay, BeyondTheLimitContinueAtThatPaceAndForgetTheOldest) {
-  while (completions_.size() < UnderWay::unanswered_max) {
+TEST_F(RequestsPending, BeyondTheLimitContinueAtThatPaceAndForgetTheOldest) {
+  while (completions_.size() < PendingRequests::unanswered_max) {
     ASSERT_EQ(send(), at_once_);
     pass_time();
   }
   EXPECT_EQ(forgotten_, 0u);
   for (std::size_t second = 1; second <= 250; ++second) {
     ASSERT_EQ(send(), at_once_) << second;
-    ASSERT_EQ(completions_.size(), UnderWay::unanswered_max);
+    ASSERT_EQ(completions_.size(), PendingRequests::unanswered_max);
     ASSERT_EQ(forgotten_, second * at_once_);
     pass_time();
   }
 }
 
-TEST_F(RequestsUnderWay, AreNotForgottenWhileOthersAreAnswered) {
+TEST_F(RequestsPending, AreNotForgottenWhileOthersAreAnswered) {
   ASSERT_EQ(send(), at_once_);
-  while (newest_ < static_cast<std::int64_t>(5 * UnderWay::unanswered_max)) {
+  while (newest_ < static_cast<std::int64_t>(5 * PendingRequests::unanswered_max)) {
     answer(newest_);
     ASSERT_EQ(send(), 1u);
   }

@@ -1,9 +1,9 @@
 // SPDX-License-Identifier: Apache-2.0
 //
-// Way: the DDS reader through which the messages of one remote writer come. When subscriptions or
-// rules change, a writer goes over to another DDS reader; both then get its messages, the new one
-// perhaps later. Messages come through the former one until the new one gives one that is not
-// older, or for a limited time, so each comes once and in order. Pure.
+// ReaderHandover: the DDS reader through which the messages of one remote writer come. When
+// subscriptions or rules change, a writer goes over to another DDS reader; both then get its
+// messages, the new one perhaps later. Messages come through the former one until the new one gives
+// one that is not older, or for a limited time, so each comes once and in order. Pure.
 #pragma once
 
 #include <bridge/common/linger.hpp>
@@ -16,10 +16,10 @@
 
 namespace agnocast::bridge {
 
-class Way {
+class ReaderHandover {
  public:
-  Way() = default;
-  explicit Way(ReaderKey dds_reader) : dds_reader_(std::move(dds_reader)) {}
+  ReaderHandover() = default;
+  explicit ReaderHandover(ReaderKey dds_reader) : dds_reader_(std::move(dds_reader)) {}
 
   const ReaderKey& dds_reader() const noexcept { return dds_reader_; }
   /// Returns the DDS reader through which its messages still come.

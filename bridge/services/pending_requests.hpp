@@ -1,8 +1,8 @@
 // SPDX-License-Identifier: Apache-2.0
 //
-// UnderWay: the requests that a server here has received and not answered. A server drops unread
-// answers beyond its depth, so no more requests than that are pending at once, except those that
-// take longer than `patience`, whose answers will not come all together. A server that never
+// PendingRequests: the requests that a server here has received and not answered. A server drops
+// unread answers beyond its depth, so no more requests than that are pending at once, except those
+// that take longer than `patience`, whose answers will not come all together. A server that never
 // answers must not cost unlimited memory: of too many, the oldest is dropped, and one more may be
 // pending for it.
 #pragma once
@@ -21,7 +21,7 @@
 namespace agnocast::bridge {
 
 /// One thread; the owners of completions may end on any thread.
-class UnderWay {
+class PendingRequests {
  public:
   using Time = std::chrono::steady_clock::time_point;
   static constexpr std::size_t unanswered_max = 1'000;
