@@ -208,10 +208,12 @@ TEST_F(Depths, OfDdsReadersGrowWithoutALossForExistingReaders) {
     });
   };
   // The writer matches before the bridge's participant knows it, so the first messages may be lost.
+  // Later messages have later times, by which the bridge knows what both of its DDS readers got.
+  constexpr std::int64_t hello_time_ns = 1;
   ASSERT_TRUE(other_.eventually([&] {
     String hello;
     hello.data = "hello";
-    EXPECT_TRUE(Other::write(writer, hello));
+    EXPECT_TRUE(Other::write(writer, hello, hello_time_ns));
     return early->take() != nullptr;
   }));
   const auto reader_depths = [&] {
@@ -232,7 +234,8 @@ TEST_F(Depths, OfDdsReadersGrowWithoutALossForExistingReaders) {
     do {
       String message;
       message.data = std::to_string(written);
-      ASSERT_TRUE(Other::write(writer, message, ++written));
+      ++written;
+      ASSERT_TRUE(Other::write(writer, message, hello_time_ns + written));
       ASSERT_TRUE(has_come_but(20)) << "lost, twice or out of order";
       ASSERT_FALSE(HasFailure());
       other_.look(1ms);
