@@ -36,7 +36,7 @@ if(AGNOCAST_SANITIZE)
   target_compile_options(agnocast_sanitizers INTERFACE -fsanitize=${sanitize_list} -fno-sanitize-recover=all -fno-omit-frame-pointer)
   target_link_options(agnocast_sanitizers INTERFACE -fsanitize=${sanitize_list})
   # This check tests memory with a pipe, and reports a fault where no descriptor is left.
-  target_compile_options(agnocast_sanitizers INTERFACE $<$<CXX_COMPILER_ID:Clang>:-fno-sanitize=vptr>)
+  target_compile_options(agnocast_sanitizers INTERFACE -fno-sanitize=vptr)
   # ThreadSanitizer does not model fences. Payload accesses are ordered by acquire and release
   # alone, so its reports about them are valid.
   target_compile_options(agnocast_sanitizers INTERFACE $<$<CXX_COMPILER_ID:GNU>:-Wno-tsan>)

@@ -9,7 +9,7 @@ for file in apparmor/agnocast apparmor/usr.bin.agnocastd selinux/agnocast.te sel
 done
 export PATH=$PATH:/usr/sbin:/sbin
 for tool in apparmor_parser checkmodule semodule_package strace; do
-  command -v $tool >/dev/null || { echo "skipped: $tool is not installed (scripts/install-dependencies)"; exit 77; }
+  command -v $tool >/dev/null || { echo "SKIPPED: $tool is not installed (scripts/install-dependencies)"; exit 77; }
 done
 
 # --- they compile; and a wrong rule does not
@@ -37,7 +37,7 @@ sed 's/agnocastd_tmpfs_t : file {/no_such_t : file {/' "$share/selinux/agnocast.
 ! module "$work/agnocast.te" || fail "a wrong rule compiles"
 
 # --- the rules cover every file that the programs open
-strace -o "$work/probe" true 2>"$work/probe.log" || { echo "skipped: strace may not trace here"; exit 77; }
+strace -o "$work/probe" true 2>"$work/probe.log" || { echo "SKIPPED: strace may not trace here"; exit 77; }
 use_prefix "$PREFIX"
 export AGNOCAST_SOCKET=$work/agnocast/agnocastd.sock
 strace -f -qq -y -e trace=%file,%desc,%network -o "$work/daemon.trace" agnocastd --socket "$AGNOCAST_SOCKET" --fd-store=none 2>"$work/daemon.log" &

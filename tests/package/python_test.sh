@@ -9,7 +9,7 @@
 . "$(dirname "$0")/support.sh"
 sources=$1
 modules="import ament_package, catkin_pkg, lark, em"
-/usr/bin/python3 -c "$modules" 2>/dev/null || { echo "skipped: /usr/bin/python3 has no modules of ament and rosidl"; exit 77; }
+/usr/bin/python3 -c "$modules" 2>/dev/null || { echo "SKIPPED: /usr/bin/python3 has no modules of ament and rosidl"; exit 77; }
 
 # As that of a virtual environment: without the system's packages.
 mkdir "$work/first"

@@ -62,16 +62,19 @@ std::string text_in(const std::string& json, const std::string& key) {
   const std::size_t begin = at + key.size() + 5;
   return json.substr(begin, json.find('"', begin) - begin);
 }
+/// Returns the content of a recorded sample; empty without a folder of them.
 std::string recorded(const std::string& name) {
   const char* const folder = std::getenv("AGNOCAST_GOLDEN_CDR_DIR");
-  if (folder == nullptr) return {};
+  if (folder == nullptr || !std::filesystem::is_directory(folder)) return {};
   std::ifstream file(std::filesystem::path(folder) / name);
+  EXPECT_TRUE(file) << folder << " has no " << name;
   return {std::istreambuf_iterator<char>(file), {}};
 }
+constexpr const char* no_samples = "AGNOCAST_GOLDEN_CDR_DIR names no folder of samples";
 
 TEST(RosEntities, EqualTheRecordedBytesOfRos2) {
   const std::string json = recorded("wire_ros_discovery_info.json");
-  if (json.empty()) GTEST_SKIP() << "no wire_ros_discovery_info.json in AGNOCAST_GOLDEN_CDR_DIR";
+  if (json.empty()) GTEST_SKIP() << no_samples;
   const std::string prefix = "01104754e7a7e61b2adf6c55";
   const auto guids = [&](const char* kind, std::initializer_list<const char*> numbers) {
     std::vector<Guid> of;
@@ -89,8 +92,7 @@ TEST(RosEntities, EqualTheRecordedBytesOfRos2) {
 
 TEST(RosEntities, DescribeServicesAsRecordedFromRos2) {
   const std::string json = recorded("wire_sedp_service_client_writer.json");
-  if (json.empty())
-    GTEST_SKIP() << "no wire_sedp_service_client_writer.json in AGNOCAST_GOLDEN_CDR_DIR";
+  if (json.empty()) GTEST_SKIP() << no_samples;
   const std::string text = bridge::service_user_data(bridge::ServiceRole::client,
                                                      guid_of("01105bf7cad71d3b7cb5cb3a00000007"));
   const Bytes bytes(reinterpret_cast<const std::byte*>(text.data()),

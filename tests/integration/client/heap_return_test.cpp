@@ -39,12 +39,7 @@ using test::PlainNode;
 using test::take_soon;
 
 constexpr std::uint64_t MiB = 1 << 20;
-// Under a sanitizer many instructions write each byte.
-#if defined(__SANITIZE_ADDRESS__) || defined(__SANITIZE_THREAD__)
-constexpr std::uint64_t spike_bytes = 60 * MiB;
-#else
 constexpr std::uint64_t spike_bytes = 300 * MiB;
-#endif
 
 std::uint64_t resident_bytes() {
   std::uint64_t blocks = 0;

@@ -171,8 +171,6 @@ TEST(Rejoin, AHeapThatGrewMeanwhileIsRead) {
   EXPECT_EQ(heard, expected);
 }
 
-#if !defined(__SANITIZE_ADDRESS__) && !defined(__SANITIZE_THREAD__)
-
 TEST(Rejoin, AProcessThatCannotBeMappedKeepsNoPlace) {
   DaemonProcess daemon;
   ClientTool publisher(daemon.socket_path()), subscriber(daemon.socket_path());
@@ -188,8 +186,6 @@ TEST(Rejoin, AProcessThatCannotBeMappedKeepsNoPlace) {
   publisher.kill();
   EXPECT_TRUE(eventually([&] { return wire_dump(daemon.socket_path()).processes.size() == 1; }));
 }
-
-#endif
 
 /// No descriptor is free in a process as long as this lives.
 class NoDescriptorLeft {

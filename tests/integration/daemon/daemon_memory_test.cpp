@@ -217,6 +217,58 @@ TEST_P(ShortOfMemory, LeavingAndRejoining) {
   });
 }
 
+TEST_P(ShortOfMemory, StatementsOfWhatHasHappened) {
+  const std::string reason = "it has happened already: a refusal would leave its place behind";
+  std::unique_ptr<RawNode> writer;
+  wire::EndpointCreated publisher{}, subscription{};
+  int joined = 0;
+  const auto join = [&](RawNode& node) {
+    writer = std::make_unique<RawNode>(daemon_);
+    // The daemon may still announce the publisher of the previous writer.
+    const std::string topic = "/sweep" + std::to_string(++joined);
+    EXPECT_EQ(writer->wire.open_window(0).opcode(), Opcode::window_opened);
+    publisher = writer->publisher(topic);
+    subscription = node.subscription(topic);
+    EXPECT_EQ(node.wire.expect<wire::Announcement>(Opcode::announce).generation,
+              publisher.generation);
+  };
+  const auto reference = [&] {
+    wire::Reference body{};
+    body.kind = Kind::subscription;
+    body.topic = subscription.topic;
+    body.index = subscription.index;
+    body.generation = subscription.generation;
+    return body;
+  };
+  sweep(
+      "drained",
+      [&](RawNode& node) {
+        join(node);
+        EXPECT_EQ(node.wire.ask(Opcode::leave, reference()).opcode(), Opcode::done);
+      },
+      [&](RawNode& node) { return node.wire.try_ask(Opcode::drained, reference()); });
+  EXPECT_EQ(refused_, 0u) << reason;
+  sweep("unlinked", join, [&](RawNode& node) {
+    wire::Unlinked body{};
+    body.kind = Kind::publisher;
+    body.topic = publisher.topic;
+    body.index = publisher.index;
+    body.generation = publisher.generation;
+    body.seen = node.wire.seen();
+    constexpr std::uint64_t request = 1'000'000;
+    body.header = {Opcode::unlinked, sizeof body, request};
+    static_cast<void>(node.wire.send_bytes(std::as_bytes(std::span(&body, 1))));
+    // It has no answer but a refusal. The next request has one, and is not refused either.
+    auto answer = node.wire.try_ask(Opcode::leave, reference());
+    while (node.wire.unasked_count() > 0) {
+      Incoming before = node.wire.next();
+      if (before.header().request == request) answer = std::move(before);
+    }
+    return answer;
+  });
+  EXPECT_EQ(refused_, 0u) << reason;
+}
+
 TEST_P(ShortOfMemory, Observers) {
   const auto look = [&](auto request, Opcode opcode, Opcode last) {
     return [this, request, opcode, last](RawNode&) -> std::optional<Incoming> {

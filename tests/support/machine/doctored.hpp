@@ -7,6 +7,7 @@
 // the test cover those of /sys and /proc. Nothing of the host is changed.
 #pragma once
 
+#include <tests/support/machine/raised_limits.hpp>
 #include <tests/support/processes/ctl.hpp>
 #include <tests/support/processes/daemon_process.hpp>
 
@@ -45,17 +46,6 @@ template <class Condition>
     std::this_thread::sleep_for(std::chrono::milliseconds(5));
   }
   return condition();
-}
-
-/// Returns whether the test may raise a limit of another process. Root in a container may not.
-inline bool may_raise_limits() {
-  constexpr unsigned cap_sys_resource = 24;
-  std::ifstream status("/proc/self/status");
-  for (std::string line; std::getline(status, line);) {
-    if (line.rfind("CapEff:", 0) == 0)
-      return (std::stoull(line.substr(7), nullptr, 16) >> cap_sys_resource & 1) != 0;
-  }
-  return false;
 }
 
 struct Findings {

@@ -302,7 +302,12 @@ TEST(PacketSocket, CredentialsAndAllDescriptorsFitTogether) {
 TEST(PacketSocket, RefusedDescriptorsStayWithTheSender) {
   Pair pair;
   const std::size_t before = open_descriptor_count();
-  if (!refuse_descriptors(pair.right.fd())) GTEST_SKIP() << "SO_PASSRIGHTS needs Linux 6.16";
+  constexpr int so_passrights = 83;
+  int value = 0;
+  socklen_t bytes = sizeof value;
+  if (::getsockopt(pair.right.fd(), SOL_SOCKET, so_passrights, &value, &bytes) != 0)
+    GTEST_SKIP() << "SO_PASSRIGHTS needs Linux 6.16";
+  ASSERT_TRUE(refuse_descriptors(pair.right.fd()));
   const int number = pair.left.fd();
   const auto sent = pair.left.send(bytes_of("x"), {&number, 1});
   ASSERT_FALSE(sent);

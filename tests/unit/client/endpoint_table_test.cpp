@@ -8,6 +8,7 @@
 #include <agnocast/abi/board.hpp>
 
 #include <gtest/gtest.h>
+#include <sys/epoll.h>
 #include <sys/mman.h>
 
 #include <cstddef>
@@ -61,10 +62,21 @@ struct EndpointTableTest : testing::Test {
     table.add(made);
     return made;
   }
+  /// Links the subscription to a publisher of another process.
+  void link(SubscriptionEndpoint& subscription, std::uint64_t publisher, std::uint64_t generation) {
+    subscription.identity()
+        .topic.publisher(publisher, offsetof(abi::PublisherEntry, word))
+        .store(abi::pack_board_word(generation, abi::BoardState::active));
+    SubscriptionEndpoint::Publisher announced{};
+    announced.index = publisher;
+    announced.generation = generation;
+    announced.extent = next_extent();
+    EXPECT_TRUE(subscription.add_publisher(announced, peer));
+  }
   std::vector<Key> collect() {
     std::vector<Key> all;
     table.collect_subscriptions(
-        [](std::uint32_t, const Link&) { FAIL() << "no subscription was linked"; },
+        [&](std::uint32_t topic, const Link& of) { unlinked.emplace_back(topic, of.publisher()); },
         [&](const Key& key, std::uint64_t) { all.push_back(key); });
     return all;
   }
@@ -72,12 +84,15 @@ struct EndpointTableTest : testing::Test {
   std::byte* const board = memory(abi::board_bytes);
   std::byte* const region = memory(region_bytes);
   std::uint64_t extents = 0;
+  const std::shared_ptr<Peer> peer = std::make_shared<Peer>(9, 90, region);
+  std::vector<Key> unlinked;  // reported by collect(): topic and publisher
   EndpointTable table;
 };
 
 TEST_F(EndpointTableTest, FindsEndpointsByPlaceAndGeneration) {
   EXPECT_TRUE(table.is_empty());
   const auto publisher = add_publisher({1, 2}, 7);
+  EXPECT_FALSE(table.is_empty());
   const auto subscription = add_subscription({1, 2}, 8);
   EXPECT_FALSE(table.is_empty());
   EXPECT_EQ(table.publisher({1, 2}, 7), publisher);
@@ -91,6 +106,9 @@ TEST_F(EndpointTableTest, FindsEndpointsByPlaceAndGeneration) {
   EXPECT_EQ(table.departure_of(Kind::region, {1, 2}, 7), nullptr);
   EXPECT_TRUE(table.is_here(Kind::publisher, {1, 2}));
   EXPECT_FALSE(table.is_here(Kind::publisher, {1, 3}));
+  add_subscription({1, 3}, 9);
+  EXPECT_FALSE(table.is_here(Kind::publisher, {1, 3}));
+  EXPECT_TRUE(table.is_here(Kind::subscription, {1, 3}));
   EXPECT_FALSE(table.is_linked(1, 2, 7));
   EXPECT_FALSE(table.is_attached(1, 2, 8));
 }
@@ -117,6 +135,76 @@ TEST_F(EndpointTableTest, CollectsAClosedSubscriptionWhenTheDaemonKnows) {
   EXPECT_FALSE(table.is_here(Kind::subscription, {1, 0}));
   EXPECT_EQ(table.subscriptions(), std::vector{here});
   EXPECT_TRUE(collect().empty());
+  EXPECT_TRUE(unlinked.empty());
+}
+
+TEST_F(EndpointTableTest, ReportsARemovedSubscriptionWhenNothingOfItIsLeft) {
+  auto gone = add_subscription({1, 0}, 1);
+  gone->close();
+  gone->departure().want();
+  gone->departure().known();
+  const std::weak_ptr left = gone;
+  gone.reset();
+  bool was_reported = false;
+  table.collect_subscriptions([](std::uint32_t, const Link&) {},
+                              [&](const Key&, std::uint64_t generation) {
+                                was_reported = true;
+                                EXPECT_EQ(generation, 1u);
+                                EXPECT_TRUE(left.expired());
+                              });
+  EXPECT_TRUE(was_reported);
+}
+
+TEST_F(EndpointTableTest, ReportsAnUnlinkedPublisherWithTheLastOfItsSubscriptions) {
+  const auto one = add_subscription({1, 0}, 1), two = add_subscription({1, 1}, 2),
+             elsewhere = add_subscription({2, 0}, 3);
+  for (const auto& subscription : {one, two, elsewhere}) link(*subscription, 5, 50);
+  EXPECT_TRUE(table.is_linked(1, 5, 50));
+  EXPECT_FALSE(table.is_linked(3, 5, 50)) << "another topic";
+  EXPECT_FALSE(table.is_linked(1, 5, 51)) << "another generation";
+  const auto leave = [](SubscriptionEndpoint& subscription) {
+    subscription.close();
+    subscription.departure().want();
+    subscription.departure().known();
+  };
+  leave(*one);
+  EXPECT_EQ(collect(), (std::vector{Key{1, 0}}));
+  EXPECT_TRUE(unlinked.empty()) << "another subscription is linked to it";
+  leave(*two);
+  EXPECT_EQ(collect(), (std::vector{Key{1, 1}}));
+  EXPECT_EQ(unlinked, (std::vector{Key{1, 5}}));
+  EXPECT_FALSE(table.is_linked(1, 5, 50));
+  EXPECT_TRUE(table.is_linked(2, 5, 50));
+}
+
+TEST_F(EndpointTableTest, PassesOnWhatConcernsAllEndpoints) {
+  const auto publisher = add_publisher({1, 0}, 1);
+  const auto one = add_subscription({1, 0}, 2), other = add_subscription({2, 0}, 3);
+  link(*one, 5, 50);
+  link(*other, 5, 51);
+  detail::EventCallbacks callbacks;
+  callbacks.connection = [](ConnectionInfo&) {};
+  const auto wait_set = WaitSet::make().value();
+  std::vector<EndpointEvents*> events{&publisher->events(), &one->events(), &other->events()};
+  for (EndpointEvents* const of : events) of->wake_for(callbacks, wait_set);
+  table.tell(ConnectionInfo{});
+  for (EndpointEvents* const of : events) EXPECT_TRUE(of->has_pending());
+
+  const UniqueFd epoll(::epoll_create1(EPOLL_CLOEXEC));
+  ASSERT_TRUE(other->shared_wait_set()->add_to(epoll.get(), 1, 2));
+  const auto is_woken = [&] {
+    epoll_event event{};
+    return ::epoll_wait(epoll.get(), &event, 1, 0) == 1;
+  };
+  static_cast<void>(is_woken());  // the link has woken it
+  EXPECT_FALSE(is_woken());
+  table.wake_wait_sets();
+  EXPECT_TRUE(is_woken());
+
+  EXPECT_EQ(one->events().matched_status().current_count, 1u);
+  table.revoke();
+  for (const auto& subscription : {one, other})
+    EXPECT_EQ(subscription->events().matched_status().current_count, 0u);
 }
 
 }  // namespace

@@ -97,6 +97,18 @@ TEST_F(PeerTableTest, KnowsOtherGenerationsAsOtherProcesses) {
   ASSERT_NE(one, nullptr);
   ASSERT_NE(next, nullptr);
   EXPECT_NE(one.get(), next.get());
+  // A previous process at the place of this one is another process, too.
+  const auto previous = use(announcement({self.first, 9}));
+  ASSERT_NE(previous, nullptr);
+  EXPECT_NE(previous->region(), region.base());
+}
+
+TEST_F(PeerTableTest, UnmapsOnlyUnusedProcessesWithoutADaemonToo) {
+  const auto used = use(announcement(other));
+  use(announcement({3, 30}));
+  table.collect_alone();
+  EXPECT_TRUE(table.has(other));
+  EXPECT_FALSE(table.has({3, 30}));
 }
 
 TEST_F(PeerTableTest, HasItsOwnProcessAsAPeerAndDoesNotReportItsEnd) {
@@ -105,6 +117,9 @@ TEST_F(PeerTableTest, HasItsOwnProcessAsAPeerAndDoesNotReportItsEnd) {
   EXPECT_EQ(here->region(), region.base());
   EXPECT_TRUE(table.owner_of(announcement(self)).is_own);
   EXPECT_FALSE(table.owner_of(announcement(other)).is_own);
+  auto of_this_user = announcement(other);
+  of_this_user.same_user = 1;
+  EXPECT_TRUE(table.owner_of(of_this_user).is_own);
   here.reset();
   EXPECT_TRUE(collect().empty());
   EXPECT_TRUE(table.is_empty());

@@ -32,11 +32,24 @@ class WatchesTest : public testing::Test {
   void fill(std::uint32_t uid, int topics, int of_each) {
     const ClientIndex client = core.process(uid);
     for (int t = 0; t < topics; ++t) {
+      const std::string topic = "/many" + std::to_string(uid) + '_' + std::to_string(t);
       for (int i = 0; i < of_each; ++i) {
-        core.create(client, Kind::publisher, "/many" + std::to_string(t));
-        core.create(client, Kind::subscription, "/many" + std::to_string(t));
+        core.create(client, Kind::publisher, topic);
+        core.create(client, Kind::subscription, topic);
       }
     }
+  }
+  /// Creates a process that is to unmap one publisher that was given up.
+  ClientIndex debtor() {
+    const ClientIndex reader = core.process(2);
+    core.create(reader, Kind::subscription, "/t");
+    for (int i = 0; i < 33; ++i) {
+      const ClientIndex owner = core.process(1);
+      core.create(owner, Kind::publisher, "/t");
+      core.end(owner);
+    }
+    EXPECT_FALSE(core.endpoint_manager.endings().given_up().empty());
+    return reader;
   }
   int looks_until_found(HoldWatch& watch, ClientIndex wanted) {
     for (int looks = 1; looks < 1000; ++looks) {
@@ -61,6 +74,31 @@ TEST_F(WatchesTest, FindsAnExcessiveHolderHoweverMuchAnotherUserHas) {
   fill(3, 12, 60);  // 43,200 lines: eleven looks for all of them
   HoldWatch watch(core.registry, core.regions);
   EXPECT_LE(looks_until_found(watch, liar), without + 1);
+}
+
+TEST_F(WatchesTest, LooksAtSeveralUsersAtATimeHoweverMuchEachOfThemHas) {
+  core.create(core.process(1), Kind::publisher, "/victim");
+  // Each of them alone has more lines than one look reads, for all users.
+  for (std::uint32_t uid = 2; uid < 9; ++uid) fill(uid, 2, 60);
+  const ClientIndex liar = core.process(9);
+  const EndpointRef subscription = core.create(liar, Kind::subscription, "/victim");
+  line(subscription, 0).hold(0).store(0xff);  // its quota is one
+  HoldWatch watch(core.registry, core.regions);
+  EXPECT_LE(looks_until_found(watch, liar), 8);
+}
+
+TEST_F(WatchesTest, BeginsAnewWithAnotherSubscriptionAtTheSamePlace) {
+  HoldWatch watch(core.registry, core.regions);
+  for (int i = 0; i < 4; ++i) {
+    const ClientIndex process = core.process(2);
+    const EndpointRef publisher = core.create(process, Kind::publisher, "/t"),
+                      subscription = core.create(process, Kind::subscription, "/t");
+    ASSERT_EQ(publisher, (EndpointRef{Kind::publisher, TopicIndex{0}, 0}));
+    ASSERT_EQ(subscription, (EndpointRef{Kind::subscription, TopicIndex{0}, 0}));
+    line(subscription, 0).hold(0).store(0xff);
+    for (int looks = 0; looks < 4; ++looks) EXPECT_TRUE(watch.look().empty()) << i;
+    core.end(process);
+  }
 }
 
 TEST_F(WatchesTest, ChecksEverythingOfAUserEventually) {
@@ -142,14 +180,7 @@ TEST_F(WatchesTest, BeginsAnewWithWhoIsBackWithinItsQuotaForOneLook) {
 }
 
 TEST_F(WatchesTest, GivesAProcessThatCameBackAsLongAsOneWithoutAConnection) {
-  const ClientIndex reader = core.process(2);
-  core.create(reader, Kind::subscription, "/t");
-  for (int i = 0; i < 33; ++i) {
-    const ClientIndex owner = core.process(1);
-    core.create(owner, Kind::publisher, "/t");
-    core.end(owner);
-  }
-  ASSERT_FALSE(core.endpoint_manager.endings().given_up().empty());
+  const ClientIndex reader = debtor(), stranger = core.process(3);
   const auto looks_until_found = [&](bool comes_back) {
     UnmapWatch watch(core.registry, core.regions, core.endpoint_manager.endings(), core.channel);
     for (int looks = 1; looks < 100; ++looks) {
@@ -157,6 +188,12 @@ TEST_F(WatchesTest, GivesAProcessThatCameBackAsLongAsOneWithoutAConnection) {
       if (!found.empty()) {
         EXPECT_EQ(found[0].client, reader);
         EXPECT_TRUE(watch.is_true(found[0]));
+        UnmapWatch::Finding of_another = found[0];
+        ++of_another.generation;
+        EXPECT_FALSE(watch.is_true(of_another)) << "another endpoint";
+        of_another = found[0];
+        of_another.client = stranger;
+        EXPECT_FALSE(watch.is_true(of_another)) << "a process that was not notified";
         return looks;
       }
       if (comes_back) watch.notified_again(reader);
@@ -168,6 +205,27 @@ TEST_F(WatchesTest, GivesAProcessThatCameBackAsLongAsOneWithoutAConnection) {
   const int deaf = looks_until_found(false);
   EXPECT_LT(deaf, without_connection) << "everything was sent to it";
   EXPECT_EQ(looks_until_found(true), without_connection);
+}
+
+TEST_F(WatchesTest, GivesAProcessThatReadsWhatItIsSentMoreLooks) {
+  const ClientIndex reader = debtor();
+  const auto looks_until_found = [&](bool reads) {
+    core.channel.sessions.clear();
+    Session& session =
+        core.channel.sessions.emplace(reader, Session(PacketSocket(), PeerIdentity()))
+            .first->second;
+    const std::byte packet{};
+    UnmapWatch watch(core.registry, core.regions, core.endpoint_manager.endings(), core.channel);
+    for (int looks = 1; looks < 100; ++looks) {
+      if (reads) session.drop_output();  // it was sent
+      if (reads || looks == 1) session.push({&packet, 1}, {});
+      if (!watch.look().empty()) return looks;
+    }
+    return 100;
+  };
+  const int deaf = looks_until_found(false), reading = looks_until_found(true);
+  EXPECT_LT(deaf, reading);
+  EXPECT_LT(reading, 100) << "not for ever";
 }
 
 TEST_F(WatchesTest, FindsNobodyWhoHoldsAMessageOfWhatWasGivenUp) {
