@@ -65,6 +65,8 @@ function(agnocast_target_defaults target)
   target_link_libraries(${target} PRIVATE $<BUILD_INTERFACE:agnocast_warnings> $<BUILD_INTERFACE:agnocast_sanitizers>)
 endfunction()
 
+# With the times of the headers in it, a compiler cache would know a precompiled header in no other clone.
+set(agnocast_precompile_options "$<$<CXX_COMPILER_ID:Clang>:SHELL:-Xclang -fno-pch-timestamp>")
 # agnocast_precompile(TARGET [GROUP name] [HEADERS …]): if tests are built, precompiles common
 # headers once for all targets of a group, which have the same compile options. Only headers from
 # outside this tree, so that a change in the tree recompiles only the sources that include it.
@@ -83,6 +85,7 @@ function(agnocast_precompile target)
     add_library(${headers} OBJECT ${PROJECT_SOURCE_DIR}/tests/support/headers.cpp)
     target_link_libraries(${headers} PRIVATE tl::expected)
     agnocast_target_defaults(${headers})
+    target_compile_options(${headers} PRIVATE ${agnocast_precompile_options})
     target_precompile_headers(${headers} PRIVATE <tl/expected.hpp> <algorithm> <array> <atomic> <charconv> <chrono> <condition_variable>
       <cstdint> <cstring> <deque> <functional> <map> <memory> <mutex> <optional> <set> <span> <string> <string_view> <thread> <tuple>
       <unordered_map> <utility> <variant> <vector> ${arg_HEADERS})
