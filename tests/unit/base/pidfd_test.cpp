@@ -53,9 +53,10 @@ TEST(Pidfd, InodeIdentifiesTheProcess) {
   const auto again = Pidfd::open(first.pid());
   const auto other = Pidfd::open(second.pid());
   ASSERT_TRUE(one && again && other);
+  constexpr auto pidfs_magic = 0x50494446;  // PIDFS_MAGIC of linux/magic.h
   struct statfs filesystem {};
   ASSERT_EQ(::fstatfs(one->fd(), &filesystem), 0);
-  if (filesystem.f_type != 0x50494446) GTEST_SKIP() << "pidfds have inodes since Linux 6.9";
+  if (filesystem.f_type != pidfs_magic) GTEST_SKIP() << "pidfds have inodes since Linux 6.9";
   EXPECT_TRUE(one->inode());
   EXPECT_EQ(one->inode(), again->inode());
   EXPECT_NE(one->inode(), other->inode());
