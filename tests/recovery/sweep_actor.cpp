@@ -13,6 +13,7 @@
 //                                 → ok when it waits for a window or is done, → as publish
 //   take ID → none | PUBLISHER:NUMBER, held · drain ID → all, by batches, not held
 //   heard ID → messages of the callback
+//   asleep                        waits until the thread of the callbacks sleeps
 //   release · drop → ok | nothing      the oldest held message; release checks it once more
 //   orphaned → why this session is orphaned, once it is
 //   connected · moved · settled   waits until the daemon knows this process; until all its
@@ -32,6 +33,7 @@
 #include <signal.h>
 #include <sys/mman.h>
 #include <sys/prctl.h>
+#include <sys/syscall.h>
 #include <unistd.h>
 
 #include <array>
@@ -70,6 +72,7 @@ class Actor {
     if (what == "drop") return drop();
     if (what == "orphaned") return await_orphaned();
     if (what == "fork") return fork_child();
+    if (what == "asleep") return await_asleep();
     if (what == "connected" || what == "moved" || what == "settled") return await_move(what);
     line >> id;
     if (what == "take") return take(id);
@@ -197,16 +200,37 @@ class Actor {
     return sentence_of(orphan_reason());
   }
 
+  static std::string line_of(const std::filesystem::path& path) {
+    std::ifstream file(path);
+    std::string line;
+    std::getline(file, line);
+    return line;
+  }
   static std::size_t count_threads(const char* name) {
     std::size_t count = 0;
     std::error_code gone;  // a thread may end during the check
-    for (const auto& task : std::filesystem::directory_iterator("/proc/self/task", gone)) {
-      std::ifstream file(task.path() / "comm");
-      std::string its_name;
-      std::getline(file, its_name);
-      count += its_name == name;
-    }
+    for (const auto& task : std::filesystem::directory_iterator("/proc/self/task", gone))
+      count += line_of(task.path() / "comm") == name;
     return count;
+  }
+
+  /// It sleeps, and its sleep word says so, while it is in this system call: proc_pid_syscall(5).
+  static bool is_in_epoll_wait(const std::filesystem::path& task) {
+    const std::string call = line_of(task / "syscall").substr(0, 4);
+#ifdef SYS_epoll_wait
+    if (call.rfind(std::to_string(SYS_epoll_wait) + " ", 0) == 0) return true;
+#endif
+    return call.rfind(std::to_string(SYS_epoll_pwait) + " ", 0) == 0;
+  }
+  static std::string await_asleep() {
+    for (int i = 0; i < 15'000; ++i, ::usleep(1000)) {
+      std::error_code gone;
+      for (const auto& task : std::filesystem::directory_iterator("/proc/self/task", gone)) {
+        if (line_of(task.path() / "comm") == "agnocast-call" && is_in_epoll_wait(task.path()))
+          return "ok";
+      }
+    }
+    return "bad: the callbacks' thread does not sleep";
   }
   static std::string await_move(const std::string& how_far) {
     for (int i = 0; i < 15'000; ++i) {

@@ -49,8 +49,8 @@ inline const Script scripts[] = {
      "V sync; A publish 4 1; V publish 3 1; A sync; V publish 3 1; V unsub 5; V unsub 2; V unpub 3;"
      "V sync; V quit; A heard 1; A unsub 1; A unpub 4"},
     {"more wait sets than publish rings by itself",
-     "V cb 2 /s 20; A cb 1 /s 20; B cb 4 /s 20; V pub 3 /s 20; sync; V publish 3 1; A sync; V "
-     "publish 3 1;"
+     "V cb 2 /s 20; A cb 1 /s 20; B cb 4 /s 20; V pub 3 /s 20; sync; A asleep; B asleep; V asleep;"
+     "V publish 3 1; A asleep; B asleep; V asleep; V publish 3 1;"
      "V unsub 2; V publish 3 1; V unpub 3; V sync; V quit; A heard 1; B heard 4; A unsub 1; B "
      "unsub 4"},
     {"adoption",
