@@ -34,7 +34,10 @@
 #include <iterator>
 #include <memory>
 #include <sstream>
+#include <string>
+#include <string_view>
 #include <utility>
+#include <vector>
 
 namespace agnocast::test {
 namespace {
@@ -76,19 +79,54 @@ struct Start {
   std::vector<int> sockets;
 };
 
-// As systemd passes them; in the process itself, because its pid is part of it.
+/// The environment of a daemon, made before fork: in the child, setenv() would wait for ever if
+/// another thread was inside it at the fork.
+class Environment {
+ public:
+  explicit Environment(const Start& what) {
+    static constexpr std::string_view not_passed[] = {"NOTIFY_SOCKET", "AGNOCAST_SOCKET",
+                                                      "JOURNAL_STREAM", "FDSTORE"};
+    for (char** variable = environ; *variable != nullptr; ++variable) {
+      const std::string_view text = *variable, name = text.substr(0, text.find('='));
+      const bool is_set_anew =
+          std::any_of(what.environment.begin(), what.environment.end(), [&](const auto& other) {
+            return other.size() > name.size() && other.starts_with(name) &&
+                   other[name.size()] == '=';
+          });
+      if (!is_set_anew &&
+          std::find(std::begin(not_passed), std::end(not_passed), name) == std::end(not_passed))
+        variables_.emplace_back(text);
+    }
+    variables_.insert(variables_.end(), what.environment.begin(), what.environment.end());
+    if (!what.sockets.empty()) {
+      std::string names = "LISTEN_FDNAMES=socket";
+      for (std::size_t i = 1; i < what.sockets.size(); ++i) names += ":socket";
+      variables_.push_back(names);
+      variables_.push_back("LISTEN_FDS=" + std::to_string(what.sockets.size()));
+      variables_.push_back(listen_pid + std::string(pid_digits, ' '));
+    }
+    for (std::string& variable : variables_) pointers_.push_back(variable.data());
+    pointers_.push_back(nullptr);
+  }
+  /// In the child, whose pid is part of it. The last variable is LISTEN_PID then.
+  void note_pid() {
+    std::snprintf(variables_.back().data() + listen_pid.size(), pid_digits, "%d", ::getpid());
+  }
+  char** get() { return pointers_.data(); }
+
+ private:
+  static constexpr std::size_t pid_digits = 12;
+  const std::string listen_pid = "LISTEN_PID=";
+  std::vector<std::string> variables_;
+  std::vector<char*> pointers_;
+};
+
+// As systemd passes them.
 void pass(const std::vector<int>& sockets) {
   constexpr int first = 3, elsewhere = 100;
   std::vector<int> copies;
   for (const int socket : sockets) copies.push_back(::fcntl(socket, F_DUPFD_CLOEXEC, elsewhere));
-  std::string names;
-  for (std::size_t i = 0; i < copies.size(); ++i) {
-    ::dup2(copies[i], first + static_cast<int>(i));
-    names += i == 0 ? "socket" : ":socket";
-  }
-  ::setenv("LISTEN_PID", std::to_string(::getpid()).c_str(), 1);
-  ::setenv("LISTEN_FDS", std::to_string(copies.size()).c_str(), 1);
-  ::setenv("LISTEN_FDNAMES", names.c_str(), 1);
+  for (std::size_t i = 0; i < copies.size(); ++i) ::dup2(copies[i], first + static_cast<int>(i));
 }
 
 // From here on, also after exec, getsockopt(…, SO_PEERPIDFD, …) fails with ENOPROTOOPT.
@@ -122,17 +160,13 @@ pid_t start(const Start& what) {
   std::vector<char*> argv;
   for (std::string& argument : arguments) argv.push_back(argument.data());
   argv.push_back(nullptr);
+  Environment environment(what);
   const pid_t parent = ::getpid();
   const pid_t pid = ::fork();
   if (pid != 0) return pid;
   // Dies with the test in any case.
   ::prctl(PR_SET_PDEATHSIG, SIGKILL);
   if (::getppid() != parent) ::_exit(127);
-  ::unsetenv("NOTIFY_SOCKET");
-  ::unsetenv("AGNOCAST_SOCKET");
-  ::unsetenv("JOURNAL_STREAM");
-  ::unsetenv("FDSTORE");
-  for (const std::string& variable : what.environment) ::putenv(::strdup(variable.c_str()));
   const int out = ::open(what.out.c_str(), O_WRONLY | O_CREAT | O_APPEND, 0666);
   const int err = ::open(what.err.c_str(), O_WRONLY | O_CREAT | O_APPEND, 0666);
   if (out < 0 || err < 0) ::_exit(126);
@@ -140,7 +174,10 @@ pid_t start(const Start& what) {
   ::dup2(err, STDERR_FILENO);
   // None of our descriptors: the first daemon would inherit them and the next would not.
   ::close_range(3, ~0U, CLOSE_RANGE_CLOEXEC);
-  if (!what.sockets.empty()) pass(what.sockets);
+  if (!what.sockets.empty()) {
+    pass(what.sockets);
+    environment.note_pid();
+  }
   // Another user may have no access to the program's directory.
   const int program = ::open(argv[0], O_PATH | O_CLOEXEC);
   if (what.uid) {
@@ -150,8 +187,8 @@ pid_t start(const Start& what) {
   }
   if (what.without_peer_pidfd && !deny_peer_pidfd()) ::_exit(124);
   if (what.without_passrights && !deny_passrights()) ::_exit(123);
-  if (what.uid) ::fexecve(program, argv.data(), environ);
-  ::execv(argv[0], argv.data());
+  if (what.uid) ::fexecve(program, argv.data(), environment.get());
+  ::execve(argv[0], argv.data(), environment.get());
   ::_exit(127);
 }
 
