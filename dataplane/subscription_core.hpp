@@ -339,8 +339,9 @@ class LinkCore {
   std::uint64_t final_head_ = 0;
 };
 
-/// An executor's sleep word. To sleep: arm() → check every link → block on the doorbell →
-/// disarm().
+/// The sleep word of a wait set. To sleep: arm() → check every link → block on the doorbell →
+/// disarm(). If several threads sleep, each arms, and the last one disarms: a publisher rings once
+/// for each value of the word, so each sleep needs a value of its own.
 template <class M>
 class SleepCore {
  public:
@@ -352,7 +353,7 @@ class SleepCore {
   void arm() noexcept {
     // [sync:sleep] relaxed, then a fence; pairs with P6, P8. The generation is 64 bits wide: a
     // narrow one loses a wake by wrapping.
-    ++generation_;
+    generation_ += 1 + generation_ % 2;
     AGNOCAST_STEP(S1_arm) M::word(region_, offset_).store(generation_, std::memory_order_relaxed);
     AGNOCAST_STEP(S2_fence) M::fence();
   }
@@ -365,7 +366,7 @@ class SleepCore {
  private:
   typename M::Region region_;
   std::uint64_t offset_;
-  std::uint64_t generation_ = 0;  // even = awake
+  std::uint64_t generation_ = 0;  // even: all are awake
 };
 
 }  // namespace agnocast::dataplane

@@ -4,7 +4,7 @@
 
 #include <agnocast/publisher.hpp>
 #include <client/api/qos_words.hpp>
-#include <client/executors/runner.hpp>
+#include <client/executors/callback_groups.hpp>
 #include <client/process/forked_child.hpp>
 #include <client/process/steps.hpp>
 #include <client/session/context.hpp>
@@ -77,9 +77,9 @@ Result<std::shared_ptr<UntypedPublisher>> UntypedPublisher::create(const Endpoin
   if (!off) return tl::unexpected<Failure>(off.error());
   if (*off) return publisher;
   if (options.events()) {
-    auto runner = Runner::of_node(name.node);
-    if (!runner) return tl::unexpected<Failure>(runner.error());
-    publisher->runner_ = std::move(*runner);
+    auto group = callback_groups::of_endpoint(name.node, options.callback_group());
+    if (!group) return tl::unexpected<Failure>(group.error());
+    publisher->group_ = std::move(*group);
   }
   EndpointRequest request;
   request.topic = name.topic;
@@ -95,15 +95,16 @@ Result<std::shared_ptr<UntypedPublisher>> UntypedPublisher::create(const Endpoin
   publisher->endpoint_ = std::move(*endpoint);
   pin_object_of(code.end.code);
   if (options.events()) {
-    publisher->endpoint_->events().wake_for(options.events(), publisher->runner_->wait_set());
+    GroupCallbacks& callbacks = *publisher->group_->state().callbacks;
+    publisher->endpoint_->events().wake_for(options.events(), callbacks.wait_set());
     publisher->source_ = std::make_shared<PublisherSource>(publisher->endpoint_, options.events());
-    publisher->runner_->callbacks().add(publisher->source_);
+    callbacks.add(publisher->source_);
   }
   return publisher;
 }
 
 UntypedPublisher::~UntypedPublisher() {
-  if (source_ != nullptr) runner_->callbacks().remove(*source_, runner_);
+  if (source_ != nullptr) group_->state().callbacks->remove(*source_, group_);
   if (endpoint_ != nullptr) Context::instance().destroy(endpoint_, end_);
 }
 

@@ -5,7 +5,7 @@
 #include <agnocast/message_windows.hpp>
 #include <agnocast/subscription.hpp>
 #include <client/api/qos_words.hpp>
-#include <client/executors/runner.hpp>
+#include <client/executors/callback_groups.hpp>
 #include <client/heap/address_users.hpp>
 #include <client/process/forked_child.hpp>
 #include <client/session/context.hpp>
@@ -160,10 +160,10 @@ Result<std::shared_ptr<UntypedSubscription>> UntypedSubscription::create(
   if (*off) return subscription;
   std::shared_ptr<WaitSet> wait_set;
   if (callback || options.events()) {
-    auto runner = Runner::of_node(name.node);
-    if (!runner) return tl::unexpected<Failure>(runner.error());
-    subscription->runner_ = std::move(*runner);
-    wait_set = subscription->runner_->wait_set();
+    auto group = callback_groups::of_endpoint(name.node, options.callback_group());
+    if (!group) return tl::unexpected<Failure>(group.error());
+    subscription->group_ = std::move(*group);
+    wait_set = subscription->group_->state().callbacks->wait_set();
   }
   if (!callback) {
     auto idle = Context::instance().idle_wait_set();
@@ -185,11 +185,12 @@ Result<std::shared_ptr<UntypedSubscription>> UntypedSubscription::create(
   auto endpoint = Context::instance().create_subscription(request, std::move(wait_set));
   if (!endpoint) return tl::unexpected<Failure>(endpoint.error());
   subscription->endpoint_ = std::move(*endpoint);
-  if (subscription->runner_ != nullptr) {
-    subscription->endpoint_->events().wake_for(options.events(), subscription->runner_->wait_set());
+  if (subscription->group_ != nullptr) {
+    GroupCallbacks& callbacks = *subscription->group_->state().callbacks;
+    subscription->endpoint_->events().wake_for(options.events(), callbacks.wait_set());
     subscription->source_ = std::make_shared<SubscriptionSource>(
         subscription->endpoint_, std::move(callback), options.events());
-    subscription->runner_->callbacks().add(subscription->source_);
+    callbacks.add(subscription->source_);
   }
   return subscription;
 }
@@ -198,7 +199,7 @@ UntypedSubscription::~UntypedSubscription() { end(); }
 
 void UntypedSubscription::end(std::chrono::steady_clock::time_point end) noexcept {
   if (endpoint_ == nullptr || std::exchange(has_ended_, true)) return;
-  if (source_ != nullptr) runner_->callbacks().remove(*source_, runner_);
+  if (source_ != nullptr) group_->state().callbacks->remove(*source_, group_);
   Context::instance().destroy(endpoint_, end);
 }
 

@@ -46,10 +46,12 @@ class CallbackWaits {
     const std::lock_guard lock(mutex_);
     waits_.erase(std::this_thread::get_id());
   }
-  /// Removes all waits for `what`, which has ended.
+  /// Removes all waits for what this thread ran of `what`: it has ended.
   void end_of(const void* what) noexcept {
     const std::lock_guard lock(mutex_);
-    std::erase_if(waits_, [&](const auto& wait) { return wait.second.what == what; });
+    std::erase_if(waits_, [&, self = std::this_thread::get_id()](const auto& wait) {
+      return wait.second.what == what && wait.second.other == self;
+    });
   }
 
  private:

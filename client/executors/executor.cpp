@@ -3,8 +3,7 @@
 // The public part of executors: how long to run callbacks, how long to poll, when to sleep.
 
 #include <agnocast/executor.hpp>
-#include <client/executors/executor_core.hpp>
-#include <client/executors/runner.hpp>
+#include <client/executors/executor_state.hpp>
 #include <client/process/forked_child.hpp>
 
 #include <algorithm>
@@ -59,53 +58,37 @@ std::optional<std::chrono::milliseconds> time_until(Clock::time_point deadline) 
 
 }  // namespace
 
-struct Executor::State {
-  std::unique_ptr<ExecutorCore> core;
-  std::chrono::nanoseconds spin_budget;
-  std::atomic<bool> is_spinning{false};
-};
+Executor::Executor(std::unique_ptr<State> state) noexcept : state_(std::move(state)) {}
 
-/// Allows one spin function at a time.
-class Executor::Spinning {
- public:
-  explicit Spinning(State& state) : state_(state) {
-    if (Result<void> refused = refuse_forked_child(); !refused) throw Error(refused.error());
-    if (state_.is_spinning.exchange(true, std::memory_order_acq_rel))
-      throw Error({Errc::invalid_argument, 0, "this executor is spinning already"});
-  }
-  ~Spinning() { state_.is_spinning.store(false, std::memory_order_release); }
-  Spinning(const Spinning&) = delete;
-  Spinning& operator=(const Spinning&) = delete;
+Executor::Executor(std::chrono::nanoseconds spin_budget)
+    : Executor(std::make_unique<State>(State::make_core(), spin_budget)) {}
 
- private:
-  State& state_;
-};
-
-Executor::Executor(std::chrono::nanoseconds spin_budget) {
-  if (Result<void> refused = refuse_forked_child(); !refused) throw Error(refused.error());
-  auto core = ExecutorCore::make();
-  if (!core) throw Error(core.error());
-  state_.reset(new State{std::move(*core), spin_budget});
-}
-
-Executor::~Executor() { Runner::release_all(*state_->core); }
+Executor::~Executor() { callback_groups::release_all(state_->groups()); }
 
 void Executor::add_node_of_name(const std::string& node) {
-  if (Result<void> claimed = Runner::claim(node, *state_->core); !claimed)
+  if (Result<void> claimed = callback_groups::claim_node(node, state_->groups()); !claimed)
     throw Error(claimed.error());
 }
 
 void Executor::remove_node_of_name(const std::string& node) {
-  if (Result<void> released = Runner::release(node, *state_->core); !released)
+  if (Result<void> released = callback_groups::release_node(node, state_->groups()); !released)
+    throw Error(released.error());
+}
+
+void Executor::add_callback_group(const CallbackGroup::SharedPtr& group) {
+  if (Result<void> claimed = callback_groups::claim_group(*group, state_->groups()); !claimed)
+    throw Error(claimed.error());
+}
+
+void Executor::remove_callback_group(const CallbackGroup::SharedPtr& group) {
+  if (Result<void> released = callback_groups::release_group(*group, state_->groups()); !released)
     throw Error(released.error());
 }
 
 void Executor::cancel() noexcept {
   if (!is_forked_child()) state_->core->cancel();  // it would wake the parent's executor
 }
-bool Executor::is_spinning() const noexcept {
-  return state_->is_spinning.load(std::memory_order_acquire);
-}
+bool Executor::is_spinning() const noexcept { return state_->spins(); }
 
 /// Returns false at `deadline` or when cancelled. True may be wrong: the caller checks for work.
 bool Executor::wait_for_work(Clock::time_point deadline) {
@@ -121,7 +104,7 @@ bool Executor::wait_for_work(Clock::time_point deadline) {
     } while (Clock::now() < end);
   }
   if (core.is_cancelled() || is_over(deadline)) return false;
-  if (!core.prepare()) core.sleep(time_until(deadline));
+  core.wait(time_until(deadline));
   return !core.is_cancelled();
 }
 
@@ -180,7 +163,7 @@ std::size_t Executor::dispatch() {
     }
   };
   const Ending ending{*state_->core};
-  state_->core->sleep(std::chrono::milliseconds(0));
+  state_->core->finish_sleep();
   if (state_->core->take_cancel()) return 0;
   return state_->core->run_cycle(Clock::time_point::max());
 }

@@ -5,6 +5,7 @@
 #include <base/descriptors/kept_fd.hpp>
 #include <client/process/forked_child.hpp>
 
+#include <pthread.h>
 #include <sys/epoll.h>
 #include <sys/eventfd.h>
 #include <unistd.h>
@@ -24,11 +25,15 @@ constexpr int events_max = 16;
 
 /// Like epoll_wait; pauses if the program has closed the descriptors, because nothing can ring
 /// then.
-int wait(int epoll, epoll_event (&events)[events_max], int timeout_ms) noexcept {
-  const bool usable = !has_lost_kept();
-  const int count = usable ? ::epoll_wait(epoll, events, events_max, timeout_ms) : -1;
-  if (count >= 0 || (usable && errno == EINTR)) return count;
-  return unrung_pause(timeout_ms);
+int wait_for_events(int epoll, epoll_event (&events)[events_max], int timeout_ms,
+                    bool in_cancellable_thread) {
+  if (has_lost_kept()) return unrung_pause(timeout_ms);
+  // The only place where a library thread can be cancelled, so that cancellation leaves no
+  // function of the library half done.
+  if (in_cancellable_thread) ::pthread_setcancelstate(PTHREAD_CANCEL_ENABLE, nullptr);
+  const int count = ::epoll_wait(epoll, events, events_max, timeout_ms);
+  if (in_cancellable_thread) ::pthread_setcancelstate(PTHREAD_CANCEL_DISABLE, nullptr);
+  return count >= 0 || errno == EINTR ? count : unrung_pause(timeout_ms);
 }
 
 }  // namespace
@@ -50,17 +55,63 @@ Result<std::unique_ptr<ExecutorCore>> ExecutorCore::make() {
 
 ExecutorCore::~ExecutorCore() = default;
 
-Result<void> ExecutorCore::adopt(std::shared_ptr<NodeCallbacks> node) {
-  {
-    const std::lock_guard lock(mutex_);
-    const std::uint64_t tag = ++last_tag_;
-    assigned_.reserve(assigned_.size() + 1);
-    if (Result<void> added = node->wait_set()->add_to(epoll_.get(), eventfd_tag, tag); !added)
-      return added;
-    assigned_.push_back({node, tag});
+// --- groups and their doorbells
+
+Result<void> ExecutorCore::adopt(std::shared_ptr<GroupCallbacks> group) {
+  const std::lock_guard lock(mutex_);
+  assigned_.reserve(assigned_.size() + 1);
+  std::shared_ptr<WaitSet> wait_set = group->wait_set();
+  if (wait_set != nullptr) {
+    if (Result<void> listening = begin_listening(wait_set); !listening) return listening;
   }
-  node->hand_to(this);
+  assigned_.push_back({group, std::move(wait_set)});
+  group->hand_to(this);
   return {};
+}
+
+Result<void> ExecutorCore::listen(const GroupCallbacks& group, std::shared_ptr<WaitSet> wait_set) {
+  const std::lock_guard lock(mutex_);
+  for (Assigned& assigned : assigned_) {
+    if (assigned.group.get() != &group || assigned.wait_set != nullptr) continue;
+    if (Result<void> listening = begin_listening(wait_set); !listening) return listening;
+    assigned.wait_set = std::move(wait_set);
+    wake();
+  }
+  return {};
+}
+
+void ExecutorCore::drop(GroupCallbacks& group) noexcept {
+  const std::lock_guard lock(mutex_);
+  const auto found = std::find_if(assigned_.begin(), assigned_.end(), [&](const auto& assigned) {
+    return assigned.group.get() == &group;
+  });
+  if (found == assigned_.end()) return;
+  group.hand_to(nullptr);
+  if (found->wait_set != nullptr) end_listening(found->wait_set);
+  const auto index = static_cast<std::size_t>(found - assigned_.begin());
+  if (index < next_) --next_;
+  assigned_.erase(found);
+}
+
+Result<void> ExecutorCore::begin_listening(std::shared_ptr<WaitSet> wait_set) {
+  for (Listened& listened : listened_) {
+    if (listened.wait_set == wait_set) return ++listened.groups, Result<void>();
+  }
+  listened_.reserve(listened_.size() + 1);
+  const std::uint64_t tag = ++last_tag_;
+  if (Result<void> added = wait_set->add_to(epoll_.get(), eventfd_tag, tag); !added) return added;
+  listened_.push_back({std::move(wait_set), tag});
+  return {};
+}
+
+void ExecutorCore::end_listening(const std::shared_ptr<WaitSet>& wait_set) noexcept {
+  const auto found =
+      std::find_if(listened_.begin(), listened_.end(),
+                   [&](const Listened& listened) { return listened.wait_set == wait_set; });
+  if (--found->groups != 0) return;
+  if (found->is_armed) wait_set->disarm();
+  wait_set->remove_from(epoll_.get());
+  listened_.erase(found);
 }
 
 void ExecutorCore::wake() noexcept {
@@ -76,87 +127,103 @@ void ExecutorCore::cancel() noexcept {
   wake();
 }
 
-void ExecutorCore::begin_cycle() {
-  next_ = 0;
+// --- callbacks
+
+ExecutorCore::Claim ExecutorCore::begin_of_cycle() {
+  for (; next_ < assigned_.size(); ++next_) {
+    const auto& group = assigned_[next_].group;
+    if (auto source = group->begin(*this, cycle_, assigned_.size() == 1 && !is_shared()))
+      return Claim(*this, group, std::move(source));
+  }
+  return {};
+}
+
+/// Lets another thread look for more while this one runs a callback.
+void ExecutorCore::pass_on() noexcept {
+  if (is_asleep_ || successors_ == 0) return;
+  ++passed_on_;
+  passed_.notify_one();
+}
+
+ExecutorCore::Claim ExecutorCore::next() {
   const std::lock_guard lock(mutex_);
-  if (is_cycle_current()) [[likely]]
-    return;
-  cycle_is_listed_ = false;  // in case memory runs out half way
-  cycle_.clear();
-  for (Assigned& assigned : assigned_) {
-    listed_.clear();
-    assigned.listed = assigned.node->list(this, listed_);
-    for (auto& source : listed_) cycle_.push_back({assigned.node, std::move(source)});
+  for (int cycles = 0; cycles < 2; ++cycles) {
+    if (Claim claim = begin_of_cycle()) {
+      pass_on();
+      return claim;
+    }
+    ++cycle_;
+    next_ = 0;
   }
-  cycle_is_listed_ = true;
-}
-
-bool ExecutorCore::is_cycle_current() const noexcept {
-  return cycle_is_listed_ &&
-         std::all_of(assigned_.begin(), assigned_.end(), [](const Assigned& assigned) {
-           return assigned.node->list_changes() == assigned.listed;
-         });
-}
-
-bool ExecutorCore::run_one_of_cycle() {
-  while (next_ < cycle_.size()) {
-    const Cycle& entry = cycle_[next_++];
-    const auto node = entry.node.lock();
-    const auto source = entry.source.lock();
-    if (node == nullptr || source == nullptr) continue;
-    // A single source is asked by taking: it rarely has nothing, and then that only costs more.
-    if (cycle_.size() > 1 && !source->has_work()) continue;
-    if (!node->run(this, *source)) continue;
-    // The callback may have forked, and returned in the child.
-    if (Result<void> refused = refuse_forked_child(); !refused) throw Error(refused.error());
-    return true;
-  }
-  return false;
+  return {};
 }
 
 bool ExecutorCore::run_next() {
-  if (run_one_of_cycle()) return true;
-  begin_cycle();
-  return run_one_of_cycle();
+  do {
+    const Claim claim = next();
+    if (!claim) return false;
+    if (!claim.source().run_one()) continue;
+    // The callback may have forked, and returned in the child.
+    if (Result<void> refused = refuse_forked_child(); !refused) throw Error(refused.error());
+    return true;
+  } while (is_shared());  // what came for the busy group meanwhile, no other thread has seen
+  return false;
 }
 
 std::size_t ExecutorCore::run_cycle(Clock::time_point deadline) {
   std::size_t count = 0;
   const auto is_over = [&] { return is_cancelled() || Clock::now() >= deadline; };
-  while (!is_over() && run_one_of_cycle()) ++count;
-  if (count != 0 || is_over()) return count;
-  begin_cycle();
-  while (run_one_of_cycle()) {
-    ++count;
-    if (is_over()) break;
+  // The rest of a cycle, then a new one.
+  for (int cycles = 0; cycles < 2 && count == 0; ++cycles) {
+    while (!is_over()) {
+      const Claim claim = [&] {
+        const std::lock_guard lock(mutex_);
+        return begin_of_cycle();
+      }();
+      if (!claim) break;
+      if (!claim.source().run_one()) continue;
+      if (Result<void> refused = refuse_forked_child(); !refused) throw Error(refused.error());
+      ++count;
+    }
+    if (count != 0 || is_over()) break;
+    const std::lock_guard lock(mutex_);
+    ++cycle_;
+    next_ = 0;
   }
   return count;
 }
 
-bool ExecutorCore::has_work() const noexcept {
-  const std::lock_guard lock(mutex_);
+bool ExecutorCore::has_work_here() const noexcept {
   return std::any_of(assigned_.begin(), assigned_.end(),
-                     [this](const Assigned& assigned) { return assigned.node->has_work(this); });
+                     [this](const Assigned& assigned) { return assigned.group->has_work(*this); });
 }
 
-bool ExecutorCore::prepare() noexcept {
+bool ExecutorCore::has_work() const noexcept {
   const std::lock_guard lock(mutex_);
+  return has_work_here();
+}
+
+// --- sleep
+
+bool ExecutorCore::arm_or_find_work() noexcept {
   drain_rung();
-  const bool work = std::any_of(
-      assigned_.begin(), assigned_.end(),
-      [this](const Assigned& assigned) { return assigned.node->arm_or_find_work(this); });
-  if (!work) return false;
-  for (const Assigned& assigned : assigned_) assigned.node->disarm(this);
+  disarm();  // after a prepare() without dispatch(): publishers have rung for that value already
+  for (Listened& listened : listened_) {
+    listened.wait_set->arm();
+    listened.is_armed = true;
+  }
+  if (!has_work_here()) return false;
+  disarm();
   return true;
 }
 
-void ExecutorCore::sleep(std::optional<std::chrono::milliseconds> timeout) noexcept {
-  epoll_event events[events_max];
-  const int count = wait(epoll_.get(), events, timeout ? static_cast<int>(timeout->count()) : -1);
-  const std::lock_guard lock(mutex_);
-  for (const Assigned& assigned : assigned_) assigned.node->disarm(this);
-  // Under the lock that is held anyway. An unfinished cycle continues where it was.
-  if (next_ >= cycle_.size() && is_cycle_current()) next_ = 0;
+void ExecutorCore::disarm() noexcept {
+  for (Listened& listened : listened_) {
+    if (std::exchange(listened.is_armed, false)) listened.wait_set->disarm();
+  }
+}
+
+void ExecutorCore::note_events(const epoll_event* events, int count) noexcept {
   for (int i = 0; i < count; ++i) {
     const std::uint64_t tag = events[i].data.u64;
     if (tag == eventfd_tag) continue;
@@ -164,10 +231,72 @@ void ExecutorCore::sleep(std::optional<std::chrono::milliseconds> timeout) noexc
       tick_.wind_up();
       continue;
     }
-    const auto found = std::find_if(assigned_.begin(), assigned_.end(),
-                                    [&](const Assigned& assigned) { return assigned.tag == tag; });
-    if (found != assigned_.end()) found->has_rung = true;
+    const auto found = std::find_if(listened_.begin(), listened_.end(),
+                                    [&](const Listened& listened) { return listened.tag == tag; });
+    if (found != listened_.end()) found->has_rung = true;
   }
+}
+
+/// Ends the sleep of a thread, also when the thread is cancelled.
+class ExecutorCore::Sleeping {
+ public:
+  explicit Sleeping(ExecutorCore& core) noexcept : core_(core) {}
+  ~Sleeping() {
+    if (is_forked_child()) return;  // the lock may belong to the parent
+    const std::lock_guard lock(core_.mutex_);
+    core_.disarm();
+    core_.note_events(events, count);
+    core_.is_asleep_ = false;
+  }
+  Sleeping(const Sleeping&) = delete;
+  Sleeping& operator=(const Sleeping&) = delete;
+
+  epoll_event events[events_max];
+  int count = 0;
+
+ private:
+  ExecutorCore& core_;
+};
+
+void ExecutorCore::wait(std::optional<std::chrono::milliseconds> timeout,
+                        bool in_cancellable_thread) {
+  {
+    std::unique_lock lock(mutex_);
+    if (is_asleep_) {
+      ++successors_;
+      passed_.wait(lock, [&, before = passed_on_] {
+        return passed_on_ != before || !is_asleep_ || is_cancelled();
+      });
+      --successors_;
+      return;
+    }
+    if (arm_or_find_work()) return;
+    is_asleep_ = true;
+  }
+  Sleeping sleeping(*this);
+  sleeping.count =
+      wait_for_events(epoll_.get(), sleeping.events,
+                      timeout ? static_cast<int>(timeout->count()) : -1, in_cancellable_thread);
+}
+
+void ExecutorCore::leave() noexcept {
+  const std::lock_guard lock(mutex_);
+  ++passed_on_;
+  passed_.notify_all();
+  wake();
+}
+
+bool ExecutorCore::prepare() noexcept {
+  const std::lock_guard lock(mutex_);
+  return arm_or_find_work();
+}
+
+void ExecutorCore::finish_sleep() noexcept {
+  epoll_event events[events_max];
+  const int count = has_lost_kept() ? 0 : ::epoll_wait(epoll_.get(), events, events_max, 0);
+  const std::lock_guard lock(mutex_);
+  disarm();
+  note_events(events, count);
 }
 
 void ExecutorCore::end_dispatch() noexcept {
@@ -176,8 +305,8 @@ void ExecutorCore::end_dispatch() noexcept {
 }
 
 void ExecutorCore::drain_rung() noexcept {
-  for (Assigned& assigned : assigned_) {
-    if (std::exchange(assigned.has_rung, false)) assigned.node->drain(this);
+  for (Listened& listened : listened_) {
+    if (std::exchange(listened.has_rung, false)) listened.wait_set->drain();
   }
 }
 

@@ -1,34 +1,36 @@
 // SPDX-License-Identifier: Apache-2.0
 //
-// ExecutorCore: an executor without its public part: its nodes, their cycles, its sleep.
+// ExecutorCore: an executor without its public part: its groups, their cycles, its sleep.
 //
-// One epoll set has the doorbells of every node and an eventfd of the executor itself, so a sleep
-// is one epoll_wait. Each node keeps a sleep word of its own (see NodeCallbacks), so falling
-// asleep arms as many words as there are nodes, and a publisher with subscriptions in two nodes
-// of one executor rings twice.
+// One epoll set has the doorbells of every wait set and an eventfd of the executor itself, so a
+// sleep is one epoll_wait. Falling asleep arms as many words as the groups have wait sets, and a
+// publisher with subscriptions on two of them rings twice.
 //
-// A *cycle* is a list of all callback sources; each may run one callback in it. So a fast topic
-// does not starve the others, in any node. The list refers weakly: a destroyed subscription frees
-// the objects of its callback at once. The list is made anew when a node or a source was added or
-// removed.
+// In a *cycle* each source may run one callback. So a fast topic does not starve the others, in
+// any group.
 //
-// Any thread may add and remove nodes (client/executors/runner.cpp orders that); everything else
-// is for the one thread that spins, except wake() and cancel().
+// Any number of threads may spin. At most one of them sleeps on the doorbells; the others wait to
+// be the next. A thread that begins a callback lets one of them look and sleep in its place. A
+// busy group is invisible to the thread that looks, and nobody rings when it becomes free; so the
+// thread that freed it looks again before it waits, or wakes the sleeping one if it stops: as many
+// threads look as groups became free. tests/model/executor_scenario.hpp explores that.
+//
+// Any thread may add and remove groups (callback_groups.cpp orders that).
 #pragma once
 
 #include <agnocast/result.hpp>
 #include <base/descriptors/unique_fd.hpp>
-#include <client/executors/node_callbacks.hpp>
+#include <client/executors/group_callbacks.hpp>
 #include <client/executors/sleep_tick.hpp>
 
 #include <atomic>
 #include <chrono>
+#include <condition_variable>
 #include <cstddef>
 #include <cstdint>
 #include <memory>
 #include <mutex>
 #include <optional>
-#include <string>
 #include <utility>
 #include <vector>
 
@@ -38,22 +40,44 @@ class ExecutorCore {
  public:
   using Clock = std::chrono::steady_clock;
 
+  /// A callback that has begun: its group counts it until this object is destroyed.
+  class Claim {
+   public:
+    Claim() = default;
+    Claim(ExecutorCore& core, std::shared_ptr<GroupCallbacks> group,
+          std::shared_ptr<CallbackSource> source) noexcept
+        : core_(&core), group_(std::move(group)), source_(std::move(source)) {}
+    Claim(Claim&& other) noexcept
+        : core_(std::exchange(other.core_, nullptr)),
+          group_(std::move(other.group_)),
+          source_(std::move(other.source_)) {}
+    Claim& operator=(Claim&&) = delete;
+    ~Claim() {
+      if (core_ != nullptr) group_->end(*core_, *source_);
+    }
+    explicit operator bool() const noexcept { return core_ != nullptr; }
+    CallbackSource& source() const noexcept { return *source_; }
+
+   private:
+    ExecutorCore* core_ = nullptr;
+    std::shared_ptr<GroupCallbacks> group_;
+    std::shared_ptr<CallbackSource> source_;  // may own the callback
+  };
+
   /// Errors: os_failure.
   [[nodiscard]] static Result<std::unique_ptr<ExecutorCore>> make();
   ~ExecutorCore();
   ExecutorCore(const ExecutorCore&) = delete;
   ExecutorCore& operator=(const ExecutorCore&) = delete;
 
-  /// Takes over the callbacks of this node. Errors: os_failure.
-  [[nodiscard]] Result<void> adopt(std::shared_ptr<NodeCallbacks> node);
-  /// Releases its doorbells; the caller gives it another executor, or ends it.
-  void drop(const NodeCallbacks& node) noexcept {
-    drop_if([&](const NodeCallbacks& assigned) { return &assigned == &node; });
-  }
-  /// The same for all of this name (one that is about to end may be among them).
-  void drop(const std::string& node) noexcept {
-    drop_if([&](const NodeCallbacks& assigned) { return assigned.node() == node; });
-  }
+  // --- any thread
+
+  /// Takes over the callbacks of this group. Errors: os_failure.
+  [[nodiscard]] Result<void> adopt(std::shared_ptr<GroupCallbacks> group);
+  /// Begins to listen for a group that it has. Errors: os_failure.
+  [[nodiscard]] Result<void> listen(const GroupCallbacks& group, std::shared_ptr<WaitSet> wait_set);
+  /// Releases its doorbells; nobody runs the group then. Does nothing if it is not here.
+  void drop(GroupCallbacks& group) noexcept;
 
   /// Ends a sleep. Any thread, any signal handler.
   void wake() noexcept;
@@ -63,69 +87,88 @@ class ExecutorCore {
   bool take_cancel() noexcept {
     return is_cancelled() && cancelled_.exchange(false, std::memory_order_acq_rel);
   }
-
   /// Readable when a sleep of this executor would end.
   int fd() const noexcept { return epoll_.get(); }
 
-  // --- the thread that spins
+  // --- a thread that spins
 
-  /// Runs the next callback of the cycle; returns false if there is none. Throws what it throws.
+  /// Set while several threads spin.
+  void share(bool several) noexcept { is_shared_.store(several, std::memory_order_relaxed); }
+  bool is_shared() const noexcept { return is_shared_.load(std::memory_order_relaxed); }
+
+  /// Begins the next callback of this cycle, or of a new one; empty if there is none. Throws
+  /// std::bad_alloc.
+  Claim next();
+  /// Runs it; returns false if there was nothing to do after all. Throws what it throws.
   bool run_next();
   /// Runs the rest of this cycle, or a whole new one if nothing is left of it; stops at
   /// `deadline` or a cancel. Returns the number of callbacks. Throws what they throw.
   std::size_t run_cycle(Clock::time_point deadline);
   bool has_work() const noexcept;
+
+  /// Sleeps until there may be something to do, or `timeout` is over (none: the next tick). With
+  /// several threads it may be another one that sleeps; then `timeout` must be none.
+  /// `in_cancellable_thread`: the thread can be cancelled (pthread_cancel) while it sleeps.
+  void wait(std::optional<std::chrono::milliseconds> timeout, bool in_cancellable_thread = false);
+  /// Call it when a thread stops while others go on: another one takes over its work.
+  void leave() noexcept;
+
+  // --- one thread with a loop of its own
+
   /// Drains rung doorbells, arms, then checks: returns true, and leaves nothing armed, if there
   /// is work.
   bool prepare() noexcept;
-  /// Blocks until a doorbell, a wake, or the end of `timeout` (none: the next tick); then
-  /// disarms. With a `timeout` of 0 it notes the rung doorbells and disarms.
-  void sleep(std::optional<std::chrono::milliseconds> timeout) noexcept;
+  /// Notes the rung doorbells and disarms.
+  void finish_sleep() noexcept;
   /// Drains rung doorbells, in case other code uses fd() before the next prepare().
   void end_dispatch() noexcept;
 
  private:
-  struct Assigned {
-    std::shared_ptr<NodeCallbacks> node;
-    std::uint64_t tag;  // of its datagram doorbell in the epoll set
+  /// A wait set of groups that are here.
+  struct Listened {
+    std::shared_ptr<WaitSet> wait_set;
+    std::uint64_t tag;       // of its datagram doorbell in the epoll set
+    std::size_t groups = 1;  // that use it
+    bool is_armed = false;
     // Drain its datagram doorbell before the next sleep, but after the callback that it rang for.
     bool has_rung = false;
-    std::uint64_t listed = 0;  // its list_changes() when cycle_ was made; 0: not in the list
   };
-  struct Cycle {
-    std::weak_ptr<NodeCallbacks> node;
-    std::weak_ptr<CallbackSource> source;
+  struct Assigned {
+    std::shared_ptr<GroupCallbacks> group;
+    std::shared_ptr<WaitSet> wait_set;  // null: it has none yet
   };
+  class Sleeping;
 
   ExecutorCore(UniqueFd epoll, UniqueFd wake, SleepTick tick) noexcept
       : epoll_(std::move(epoll)), wake_(std::move(wake)), tick_(std::move(tick)) {}
-  template <class Condition>
-  void drop_if(Condition condition) noexcept {
-    const std::lock_guard lock(mutex_);
-    cycle_is_listed_ = false;
-    std::erase_if(assigned_, [&](const Assigned& assigned) {
-      if (!condition(*assigned.node)) return false;
-      assigned.node->wait_set()->remove_from(epoll_.get());
-      return true;
-    });
-  }
-  void begin_cycle();
-  bool is_cycle_current() const noexcept;  // under the mutex, like the next
+  // All under the mutex:
+  Result<void> begin_listening(std::shared_ptr<WaitSet> wait_set);
+  void end_listening(const std::shared_ptr<WaitSet>& wait_set) noexcept;
+  Claim begin_of_cycle();
+  void pass_on() noexcept;
+  bool has_work_here() const noexcept;
+  bool arm_or_find_work() noexcept;
+  void disarm() noexcept;
+  void note_events(const struct epoll_event* events, int count) noexcept;
   void drain_rung() noexcept;
-  bool run_one_of_cycle();
 
   UniqueFd epoll_, wake_;
   SleepTick tick_;
   std::atomic<bool> cancelled_{false};
   static_assert(std::atomic<bool>::is_always_lock_free, "cancel() is for signal handlers");
+  std::atomic<bool> is_shared_{false};
+
   mutable std::mutex mutex_;
   std::vector<Assigned> assigned_;
+  std::vector<Listened> listened_;
   std::uint64_t last_tag_ = 0;
-  bool cycle_is_listed_ = false;  // current, unless a node reports changes
+  std::uint64_t cycle_ = 1;
+  std::size_t next_ = 0;  // the group where the cycle goes on
 
-  std::vector<Cycle> cycle_;
-  std::size_t next_ = 0;
-  std::vector<std::weak_ptr<CallbackSource>> listed_;  // kept for its capacity
+  bool is_asleep_ = false;       // a thread is in wait(), on the doorbells
+  std::size_t successors_ = 0;   // threads in wait() that are not
+  std::uint64_t passed_on_ = 0;  // how often one of them was asked to look
+  std::condition_variable passed_;
 };
 
 }  // namespace agnocast

@@ -22,7 +22,7 @@ Result<std::shared_ptr<WaitSet>> WaitSet::make() {
 WaitSet::~WaitSet() {
   // Sleep words and epoll sets belong to the parent, and the mutex may be held for ever.
   if (is_forked_child()) return;
-  disarm();  // the next user of the place begins awake
+  disarm_places();  // the next user of each begins awake
   for (const Set& set : sets_) leave(set.epoll);
 }
 
@@ -113,6 +113,7 @@ void WaitSet::drain() noexcept {
     // A publisher that rings only by datagram is noticed at the next periodic check.
     for (const Set& set : sets_) place->doorbells.mute(set.epoll);
   }
+  if (sets_.size() > 1) wake();
 }
 
 void WaitSet::wake() const noexcept {
@@ -123,6 +124,7 @@ void WaitSet::wake() const noexcept {
 
 void WaitSet::arm() noexcept {
   const std::lock_guard lock(mutex_);
+  ++asleep_;
   for (const auto& [session, place] : places_) {
     place->core.arm();
     place->is_armed = true;
@@ -131,6 +133,11 @@ void WaitSet::arm() noexcept {
 
 void WaitSet::disarm() noexcept {
   const std::lock_guard lock(mutex_);
+  if (--asleep_ != 0) return;
+  disarm_places();
+}
+
+void WaitSet::disarm_places() noexcept {
   for (const auto& [session, place] : places_) {
     if (std::exchange(place->is_armed, false)) place->core.disarm();
   }

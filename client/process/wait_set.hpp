@@ -1,6 +1,9 @@
 // SPDX-License-Identifier: Apache-2.0
 //
-// Wait set: a thread of this process sleeps on it until a publisher rings.
+// Wait set: threads of this process sleep on it until a publisher rings.
+//
+// Several threads may sleep on it at once, each in an epoll set of its own: a ring ends all their
+// sleeps, and each looks whether there is something for it.
 //
 // It has a *place* in each session of the process: a sleep word in the client region and two
 // doorbells. Usually there is one session. After the daemon's store was lost there are two for a
@@ -35,7 +38,7 @@ class WaitSet {
     std::uint64_t index;
     DoorbellReceiver doorbells;
     dataplane::SleepCore<SharedMemory> core;
-    bool is_armed = false;
+    bool is_armed = false;  // at least one thread sleeps
   };
   /// A session is identified by an address.
   using Session = const void*;
@@ -63,12 +66,14 @@ class WaitSet {
   [[nodiscard]] Result<void> add_to(int epoll, std::uint64_t eventfd_tag,
                                     std::uint64_t datagram_tag);
   void remove_from(int epoll) noexcept;
-  /// Call it when a datagram doorbell rang.
+  /// Call it when a datagram doorbell rang. Wakes the other epoll sets: what empties the socket
+  /// for one takes its ring away from all.
   void drain() noexcept;
   /// Ends the sleep from inside the process: for a new link, a window, a dead publisher.
   void wake() const noexcept;
 
-  // --- one thread. Order: arm, check every subscription, block on the doorbells, disarm.
+  // --- a thread that sleeps. Order: arm, check every subscription, block on the doorbells, disarm
+  // once.
 
   void arm() noexcept;
   void disarm() noexcept;
@@ -78,12 +83,14 @@ class WaitSet {
     int epoll;
     std::uint64_t eventfd_tag, datagram_tag;
   };
-  void leave(int epoll) const noexcept;  // under the mutex
+  void leave(int epoll) const noexcept;  // under the mutex, like the next
+  void disarm_places() noexcept;
 
   const UniqueFd eventfd_;    // in every set, edge-triggered, never read
   mutable std::mutex mutex_;  // innermost
   std::vector<std::pair<Session, std::shared_ptr<Place>>> places_;
   std::vector<Set> sets_;
+  std::size_t asleep_ = 0;  // threads between arm() and disarm()
 };
 
 }  // namespace agnocast

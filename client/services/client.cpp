@@ -31,10 +31,11 @@ namespace {
 // stopped at that moment.
 constexpr std::chrono::milliseconds unnamed_look_first{1}, unnamed_look_last{100};
 
-/// Both callbacks run where the node's callbacks run.
+/// Both callbacks run in the client's group.
 class ReplyOptions : public SubscriptionOptions {
  public:
-  ReplyOptions(std::function<void()> changed) {
+  ReplyOptions(const CallbackGroup::SharedPtr& group, std::function<void()> changed) {
+    callback_group(group);
     events_.matched = [changed](MatchedInfo&) { changed(); };
     events_.drained = std::move(changed);
   }
@@ -262,10 +263,9 @@ class ClientCore {
   std::atomic<bool> is_ended_{false};
 };
 
-Result<std::shared_ptr<UntypedClient>> UntypedClient::create(const EndpointName& service,
-                                                             const ServiceTypes& types,
-                                                             const QoS& qos,
-                                                             const MessageCode& request) {
+Result<std::shared_ptr<UntypedClient>> UntypedClient::create(
+    const EndpointName& service, const ServiceTypes& types, const QoS& qos,
+    const MessageCode& request, const CallbackGroup::SharedPtr& group) {
   const Result<QoS> keeps_all = service_qos(qos);
   if (!keeps_all) return tl::unexpected<Failure>(keeps_all.error());
   auto core = std::make_shared<ClientCore>(service);
@@ -275,10 +275,12 @@ Result<std::shared_ptr<UntypedClient>> UntypedClient::create(const EndpointName&
   core->have(std::move(*requests));
   name.topic = reply_topic(service.topic, core->id());
   const std::weak_ptr<ClientCore> weak = core;
-  auto replies = UntypedSubscription::create(name, types.response, *keeps_all, ReplyOptions([weak] {
-                                               if (const auto client = weak.lock())
-                                                 client->on_change();
-                                             }),
+  auto replies = UntypedSubscription::create(name, types.response, *keeps_all,
+                                             ReplyOptions(group,
+                                                          [weak] {
+                                                            if (const auto client = weak.lock())
+                                                              client->on_change();
+                                                          }),
                                              [core](Block* block) { core->on_response(block); });
   if (!replies) return tl::unexpected<Failure>(replies.error());
   core->have(*replies);

@@ -303,11 +303,9 @@ Result<QoS> service_qos(const QoS& qos) {
   return QoS(qos).reliable().keep_all(qos.depth());
 }
 
-Result<std::shared_ptr<UntypedService>> UntypedService::create(const EndpointName& service,
-                                                               const ServiceTypes& types,
-                                                               const QoS& qos,
-                                                               const MessageCode& response,
-                                                               Callback callback) {
+Result<std::shared_ptr<UntypedService>> UntypedService::create(
+    const EndpointName& service, const ServiceTypes& types, const QoS& qos,
+    const MessageCode& response, Callback callback, const CallbackGroup::SharedPtr& group) {
   const Result<QoS> keeps_all = service_qos(qos);
   if (!keeps_all) return tl::unexpected<Failure>(keeps_all.error());
   const Result<bool> off = is_switched_off();
@@ -320,8 +318,8 @@ Result<std::shared_ptr<UntypedService>> UntypedService::create(const EndpointNam
   auto core = std::make_shared<ServiceCore>(service, types.response, *keeps_all, response,
                                             std::move(callback));
   auto requests = UntypedSubscription::create(
-      {request_topic(service.topic), service.node}, types.request, *keeps_all, {},
-      [core](Block* block) {
+      {request_topic(service.topic), service.node}, types.request, *keeps_all,
+      SubscriptionOptions().callback_group(group), [core](Block* block) {
         auto* const start = static_cast<std::byte*>(block->message.load(std::memory_order_relaxed));
         block->message.store(start + sizeof(RequestId), std::memory_order_relaxed);
         const auto user = core->callback();

@@ -4,6 +4,7 @@
 // errors.
 #pragma once
 
+#include <agnocast/callback_group.hpp>
 #include <agnocast/client.hpp>
 #include <agnocast/connection_state.hpp>
 #include <agnocast/error.hpp>

@@ -32,10 +32,9 @@ class AGNOCAST_PUBLIC UntypedClient {
   /// Called once per request: with a response (one reference to it), or with null and the reason.
   using Completion = std::function<void(Block* response, Errc why)>;
 
-  [[nodiscard]] static Result<std::shared_ptr<UntypedClient>> create(const EndpointName& service,
-                                                                     const ServiceTypes& types,
-                                                                     const QoS& qos,
-                                                                     const MessageCode& request);
+  [[nodiscard]] static Result<std::shared_ptr<UntypedClient>> create(
+      const EndpointName& service, const ServiceTypes& types, const QoS& qos,
+      const MessageCode& request, const CallbackGroup::SharedPtr& group);
   ~UntypedClient();
   UntypedClient(const UntypedClient&) = delete;
   UntypedClient& operator=(const UntypedClient&) = delete;
@@ -244,12 +243,12 @@ class BasicClient : public ClientBase,
 
 template <class Made, class Kind, class Node>
 Result<std::shared_ptr<Made>> make_client(Node& node, const std::string& service, Kind kind,
-                                          const QoS& qos) {
+                                          const QoS& qos, const CallbackGroup::SharedPtr& group) {
   const Result<EndpointName> name = resolve_service(dereference(node), service);
   if (!name) return tl::unexpected<Failure>(name.error());
   const Result<ServiceTypes> types = kind.types();
   if (!types) return tl::unexpected<Failure>(types.error());
-  auto untyped = UntypedClient::create(*name, *types, qos, kind.request_code().code());
+  auto untyped = UntypedClient::create(*name, *types, qos, kind.request_code().code(), group);
   if (!untyped) return tl::unexpected<Failure>(untyped.error());
   return std::make_shared<Made>(std::move(*untyped), kind);
 }
@@ -267,21 +266,23 @@ class Client : public detail::BasicClient<detail::TypedService<ServiceT>> {
 };
 
 /// Creates a client. Of `qos` only the depth is used: the limit for requests that a server has
-/// not read yet, and for responses that this client has not read. Responses are taken where the
-/// node's callbacks run. Errors: those of try_create_publisher and try_create_subscription;
-/// invalid_argument (best effort, transient local); invalid_name, also for a name of more than
-/// service_name_length_max bytes.
+/// not read yet, and for responses that this client has not read. Responses are taken in `group`
+/// (null: the default group of the node): futures become ready only while it is spun. Errors: those
+/// of try_create_publisher and try_create_subscription; invalid_argument (best effort, transient
+/// local); invalid_name, also for a name of more than service_name_length_max bytes.
 template <class ServiceT, class Node>
 [[nodiscard]] Result<typename Client<ServiceT>::SharedPtr> try_create_client(
-    Node&& node, const std::string& service, const QoS& qos = ServicesQoS()) {
-  return detail::make_client<Client<ServiceT>>(node, service, detail::TypedService<ServiceT>(),
-                                               qos);
+    Node&& node, const std::string& service, const QoS& qos = ServicesQoS(),
+    const CallbackGroup::SharedPtr& group = nullptr) {
+  return detail::make_client<Client<ServiceT>>(node, service, detail::TypedService<ServiceT>(), qos,
+                                               group);
 }
 /// The same; throws Error.
 template <class ServiceT, class Node>
-typename Client<ServiceT>::SharedPtr create_client(Node&& node, const std::string& service,
-                                                   const QoS& qos = ServicesQoS()) {
-  auto client = try_create_client<ServiceT>(node, service, qos);
+typename Client<ServiceT>::SharedPtr create_client(
+    Node&& node, const std::string& service, const QoS& qos = ServicesQoS(),
+    const CallbackGroup::SharedPtr& group = nullptr) {
+  auto client = try_create_client<ServiceT>(node, service, qos, group);
   if (!client) detail::throw_error(client.error());
   return std::move(*client);
 }

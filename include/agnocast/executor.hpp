@@ -1,10 +1,10 @@
 // SPDX-License-Identifier: Apache-2.0
 //
-// Executors: run the callbacks of nodes in threads of the user. Nodes without an executor each
-// have a library thread. Which thread runs which callback, and which calls may block:
-// docs/nodes.md.
+// Executors: run the callbacks of nodes. Nothing runs until an executor has the node and is spun.
+// Which thread runs which callback, and which calls may block: docs/nodes.md.
 #pragma once
 
+#include <agnocast/callback_group.hpp>
 #include <agnocast/export.hpp>
 #include <agnocast/node_like.hpp>
 
@@ -21,9 +21,9 @@ namespace agnocast {
 /// As rclcpp::FutureReturnCode.
 enum class FutureReturnCode { SUCCESS, INTERRUPTED, TIMEOUT };
 
-/// The common part of all executors. One thread at a time spins (or calls prepare() and
-/// dispatch()); any thread may call the other functions. Callbacks of one node never run at the
-/// same time, and an executor runs one callback at a time.
+/// The common part of all executors. One thread at a time calls a spin function (or prepare() and
+/// dispatch()); any thread may call the other functions. Callbacks of a mutually exclusive group
+/// never run at the same time.
 ///
 /// An exception thrown by a callback leaves the spin function as well; the executor can be spun
 /// again, and the message of that callback counts as delivered.
@@ -31,31 +31,40 @@ enum class FutureReturnCode { SUCCESS, INTERRUPTED, TIMEOUT };
 /// In a forked child that has not called exec, spinning and adding fail (shut_down).
 class AGNOCAST_PUBLIC Executor {
  public:
-  /// Returns the remaining nodes to their library threads. Do not destroy it while it spins.
+  struct State;  // the library's
+  /// Removes its nodes and groups; their messages wait for another executor. Do not destroy it
+  /// while it spins.
   virtual ~Executor();
   Executor(const Executor&) = delete;
   Executor& operator=(const Executor&) = delete;
 
-  /// Makes this executor run the callbacks of `node`, existing and future ones. Unread messages
-  /// stay unread until the executor spins. A callback that is running in another thread finishes
-  /// there; none begins meanwhile. `node`: any object with get_fully_qualified_name(), by
-  /// reference or pointer; it is identified by that name alone. Throws Error: invalid_argument
-  /// (it is in an executor already), os_failure.
+  /// Makes this executor run the callbacks of `node`: of all its groups, existing and future ones,
+  /// that are in no executor and are to be added with their node. Unread messages stay unread
+  /// until the executor spins. `node`: any object with get_fully_qualified_name(), by reference or
+  /// pointer; it is identified by that name alone. Throws Error: invalid_argument (it is in an
+  /// executor already), os_failure.
   template <class Node>
   void add_node(Node&& node, [[maybe_unused]] bool notify = true) {
     add_node_of_name(detail::dereference(node).get_fully_qualified_name());
   }
-  /// Returns the node to its library thread. Throws Error: invalid_argument (it is not in
-  /// this executor), os_failure.
+  /// A running callback ends where it is; no other one begins. Throws Error: invalid_argument (it
+  /// is not in this executor).
   template <class Node>
   void remove_node(Node&& node, [[maybe_unused]] bool notify = true) {
     remove_node_of_name(detail::dereference(node).get_fully_qualified_name());
   }
 
+  /// The same for one group, wherever the rest of its node is. Throws Error: invalid_argument (it
+  /// is in an executor already), os_failure.
+  void add_callback_group(const CallbackGroup::SharedPtr& group);
+  /// Throws Error: invalid_argument (it is not in this executor).
+  void remove_callback_group(const CallbackGroup::SharedPtr& group);
+
   /// Runs callbacks until cancel(). All spin functions throw what callbacks throw, and Error
   /// (invalid_argument) if this executor is already spinning, also when called from a callback.
-  void spin();
+  virtual void spin();
   /// Runs one executor cycle: at most one callback of each subscription that has a message now.
+  /// This and the functions below run callbacks in the calling thread alone, in any executor.
   /// Begins none after `max_duration` (0: no bound). Does not wait.
   void spin_some(std::chrono::nanoseconds max_duration = std::chrono::nanoseconds(0));
   /// Runs cycles until nothing is left, or `max_duration` is over (0: no bound).
@@ -99,10 +108,11 @@ class AGNOCAST_PUBLIC Executor {
  protected:
   /// Throws Error: os_failure.
   explicit Executor(std::chrono::nanoseconds spin_budget);
+  class Spinning;
+  explicit Executor(std::unique_ptr<State> state) noexcept;
+  State& state() const noexcept { return *state_; }
 
  private:
-  struct State;
-  class Spinning;
   void add_node_of_name(const std::string& node);
   void remove_node_of_name(const std::string& node);
   FutureReturnCode spin_until(bool (*is_ready)(const void*), const void* future,
@@ -126,6 +136,44 @@ class AGNOCAST_PUBLIC SpinningExecutor : public Executor {
   static constexpr std::chrono::nanoseconds forever = std::chrono::nanoseconds::max();
   explicit SpinningExecutor(std::chrono::nanoseconds spin_budget = std::chrono::microseconds(50))
       : Executor(spin_budget) {}
+};
+
+/// spin() runs callbacks in several threads: those of different groups, and of a reentrant group,
+/// at the same time.
+class AGNOCAST_PUBLIC MultiThreadedExecutor : public Executor {
+ public:
+  /// `threads`: with the one that calls spin(); 0: as many as processors, at least 2.
+  explicit MultiThreadedExecutor(std::size_t threads = 0);
+  std::size_t get_number_of_threads() const noexcept { return threads_; }
+  /// Its threads live as long as the call. The first exception of a callback ends all and leaves
+  /// it. Throws Error: os_failure (a thread cannot be started).
+  void spin() override;
+
+ private:
+  const std::size_t threads_;
+};
+
+/// spin() runs each callback group in a thread of its own, which the group has as long as it is in
+/// the executor: a callback waits for those of its own group alone. In a reentrant group, too,
+/// they run one at a time.
+class AGNOCAST_PUBLIC CallbackIsolatedExecutor : public Executor {
+ public:
+  CallbackIsolatedExecutor();
+  ~CallbackIsolatedExecutor() override;
+  /// Throws as that of MultiThreadedExecutor.
+  void spin() override;
+};
+
+/// Runs callbacks in a library thread, from its construction to its destruction or cancel(). It
+/// cannot be spun (invalid_argument). Signals, exceptions and pthread_exit() in callbacks:
+/// docs/nodes.md.
+class AGNOCAST_PUBLIC BackgroundExecutor : public Executor {
+ public:
+  /// Throws Error: os_failure (no thread can be started).
+  BackgroundExecutor();
+  /// Waits for a running callback, unless it is called inside one, or that one waits for this
+  /// thread.
+  ~BackgroundExecutor() override;
 };
 
 /// Runs the callbacks of `node` in this thread, for ever or until one throws.

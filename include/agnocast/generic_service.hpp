@@ -157,51 +157,56 @@ class GenericClient : public detail::BasicClient<detail::GenericServiceKind> {
 template <class Node, class Callback>
 [[nodiscard]] Result<GenericService::SharedPtr> try_create_generic_service(
     Node&& node, const std::string& service, const IntrospectedServiceType& type,
-    Callback&& callback, const QoS& qos = ServicesQoS()) {
+    Callback&& callback, const QoS& qos = ServicesQoS(),
+    const CallbackGroup::SharedPtr& group = nullptr) {
   return detail::make_service<GenericService>(node, service, detail::GenericServiceKind(type),
-                                              std::forward<Callback>(callback), qos);
+                                              std::forward<Callback>(callback), qos, group);
 }
 /// Finds the type by its name; errors also those of try_find_service_type.
 template <class Node, class Callback>
 [[nodiscard]] Result<GenericService::SharedPtr> try_create_generic_service(
     Node&& node, const std::string& service, const std::string& type, Callback&& callback,
-    const QoS& qos = ServicesQoS()) {
+    const QoS& qos = ServicesQoS(), const CallbackGroup::SharedPtr& group = nullptr) {
   const auto found = try_find_service_type(type);
   if (!found) return tl::unexpected<Failure>(found.error());
-  return try_create_generic_service(node, service, *found, std::forward<Callback>(callback), qos);
+  return try_create_generic_service(node, service, *found, std::forward<Callback>(callback), qos,
+                                    group);
 }
 
 /// Creates a client of a type found at run time. Errors as of try_create_client.
 template <class Node>
 [[nodiscard]] Result<GenericClient::SharedPtr> try_create_generic_client(
     Node&& node, const std::string& service, const IntrospectedServiceType& type,
-    const QoS& qos = ServicesQoS()) {
-  return detail::make_client<GenericClient>(node, service, detail::GenericServiceKind(type), qos);
+    const QoS& qos = ServicesQoS(), const CallbackGroup::SharedPtr& group = nullptr) {
+  return detail::make_client<GenericClient>(node, service, detail::GenericServiceKind(type), qos,
+                                            group);
 }
 /// Finds the type by its name; errors also those of try_find_service_type.
 template <class Node>
 [[nodiscard]] Result<GenericClient::SharedPtr> try_create_generic_client(
     Node&& node, const std::string& service, const std::string& type,
-    const QoS& qos = ServicesQoS()) {
+    const QoS& qos = ServicesQoS(), const CallbackGroup::SharedPtr& group = nullptr) {
   const auto found = try_find_service_type(type);
   if (!found) return tl::unexpected<Failure>(found.error());
-  return try_create_generic_client(node, service, *found, qos);
+  return try_create_generic_client(node, service, *found, qos, group);
 }
 
 /// The same; these throw Error. `type`: a name, or an IntrospectedServiceType.
 template <class Node, class Type, class Callback>
 GenericService::SharedPtr create_generic_service(Node&& node, const std::string& service,
                                                  const Type& type, Callback&& callback,
-                                                 const QoS& qos = ServicesQoS()) {
+                                                 const QoS& qos = ServicesQoS(),
+                                                 const CallbackGroup::SharedPtr& group = nullptr) {
   auto made =
-      try_create_generic_service(node, service, type, std::forward<Callback>(callback), qos);
+      try_create_generic_service(node, service, type, std::forward<Callback>(callback), qos, group);
   if (!made) detail::throw_error(made.error());
   return std::move(*made);
 }
 template <class Node, class Type>
 GenericClient::SharedPtr create_generic_client(Node&& node, const std::string& service,
-                                               const Type& type, const QoS& qos = ServicesQoS()) {
-  auto made = try_create_generic_client(node, service, type, qos);
+                                               const Type& type, const QoS& qos = ServicesQoS(),
+                                               const CallbackGroup::SharedPtr& group = nullptr) {
+  auto made = try_create_generic_client(node, service, type, qos, group);
   if (!made) detail::throw_error(made.error());
   return std::move(*made);
 }

@@ -5,6 +5,7 @@
 // class that node_like.hpp describes, such as an rclcpp::Node.
 #pragma once
 
+#include <agnocast/callback_group.hpp>
 #include <agnocast/client.hpp>
 #include <agnocast/export.hpp>
 #include <agnocast/publisher.hpp>
@@ -98,8 +99,12 @@ class AGNOCAST_PUBLIC Node {
   [[nodiscard]] Result<std::string> try_resolve_service_name(const std::string& service) const;
   std::string resolve_service_name(const std::string& service) const;
 
-  /// The functions below are the free functions of publisher.hpp, subscription.hpp, service.hpp
-  /// and client.hpp. They throw Error.
+  /// The functions below are the free functions of callback_group.hpp, publisher.hpp,
+  /// subscription.hpp, service.hpp and client.hpp. They throw Error.
+  CallbackGroup::SharedPtr create_callback_group(
+      CallbackGroupType type, bool automatically_add_to_executor_with_node = true) {
+    return agnocast::create_callback_group(*this, type, automatically_add_to_executor_with_node);
+  }
   template <class T>
   typename Publisher<T>::SharedPtr create_publisher(const std::string& topic, const QoS& qos,
                                                     const PublisherOptions& options = {}) {
@@ -119,16 +124,17 @@ class AGNOCAST_PUBLIC Node {
     return agnocast::create_subscription<T>(*this, topic, qos, options);
   }
   template <class ServiceT, class Callback>
-  typename Service<ServiceT>::SharedPtr create_service(const std::string& service,
-                                                       Callback&& callback,
-                                                       const QoS& qos = ServicesQoS()) {
-    return agnocast::create_service<ServiceT>(*this, service, std::forward<Callback>(callback),
-                                              qos);
+  typename Service<ServiceT>::SharedPtr create_service(
+      const std::string& service, Callback&& callback, const QoS& qos = ServicesQoS(),
+      const CallbackGroup::SharedPtr& group = nullptr) {
+    return agnocast::create_service<ServiceT>(*this, service, std::forward<Callback>(callback), qos,
+                                              group);
   }
   template <class ServiceT>
-  typename Client<ServiceT>::SharedPtr create_client(const std::string& service,
-                                                     const QoS& qos = ServicesQoS()) {
-    return agnocast::create_client<ServiceT>(*this, service, qos);
+  typename Client<ServiceT>::SharedPtr create_client(
+      const std::string& service, const QoS& qos = ServicesQoS(),
+      const CallbackGroup::SharedPtr& group = nullptr) {
+    return agnocast::create_client<ServiceT>(*this, service, qos, group);
   }
 
  private:

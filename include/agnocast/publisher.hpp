@@ -5,6 +5,7 @@
 // the result reports it).
 #pragma once
 
+#include <agnocast/callback_group.hpp>
 #include <agnocast/events.hpp>
 #include <agnocast/ipc_shared_ptr.hpp>
 #include <agnocast/message_type.hpp>
@@ -27,12 +28,13 @@
 namespace agnocast {
 
 class PublisherEndpoint;
-class Runner;
 class CallbackSource;
 class Watch;
 
-/// Options of a publisher: its event callbacks (events.hpp).
-class PublisherOptions : public detail::EventOptions<PublisherOptions> {};
+/// Options of a publisher: its event callbacks (events.hpp) and their callback group
+/// (callback_group.hpp).
+class PublisherOptions : public detail::EventOptions<PublisherOptions>,
+                         public detail::CallbackGroupOption<PublisherOptions> {};
 
 /// Outcome of publish. Converts to true when the message was committed and belongs to the queue;
 /// otherwise the caller still owns it.
@@ -159,7 +161,7 @@ class AGNOCAST_PUBLIC UntypedPublisher {
   std::string topic_;
   std::chrono::steady_clock::time_point end_ = std::chrono::steady_clock::time_point::max();
   std::shared_ptr<PublisherEndpoint> endpoint_;
-  std::shared_ptr<Runner> runner_;  // this and the next only with event callbacks
+  CallbackGroup::SharedPtr group_;  // this and the next only with event callbacks
   std::shared_ptr<CallbackSource> source_;
 };
 
@@ -175,7 +177,7 @@ class PublisherBase {
   const char* get_topic_name() const noexcept { return untyped_->topic().c_str(); }
   /// Returns the number of matched subscriptions, which receive messages published from now on.
   std::size_t get_subscription_count() const noexcept { return untyped_->subscription_count(); }
-  /// Returns the number of exceptions thrown by event callbacks in the library's thread (see
+  /// Returns the number of exceptions thrown by event callbacks in a BackgroundExecutor (see
   /// Subscription).
   std::uint64_t get_callback_exception_count() const noexcept {
     return untyped_->callback_exception_count();

@@ -28,11 +28,9 @@ class AGNOCAST_PUBLIC UntypedService {
   /// Takes over one reference to a request, which points behind its header.
   using Callback = std::function<void(const std::shared_ptr<ServiceCore>&, Block* request)>;
 
-  [[nodiscard]] static Result<std::shared_ptr<UntypedService>> create(const EndpointName& service,
-                                                                      const ServiceTypes& types,
-                                                                      const QoS& qos,
-                                                                      const MessageCode& response,
-                                                                      Callback callback);
+  [[nodiscard]] static Result<std::shared_ptr<UntypedService>> create(
+      const EndpointName& service, const ServiceTypes& types, const QoS& qos,
+      const MessageCode& response, Callback callback, const CallbackGroup::SharedPtr& group);
   ~UntypedService();
   UntypedService(const UntypedService&) = delete;
   UntypedService& operator=(const UntypedService&) = delete;
@@ -228,13 +226,15 @@ class BasicService {
 
 template <class Made, class Kind, class Node, class Callback>
 Result<std::shared_ptr<Made>> make_service(Node& node, const std::string& service, Kind kind,
-                                           Callback&& callback, const QoS& qos) {
+                                           Callback&& callback, const QoS& qos,
+                                           const CallbackGroup::SharedPtr& group) {
   const Result<EndpointName> name = resolve_service(dereference(node), service);
   if (!name) return tl::unexpected<Failure>(name.error());
   const Result<ServiceTypes> types = kind.types();
   if (!types) return tl::unexpected<Failure>(types.error());
-  auto untyped = UntypedService::create(*name, *types, qos, kind.response_code().code(),
-                                        erase_service(kind, std::forward<Callback>(callback)));
+  auto untyped =
+      UntypedService::create(*name, *types, qos, kind.response_code().code(),
+                             erase_service(kind, std::forward<Callback>(callback)), group);
   if (!untyped) return tl::unexpected<Failure>(untyped.error());
   return std::make_shared<Made>(std::move(*untyped), kind);
 }
@@ -257,21 +257,23 @@ class Service : public detail::BasicService<detail::TypedService<ServiceT>> {
 
 /// Creates a service. `callback` takes either ipc_shared_ptr<const Request> (or of Request) and
 /// ipc_shared_ptr<Response>&, which is sent when it returns, or a ServiceRequest<ServiceT> to
-/// answer later; it runs where the node's callbacks run. Of `qos` only the depth is used: the
-/// limit for unread requests of one client, and for responses that it has not read. Errors: those
-/// of try_create_client.
+/// answer later; it runs in `group` (null: the default group of the node). Of `qos` only the depth
+/// is used: the limit for unread requests of one client, and for responses that it has not read.
+/// Errors: those of try_create_client.
 template <class ServiceT, class Node, class Callback>
 [[nodiscard]] Result<typename Service<ServiceT>::SharedPtr> try_create_service(
-    Node&& node, const std::string& service, Callback&& callback, const QoS& qos = ServicesQoS()) {
+    Node&& node, const std::string& service, Callback&& callback, const QoS& qos = ServicesQoS(),
+    const CallbackGroup::SharedPtr& group = nullptr) {
   return detail::make_service<Service<ServiceT>>(node, service, detail::TypedService<ServiceT>(),
-                                                 std::forward<Callback>(callback), qos);
+                                                 std::forward<Callback>(callback), qos, group);
 }
 /// The same; throws Error.
 template <class ServiceT, class Node, class Callback>
-typename Service<ServiceT>::SharedPtr create_service(Node&& node, const std::string& service,
-                                                     Callback&& callback,
-                                                     const QoS& qos = ServicesQoS()) {
-  auto made = try_create_service<ServiceT>(node, service, std::forward<Callback>(callback), qos);
+typename Service<ServiceT>::SharedPtr create_service(
+    Node&& node, const std::string& service, Callback&& callback, const QoS& qos = ServicesQoS(),
+    const CallbackGroup::SharedPtr& group = nullptr) {
+  auto made =
+      try_create_service<ServiceT>(node, service, std::forward<Callback>(callback), qos, group);
   if (!made) detail::throw_error(made.error());
   return std::move(*made);
 }

@@ -5,6 +5,7 @@
 // long as it is held, even after the subscription, its node or the publisher's process has ended.
 #pragma once
 
+#include <agnocast/callback_group.hpp>
 #include <agnocast/events.hpp>
 #include <agnocast/ipc_shared_ptr.hpp>
 #include <agnocast/message_type.hpp>
@@ -25,13 +26,14 @@
 
 namespace agnocast {
 
-class Runner;
 class SubscriptionEndpoint;
 class CallbackSource;
 class Watch;
 
-/// Options of a subscription, with setters; the event callbacks are in events.hpp.
-class SubscriptionOptions : public detail::EventOptions<SubscriptionOptions> {
+/// Options of a subscription, with setters; the event callbacks are in events.hpp, the callback
+/// group in callback_group.hpp.
+class SubscriptionOptions : public detail::EventOptions<SubscriptionOptions>,
+                            public detail::CallbackGroupOption<SubscriptionOptions> {
  public:
   /// Limits the messages held at once per publisher; further ones stay unread. Creation refuses
   /// 0. Default: 64, and for publishers of other users the rest of the daemon's limit, at least 1
@@ -64,8 +66,8 @@ namespace detail {
 class AGNOCAST_PUBLIC UntypedSubscription {
  public:
   using Callback = std::function<void(Block*)>;  // takes over one reference to the block
-  /// Creates a subscription; without a callback it is for take(). The node's executor or its
-  /// library thread runs callbacks.
+  /// Creates a subscription; without a callback it is for take(). The executor of its callback
+  /// group runs callbacks.
   [[nodiscard]] static Result<std::shared_ptr<UntypedSubscription>> create(
       const EndpointName& name, const MessageType& type, const QoS& qos,
       const SubscriptionOptions& options, Callback callback);
@@ -108,7 +110,7 @@ class AGNOCAST_PUBLIC UntypedSubscription {
   UntypedSubscription() noexcept = default;
   std::string topic_;
   std::shared_ptr<SubscriptionEndpoint> endpoint_;
-  std::shared_ptr<Runner> runner_;  // this and the next only with callbacks
+  CallbackGroup::SharedPtr group_;  // this and the next only with callbacks
   std::shared_ptr<CallbackSource> source_;
   bool has_ended_ = false;
 };
@@ -169,9 +171,9 @@ class SubscriptionBase {
   /// Returns the number of matched publishers that this process maps, a moment ago. Dead
   /// publishers do not count, though their messages are still delivered.
   std::size_t get_publisher_count() const noexcept { return untyped_->publisher_count(); }
-  /// Returns the number of exceptions thrown by callbacks of this subscription in the library's
-  /// thread, which cannot pass them on. In an executor they leave spin() instead and are not
-  /// counted.
+  /// Returns the number of exceptions thrown by callbacks of this subscription in a
+  /// BackgroundExecutor, which cannot pass them on. In others they leave spin() instead and are
+  /// not counted.
   std::uint64_t get_callback_exception_count() const noexcept {
     return untyped_->callback_exception_count();
   }
@@ -278,8 +280,8 @@ Result<std::shared_ptr<Made>> make_subscription(Node& node, const std::string& t
 
 }  // namespace detail
 
-/// Creates a subscription that calls `callback` for each message, in the node's executor or its
-/// library thread. `callback` takes ipc_shared_ptr<const T> (or of T), by value, const reference
+/// Creates a subscription that calls `callback` for each message, in the executor of its callback
+/// group. `callback` takes ipc_shared_ptr<const T> (or of T), by value, const reference
 /// or rvalue, and optionally a const MessageInfo&.
 template <class T, class Node, class Callback,
           class = std::enable_if_t<!std::is_same_v<std::decay_t<Callback>, SubscriptionOptions>>>

@@ -18,9 +18,11 @@
 
 #include <gmock/gmock.h>
 
+#include <algorithm>
 #include <atomic>
 #include <chrono>
 #include <cstdlib>
+#include <functional>
 #include <future>
 #include <memory>
 #include <mutex>
@@ -550,26 +552,268 @@ TEST_F(Executors, AChildForkedInACallbackThatReturnsGetsAnError) {
   EXPECT_EQ(status, 0) << "in the library's thread: the thread ends, and with it the child";
 }
 
-TEST_F(Executors, ANodeTooManyIsRefusedUntilAPlaceIsFree) {
+// More groups than wait sets: they share, and each is woken all the same.
+TEST_F(Executors, NodesBeyondTheWaitSetsOfAProcessShareThem) {
+  constexpr std::size_t count = 200;
   std::vector<std::unique_ptr<Node>> nodes;
   std::vector<Subscription<Number>::SharedPtr> subscriptions;
-  std::string refused = "(no error)";
-  for (int i = 0; i < 60 && refused == "(no error)"; ++i) {
+  std::vector<std::atomic<int>> got(count);
+  SingleThreadedExecutor executor, other;
+  for (std::size_t i = 0; i < count; ++i) {
     nodes.push_back(std::make_unique<Node>(own("node") + std::to_string(i)));
-    refused = error_of([&] {
-      subscriptions.push_back(
-          nodes.back()->create_subscription<Number>(own("topic"), 1, [](const Message&) {}));
-    });
+    (i % 2 == 0 ? executor : other).add_node(*nodes.back());
+    subscriptions.push_back(nodes.back()->create_subscription<Number>(
+        own("topic"), 1, [&got, i](const Message&) { ++got[i]; }));
   }
-  EXPECT_LE(subscriptions.size(), 56u);
-  EXPECT_GE(subscriptions.size(), 55u) << "one may be kept for subscriptions without callbacks";
-  EXPECT_THAT(refused, testing::HasSubstr("more than 56 nodes with callbacks in one process"));
-  subscriptions.pop_back();
-  // The wait set comes back when the daemon has confirmed that the subscription has left.
-  EXPECT_TRUE(eventually([&] {
-    return try_create_subscription<Number>(*nodes.back(), own("topic"), 1, [](const Message&) {})
-        .has_value();
-  }));
+  std::thread one([&] { executor.spin(); }), two([&] { other.spin(); });
+  auto publisher = nodes.front()->create_publisher<Number>(own("topic"), 1);
+  EXPECT_TRUE(eventually([&] { return publisher->get_subscription_count() == count; }));
+  for (int value = 1; value <= 5; ++value) {
+    publish(*publisher, static_cast<std::uint64_t>(value));
+    EXPECT_TRUE(eventually([&] {
+      return std::all_of(got.begin(), got.end(), [&](const auto& of) { return of == value; });
+    })) << value;
+  }
+  executor.cancel();
+  other.cancel();
+  one.join();
+  two.join();
+}
+
+// --- groups and executors with several threads
+
+/// Two groups of one node, each with a subscription to a topic of its own.
+struct TwoGroups {
+  explicit TwoGroups(const std::string& name, CallbackGroupType type) : node(name) {
+    for (auto& group : groups) group = node.create_callback_group(type);
+  }
+  Subscription<Number>::SharedPtr subscribe(std::size_t group, const std::string& topic,
+                                            std::function<void(const Message&)> callback) {
+    return node.create_subscription<Number>(topic, 1000, std::move(callback),
+                                            SubscriptionOptions().callback_group(groups[group]));
+  }
+  Node node;
+  CallbackGroup::SharedPtr groups[2];
+};
+
+/// Runs `spin` in a thread until the end of the scope.
+class Spun {
+ public:
+  explicit Spun(Executor& executor)
+      : executor_(executor), thread_([&executor] { executor.spin(); }) {}
+  ~Spun() {
+    executor_.cancel();
+    thread_.join();
+  }
+
+ private:
+  Executor& executor_;
+  std::thread thread_;
+};
+
+TEST_F(Executors, AGroupThatIsInNoExecutorRunsNothing) {
+  TwoGroups two(own("node"), CallbackGroupType::MutuallyExclusive);
+  std::atomic<int> got{0};
+  auto subscription = two.subscribe(0, own("topic"), [&](const Message&) { ++got; });
+  auto publisher = two.node.create_publisher<Number>(own("topic"), 1000);
+  ASSERT_TRUE(eventually([&] { return subscription->get_publisher_count() == 1; }));
+  publish(*publisher, 1);
+  std::this_thread::sleep_for(50ms);
+  EXPECT_EQ(got, 0);
+  SingleThreadedExecutor executor;
+  executor.add_callback_group(two.groups[0]);
+  executor.spin_some();
+  EXPECT_EQ(got, 1);
+  executor.remove_callback_group(two.groups[0]);
+  publish(*publisher, 2);
+  executor.spin_some();
+  EXPECT_EQ(got, 1);
+}
+
+TEST_F(Executors, AGroupStaysWhereItWasAddedAlone) {
+  Node node(own("node"));
+  auto apart = node.create_callback_group(CallbackGroupType::MutuallyExclusive, false);
+  auto with = node.create_callback_group(CallbackGroupType::MutuallyExclusive);
+  EXPECT_FALSE(apart->automatically_add_to_executor_with_node());
+  EXPECT_EQ(apart->type(), CallbackGroupType::MutuallyExclusive);
+  SingleThreadedExecutor executor, other;
+  other.add_callback_group(with);
+  executor.add_node(node);
+  EXPECT_THAT(error_of([&] { executor.add_callback_group(with); }), testing::HasSubstr("already"));
+  EXPECT_THAT(error_of([&] { executor.remove_callback_group(with); }),
+              testing::HasSubstr("not in this executor"));
+  executor.add_callback_group(apart);
+  executor.remove_node(node);
+  EXPECT_THAT(error_of([&] { other.add_callback_group(apart); }), testing::HasSubstr("already"));
+  executor.remove_callback_group(apart);
+  other.add_callback_group(apart);
+  Node another(own("another"));
+  EXPECT_THAT(error_of([&] {
+                auto refused = another.create_subscription<Number>(
+                    own("topic"), 1, [](const Message&) {},
+                    SubscriptionOptions().callback_group(with));
+              }),
+              testing::HasSubstr("the callback group belongs to another node"));
+}
+
+TEST_F(Executors, SeveralThreadsRunDifferentGroupsAtOnceAndOneGroupNever) {
+  TwoGroups two(own("node"), CallbackGroupType::MutuallyExclusive);
+  std::atomic<int> inside[2]{}, overlaps{0}, together{0};
+  std::uint64_t unguarded[2]{};
+  std::vector<Subscription<Number>::SharedPtr> subscriptions;
+  for (std::size_t i = 0; i < 4; ++i) {
+    const std::size_t group = i / 2;
+    subscriptions.push_back(two.subscribe(group, own("topic"), [&, group](const Message&) {
+      if (inside[group].fetch_add(1) != 0) ++overlaps;
+      if (inside[1 - group] != 0) ++together;
+      ++unguarded[group];
+      std::this_thread::sleep_for(100us);
+      --inside[group];
+    }));
+  }
+  auto publisher = two.node.create_publisher<Number>(own("topic"), 1000);
+  MultiThreadedExecutor executor(4);
+  EXPECT_EQ(executor.get_number_of_threads(), 4u);
+  executor.add_node(two.node);
+  {
+    const Spun spun(executor);
+    ASSERT_TRUE(eventually([&] { return publisher->get_subscription_count() == 4; }));
+    for (std::uint64_t value = 1; value <= 200; ++value) {
+      publish(*publisher, value);
+      std::this_thread::sleep_for(std::chrono::microseconds(value * 7 % 300));
+    }
+  }
+  executor.spin_all(0s);  // what was published just before the end
+  EXPECT_EQ(overlaps, 0);
+  EXPECT_GT(together, 0);
+  EXPECT_EQ(unguarded[0], 400u);
+  EXPECT_EQ(unguarded[1], 400u);
+}
+
+TEST_F(Executors, AReentrantGroupRunsOneSubscriptionInSeveralThreads) {
+  TwoGroups two(own("node"), CallbackGroupType::Reentrant);
+  std::atomic<int> inside{0}, met{0};
+  auto subscription = two.subscribe(0, own("topic"), [&](const Message&) {
+    ++inside;
+    if (eventually([&] { return inside >= 2; })) ++met;
+  });
+  auto publisher = two.node.create_publisher<Number>(own("topic"), 1000);
+  ASSERT_TRUE(eventually([&] { return subscription->get_publisher_count() == 1; }));
+  MultiThreadedExecutor executor(2);
+  executor.add_node(two.node);
+  const Spun spun(executor);
+  publish(*publisher, 1);
+  publish(*publisher, 2);
+  EXPECT_TRUE(eventually([&] { return met == 2; }));
+}
+
+TEST_F(Executors, ACallbackIsolatedExecutorGivesEachGroupItsThread) {
+  TwoGroups two(own("node"), CallbackGroupType::MutuallyExclusive);
+  Seen seen[3];
+  std::promise<void> may_end;
+  auto blocked = may_end.get_future().share();
+  auto first = two.subscribe(0, own("first"), [&](const Message& number) {
+    blocked.wait();
+    seen[0].add(number->value);
+  });
+  auto second =
+      two.subscribe(1, own("second"), [&](const Message& number) { seen[1].add(number->value); });
+  auto to_first = two.node.create_publisher<Number>(own("first"), 10);
+  auto to_second = two.node.create_publisher<Number>(own("second"), 10);
+  ASSERT_TRUE(eventually(
+      [&] { return first->get_publisher_count() == 1 && second->get_publisher_count() == 1; }));
+  CallbackIsolatedExecutor executor;
+  executor.add_node(two.node);
+  {
+    const Spun spun(executor);
+    publish(*to_first, 1);
+    publish(*to_second, 1);
+    EXPECT_TRUE(eventually([&] { return seen[1].count() == 1; })) << "the first is blocked";
+    // A group that comes while it spins, and goes.
+    auto third_group = two.node.create_callback_group(CallbackGroupType::MutuallyExclusive);
+    auto third = two.node.create_subscription<Number>(
+        own("second"), 10, [&](const Message& number) { seen[2].add(number->value); },
+        SubscriptionOptions().callback_group(third_group));
+    ASSERT_TRUE(eventually([&] { return third->get_publisher_count() == 1; }));
+    publish(*to_second, 2);
+    EXPECT_TRUE(eventually([&] { return seen[1].count() == 2 && seen[2].count() == 1; }));
+    third.reset();
+    third_group.reset();
+    publish(*to_second, 3);
+    EXPECT_TRUE(eventually([&] { return seen[1].count() == 3; }));
+    EXPECT_EQ(seen[0].count(), 0u);
+    may_end.set_value();
+    EXPECT_TRUE(eventually([&] { return seen[0].count() == 1; }));
+  }
+  EXPECT_NE(seen[0].threads[0], seen[1].threads[0]);
+  EXPECT_NE(seen[1].threads[0], seen[2].threads[0]);
+  EXPECT_THAT(seen[1].threads, testing::Each(seen[1].threads[0]));
+  publish(*to_second, 4);
+  executor.spin_some();
+  EXPECT_EQ(seen[1].threads[3], std::this_thread::get_id()) << "other spin functions go on";
+}
+
+template <class Made>
+void leaves_spin(const std::string& name, const std::string& topic) {
+  Node node(name);
+  std::atomic<int> got{0};
+  auto subscription = node.create_subscription<Number>(topic, 10, [&](const Message&) {
+    if (++got == 1) throw std::runtime_error("the first");
+  });
+  auto publisher = node.create_publisher<Number>(topic, 10);
+  Made executor;
+  executor.add_node(node);
+  ASSERT_TRUE(eventually([&] { return subscription->get_publisher_count() == 1; }));
+  auto number = publisher->borrow_loaned_message();
+  ASSERT_TRUE(publisher->publish(std::move(number)));
+  EXPECT_THROW(executor.spin(), std::runtime_error);
+  EXPECT_FALSE(executor.is_spinning());
+  number = publisher->borrow_loaned_message();
+  ASSERT_TRUE(publisher->publish(std::move(number)));
+  const Spun spun(executor);
+  EXPECT_TRUE(eventually([&] { return got == 2; }));
+}
+
+TEST_F(Executors, AnExceptionLeavesTheSpinOfSeveralThreads) {
+  leaves_spin<MultiThreadedExecutor>(own("node"), own("topic"));
+  leaves_spin<CallbackIsolatedExecutor>(own("isolated"), own("other"));
+}
+
+TEST_F(Executors, ABackgroundExecutorRunsCallbacksInItsThreadWhileItLives) {
+  Node node(own("node"));
+  Seen seen;
+  auto group = node.create_callback_group(CallbackGroupType::MutuallyExclusive);
+  auto subscription = node.create_subscription<Number>(
+      own("topic"), 10,
+      [&](const Message& number) {
+        seen.add(number->value);
+        if (number->value == 2) throw std::runtime_error("counted");
+      },
+      SubscriptionOptions().callback_group(group));
+  auto publisher = node.create_publisher<Number>(own("topic"), 10);
+  ASSERT_TRUE(eventually([&] { return subscription->get_publisher_count() == 1; }));
+  {
+    BackgroundExecutor executor;
+    EXPECT_TRUE(executor.is_spinning());
+    EXPECT_THAT(error_of([&] { executor.spin(); }), testing::HasSubstr("spinning already"));
+    executor.add_node(node);
+    for (std::uint64_t value = 1; value <= 3; ++value) publish(*publisher, value);
+    EXPECT_TRUE(eventually([&] { return seen.count() == 3; }));
+    EXPECT_EQ(subscription->get_callback_exception_count(), 1u);
+  }
+  publish(*publisher, 4);
+  std::this_thread::sleep_for(20ms);
+  EXPECT_EQ(seen.count(), 3u);
+  {
+    BackgroundExecutor executor;
+    executor.add_node(node);
+    EXPECT_TRUE(eventually([&] { return seen.count() == 4; }));
+    executor.cancel();
+    EXPECT_TRUE(eventually([&] { return !executor.is_spinning(); }));
+    publish(*publisher, 5);
+    std::this_thread::sleep_for(20ms);
+    EXPECT_EQ(seen.count(), 4u);
+  }
 }
 
 }  // namespace

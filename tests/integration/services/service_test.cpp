@@ -344,7 +344,8 @@ TEST_F(Services, EndWithAnErrorAlsoIfTheirLastResponseIsMalformed) {
                        : (*publisher)->publish(code.start_of(response.get()), code.bytes() - 8, 0);
         if (sent == Errc::ok) (void)response.release();
         lied.set_value(sent);
-      });
+      },
+      nullptr);
   ASSERT_TRUE(liar);
   auto client = asker.create_client<Repeat>("malformed");
   ASSERT_TRUE(client->wait_for_service(patience));

@@ -113,6 +113,43 @@ TEST_F(WaitSetTest, EverySetHasEveryDoorbell) {
   EXPECT_TRUE(set_.has_news() && other.has_news());
 }
 
+// A publisher rings once for each value of the word, so each sleep needs one of its own.
+TEST_F(WaitSetTest, IsArmedAnewByEachThreadAndDisarmedByTheLast) {
+  const Session session;
+  ASSERT_TRUE(wait_set_->add(&session, session.place));
+  const auto word = [&] {
+    return SharedMemory::word(session.region, offsetof(abi::ClientRegionHeader, executor)).load();
+  };
+  wait_set_->arm();
+  const std::uint64_t first = word();
+  wait_set_->arm();
+  EXPECT_TRUE(session.is_armed());
+  EXPECT_NE(word(), first);
+  const std::uint64_t second = word();
+  wait_set_->disarm();
+  EXPECT_EQ(word(), second) << "the other thread sleeps";
+  wait_set_->arm();
+  EXPECT_TRUE(session.is_armed());
+  EXPECT_NE(word(), second);
+  wait_set_->disarm();
+  wait_set_->disarm();
+  EXPECT_FALSE(session.is_armed());
+}
+
+TEST_F(WaitSetTest, ADatagramThatOneSetDrainsWakesTheOthers) {
+  const Session session;
+  const Set other;
+  ASSERT_TRUE(wait_set_->add(&session, session.place));
+  ASSERT_TRUE(wait_set_->add_to(set_.fd.get(), 1, 2));
+  ASSERT_TRUE(wait_set_->add_to(other.fd.get(), 1, 2));
+  while (set_.has_news() || other.has_news()) {
+  }
+  ASSERT_EQ(::send(session.datagram.get(), "", 1, MSG_DONTWAIT), 1);
+  ASSERT_TRUE(set_.has_news());
+  wait_set_->drain();
+  EXPECT_TRUE(other.has_news()) << "it has not looked yet";
+}
+
 TEST_F(WaitSetTest, AChildThatDestroysItsCopyLeavesTheParentAsleepWithItsDoorbells) {
   const Session session;
   ASSERT_TRUE(wait_set_->add(&session, session.place));

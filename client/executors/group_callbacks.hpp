@@ -1,0 +1,117 @@
+// SPDX-License-Identifier: Apache-2.0
+//
+// GroupCallbacks: the callbacks of one callback group, and the executor that runs them.
+//
+// In a mutually exclusive group they run one at a time, in any thread. A thread of the executor
+// begins a callback, runs it without a lock, and ends it; hand_to() changes the executor at any
+// time, also meanwhile. Nothing is lost or doubled by that: a message is taken only where its
+// callback is called, by the executor of that moment; the new executor finds unread messages, and
+// if a callback still runs elsewhere it is woken when that one has ended.
+//
+// The wait set was announced to the publishers when the first subscription was created, so it
+// stays the group's in every executor. Groups may share one (callback_groups.hpp).
+#pragma once
+
+#include <agnocast/callback_group.hpp>
+#include <client/process/library_thread.hpp>
+#include <client/process/wait_set.hpp>
+
+#include <atomic>
+#include <condition_variable>
+#include <cstddef>
+#include <cstdint>
+#include <memory>
+#include <mutex>
+#include <thread>
+#include <utility>
+#include <vector>
+
+namespace agnocast {
+
+class ExecutorCore;
+
+/// Owner of callbacks: a subscription, or the events of a publisher.
+class CallbackSource {
+ public:
+  CallbackSource() = default;
+  CallbackSource(const CallbackSource&) = delete;
+  CallbackSource& operator=(const CallbackSource&) = delete;
+  virtual ~CallbackSource() = default;
+
+  virtual bool has_work() const noexcept = 0;
+  /// Runs at most one callback; returns whether there was one. Throws what it throws. In a
+  /// reentrant group several threads call it at once.
+  virtual bool run_one() = 0;
+
+  /// Exceptions without a receiver: see docs/nodes.md.
+  std::atomic<std::uint64_t> exception_count{0};
+  /// Signal mask of the creating thread, which its callbacks see in a library thread.
+  const SignalMask signals;
+
+ private:
+  friend class GroupCallbacks;
+  std::uint64_t cycle_ = 0;  // of the executor: when it ran last. Under the group's mutex
+};
+
+class GroupCallbacks {
+ public:
+  explicit GroupCallbacks(CallbackGroupType type) : type_(type) { running_.reserve(1); }
+  GroupCallbacks(const GroupCallbacks&) = delete;
+  GroupCallbacks& operator=(const GroupCallbacks&) = delete;
+
+  CallbackGroupType type() const noexcept { return type_; }
+  void add(std::shared_ptr<CallbackSource> source);
+  /// Ends the callbacks of a source; waits while another thread runs one. It does not wait if
+  /// that wait would never end: the callback waits for this thread (callback_waits.hpp), or this
+  /// thread is inside exit() and has waited long enough. `group` lives until every callback that
+  /// still runs then has ended, so that endpoints that it creates next have the same executor.
+  void remove(CallbackSource& source, std::shared_ptr<const void> group) noexcept;
+
+  /// Null: not yet needed. Set once.
+  std::shared_ptr<WaitSet> wait_set() const noexcept {
+    const std::lock_guard lock(mutex_);
+    return wait_set_;
+  }
+  void set_wait_set(std::shared_ptr<WaitSet> wait_set) noexcept {
+    const std::lock_guard lock(mutex_);
+    wait_set_ = std::move(wait_set);
+  }
+
+  /// Null: nobody runs them. The executor hands it to another one before it is destroyed.
+  void hand_to(ExecutorCore* executor) noexcept;
+
+  // --- for the executor; for all others these find nothing
+
+  /// Begins a callback of the first source that has had none in this `cycle` and has work, and
+  /// returns it; null if there is none, or the group is busy. Call end() with the source.
+  /// `is_alone`: there is no other group in the executor. Then a single source is asked by
+  /// taking: it rarely has nothing, and then that only costs more. Throws std::bad_alloc
+  /// (reentrant).
+  std::shared_ptr<CallbackSource> begin(const ExecutorCore& executor, std::uint64_t cycle,
+                                        bool is_alone);
+  /// In the thread that has begun it.
+  void end(const ExecutorCore& executor, const CallbackSource& source) noexcept;
+  /// Returns whether a callback could begin.
+  bool has_work(const ExecutorCore& executor) const noexcept;
+
+ private:
+  struct Running {
+    const CallbackSource* source;
+    std::thread::id thread;
+    std::shared_ptr<const void> until_end;
+  };
+  const Running* running_elsewhere(const CallbackSource& source) const noexcept;  // under the mutex
+  bool wait_for_end(const CallbackSource& source, std::unique_lock<std::mutex>& lock) noexcept;
+  bool has_work_here(const ExecutorCore& executor) const noexcept;  // under the mutex
+
+  const CallbackGroupType type_;
+  mutable std::mutex mutex_;  // taken after that of the executor
+  std::condition_variable callback_ended_;
+  std::vector<std::shared_ptr<CallbackSource>> sources_;
+  std::shared_ptr<WaitSet> wait_set_;
+  ExecutorCore* executor_ = nullptr;
+  std::vector<Running> running_;
+  std::size_t waiters_ = 0;  // for the end of a callback
+};
+
+}  // namespace agnocast
