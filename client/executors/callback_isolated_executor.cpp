@@ -170,12 +170,22 @@ void CallbackIsolatedExecutor::spin() {
   ExecutorCore& core = *state().core;
   IsolatedGroups& groups = static_cast<IsolatedState&>(state()).isolating;
   FirstException first;
-  first.guard([&] { groups.begin(first); });
-  while (!core.is_cancelled() && !first) {
-    core.wait(std::nullopt);
-    groups.join(false);
+  // Also if this thread is cancelled in its sleep: the others refer to `first`.
+  struct Ending {
+    IsolatedGroups& groups;
+    FirstException& first;
+    ~Ending() {
+      first.guard([this] { groups.end(); });
+    }
+  };
+  {
+    const Ending ending{groups, first};
+    first.guard([&] { groups.begin(first); });
+    while (!core.is_cancelled() && !first) {
+      core.wait(std::nullopt);
+      groups.join(false);
+    }
   }
-  first.guard([&] { groups.end(); });
   core.take_cancel();
   first.rethrow();
 }

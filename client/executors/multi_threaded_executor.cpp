@@ -26,7 +26,7 @@ void MultiThreadedExecutor::spin() {
     });
   };
   core.share(true);
-  SpinningThreads threads;
+  SpinningThreads threads(core);
   first.guard([&] {
     for (std::size_t i = 1; i < threads_; ++i) threads.start(work);
   });

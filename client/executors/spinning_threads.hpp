@@ -61,7 +61,13 @@ class Leaving {
 
 class SpinningThreads {
  public:
-  SpinningThreads() = default;
+  explicit SpinningThreads(ExecutorCore& core) noexcept : core_(core) {}
+  /// Cancels the executor if threads are left: the spinning thread ends (pthread_exit).
+  ~SpinningThreads() {
+    if (threads_.empty()) return;
+    core_.cancel();
+    join();
+  }
   SpinningThreads(const SpinningThreads&) = delete;
   SpinningThreads& operator=(const SpinningThreads&) = delete;
   /// Throws Error: os_failure.
@@ -80,6 +86,7 @@ class SpinningThreads {
   }
 
  private:
+  ExecutorCore& core_;
   std::vector<std::thread> threads_;
 };
 
