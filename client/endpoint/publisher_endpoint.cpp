@@ -256,13 +256,15 @@ void PublisherEndpoint::run_errands() noexcept {
   note_links();
   in_control_thread([&](Work& work) {
     for (Executor& wait_set : executors_) {
-      const std::uint64_t owed = std::exchange(wait_set.owed, 0);
-      if (owed == 0 || wait_set.users == 0) continue;
+      if (!std::exchange(wait_set.is_owed_ring, false) || wait_set.users == 0) continue;
       AGNOCAST_CRASH_POINT(C_errand_ring);
-      // Another generation: the wait set was awake meanwhile and has looked by itself.
-      if (SharedMemory::word(wait_set.region, armed_offset(wait_set.executor))
-              .load(std::memory_order_relaxed) == owed)
-        wait_set.doorbell.sender.ring();
+      // Awake: it has looked by itself, or will. Another value does not say that: one of several
+      // threads that sleep there may have armed it anew.
+      const std::uint64_t armed =
+          SharedMemory::word(wait_set.region, armed_offset(wait_set.executor))
+              .load(std::memory_order_relaxed);
+      if (armed % 2 == 0) continue;
+      wait_set.doorbell.sender.ring();
     }
     core_->scan(work);
     work.destroy_doomed();

@@ -214,7 +214,7 @@ class PublisherEndpoint {
     std::uint64_t executor = 0;
     std::uint64_t users = 0;  // attached subscriptions; 0 = free
     PeerDoorbell doorbell;
-    std::uint64_t owed = 0;  // sleep generation that the control thread has to ring; 0 = none
+    bool is_owed_ring = false;  // by the control thread
     std::byte* region = nullptr;
   };
   /// Each subscription is counted as matched once: when it is seen linked, at the latest when it is

@@ -36,13 +36,13 @@ struct PublisherEndpoint::Work {
         endpoint.identity_.core.words.counter(offsetof(abi::PublisherEndpoint, published_bytes));
     total.store(total.load(std::memory_order_relaxed) + entry.bytes, std::memory_order_relaxed);
   }
-  void ring(std::uint64_t executor, std::uint64_t armed) noexcept {
+  void ring(std::uint64_t executor, [[maybe_unused]] std::uint64_t armed) noexcept {
     Executor& wait_set = endpoint.executors_[executor];
     if (!wait_set.doorbell.sender) return;
     if (rung++ < ring_at_once_max) {
       wait_set.doorbell.sender.ring();
     } else {
-      wait_set.owed = armed;
+      wait_set.is_owed_ring = true;
       wake_control = true;
     }
   }
