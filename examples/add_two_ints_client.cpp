@@ -38,6 +38,8 @@ int main(int argc, char** argv) try {
     return is_help ? 0 : 2;
   }
   agnocast::Node node("add_two_ints_client");
+  agnocast::SingleThreadedExecutor executor;
+  executor.add_node(node);
   auto client = node.create_client<AddTwoInts>("add_two_ints");
   while (!client->wait_for_service(std::chrono::seconds(1))) {
     if (!client->is_active()) {
@@ -52,8 +54,7 @@ int main(int argc, char** argv) try {
   request->a = a;
   request->b = b;
   auto sent = client->async_send_request(std::move(request));
-  // A thread of the library runs the node's callbacks; with an executor, call
-  // spin_until_future_complete(sent).
+  executor.spin_until_future_complete(sent);  // the response is a callback
   std::printf("Sum: %lld\n", static_cast<long long>(sent.get()->sum));
   return 0;
 } catch (const agnocast::Error& error) {

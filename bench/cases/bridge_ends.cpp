@@ -117,6 +117,8 @@ int be_receiver(const std::vector<std::string>&) {
   const auto outward = reader_of("out", "rt/out");
   if (native == nullptr || outward == nullptr) return fail(why);
   Node node("receiver");
+  BackgroundExecutor executor;
+  executor.add_node(node);
   const auto subscription = create_subscription<Cloud>(
       node, "/in", QoS(1).reliable(), [](const ipc_shared_ptr<const Cloud>& cloud) {
         const std::int64_t time = now_ns();

@@ -133,6 +133,7 @@ class Stream {
 class Peer {
  public:
   explicit Peer(Daemon& daemon) : daemon_(daemon), log_(daemon.log_path()) {
+    executor_.add_node(node_);
     SubscriptionOptions listening;
     listening.matched_callback(at_subscription_.callback());
     subscription_ = create_subscription<Sample>(
@@ -192,6 +193,8 @@ class Peer {
         all_back{"daemon dies, " + how + ": all clients back", {}};
     Stream stream;
     Node node("listener");
+    BackgroundExecutor executor;
+    executor.add_node(node);
     auto subscription = create_subscription<Sample>(
         node, topic_of_stream, QoS(stream_depth),
         [&](const ipc_shared_ptr<const Sample>& sample) { stream.receive(*sample); });
@@ -337,6 +340,7 @@ class Peer {
   Daemon& daemon_;
   LogTail log_;
   Node node_{"peer"};
+  BackgroundExecutor executor_;
   Matched at_subscription_, at_publisher_;
   std::atomic<std::uint64_t> heard_{0};
   Subscription<Sample>::SharedPtr subscription_;

@@ -265,6 +265,8 @@ int be_reader(const std::vector<std::string>&) {
   std::mutex mutex;
   std::string times;
   Node node("reader");
+  BackgroundExecutor executor;
+  executor.add_node(node);
   const auto subscription = create_subscription<Buffer>(
       node, topic, QoS(1), [&](const ipc_shared_ptr<const Buffer>& message) {
         const double ns = ns_of([&] { read_pages(message->bytes.data(), message->bytes.size()); });

@@ -62,7 +62,7 @@ bool is_limit(const Failure& failure) noexcept {
 
 class Crowd {
  public:
-  explicit Crowd(int descriptor) : arrivals_(descriptor) {}
+  explicit Crowd(int descriptor) : arrivals_(descriptor) { executor_.add_node(node_); }
 
   std::vector<std::int64_t> obey(const std::string& line) {
     std::istringstream words(line);
@@ -189,6 +189,7 @@ class Crowd {
 
   Arrivals arrivals_;
   Node node_{"crowd"};
+  BackgroundExecutor executor_;
   std::map<std::string, std::vector<Publisher<ScaleNote>::SharedPtr>> publishers_;
   std::vector<Subscription<ScaleNote>::SharedPtr> subscriptions_;
 };

@@ -114,7 +114,7 @@ Errc OutwardRoutes::open_local_readers(const Plan& plan) {
     const auto lane = static_cast<std::size_t>(emptiest - lane_local_readers.begin());
     const TopicKey& topic = key.of.key;
     auto made = try_create_generic_subscription(
-        *lanes_[lane], topic.topic, types_.at(topic.type)->introspected,
+        lanes_[lane]->node, topic.topic, types_.at(topic.type)->introspected,
         qos_of(key.of.qos_class, key.depth, key.keep_all),
         [this, key, type = types_.at(topic.type)](GenericMessage message) {
           dds_writers_.pass(std::move(message), key, type->cdr);

@@ -2,8 +2,8 @@
 //
 // OutwardRoutes: carries out the plans of routes.hpp from this host to DDS.
 //
-//   lanes   (nodes' threads, the library's) messages of local readers ──▶ their DDS writers; large
-//           messages of a topic delay only the other topics of its lane
+//   lanes   (a thread each) messages of local readers ──▶ their DDS writers; large messages of a
+//           topic delay only the other topics of its lane
 //
 // A message is written from shared memory directly into the DDS sample: see dds_writers.hpp.
 // Publishers without a reader in DDS are only announced.
@@ -14,6 +14,7 @@
 #include <agnocast/agnocast.hpp>
 #include <agnocast/generic.hpp>
 #include <agnocast/graph.hpp>
+#include <bridge/common/lane.hpp>
 #include <bridge/common/linger.hpp>
 #include <bridge/common/log.hpp>
 #include <bridge/common/message_types.hpp>
@@ -39,7 +40,6 @@ namespace agnocast::bridge {
 
 class OutwardRoutes {
  public:
-  using Lanes = std::vector<std::unique_ptr<Node>>;
   /// All must outlive it. `lanes` own the subscriptions.
   OutwardRoutes(DdsParticipant& participant, const Lanes& lanes, const MessageTypes& types,
                 const Log& log, Reaper& reaper, Refusals& refusals)

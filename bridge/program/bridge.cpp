@@ -16,20 +16,20 @@ namespace {
 // Writing means copying and sending: more than four threads are rarely busy at once.
 constexpr std::size_t lanes_max = 4;
 
-OutwardRoutes::Lanes make_lanes() {
+Lanes make_lanes() {
   const std::size_t count =
       std::clamp<std::size_t>(std::thread::hardware_concurrency(), 1, lanes_max);
-  OutwardRoutes::Lanes lanes;
+  Lanes lanes;
   for (std::size_t i = 0; i < count; ++i)
     lanes.push_back(
-        std::make_unique<Node>(std::string(bridge_node) + (i == 0 ? "" : '_' + std::to_string(i))));
+        std::make_unique<Lane>(std::string(bridge_node) + (i == 0 ? "" : '_' + std::to_string(i))));
   return lanes;
 }
 
 }  // namespace
 
 DdsResult<std::unique_ptr<Bridge>> Bridge::create(BridgeOptions options, const Log& log) {
-  OutwardRoutes::Lanes lanes = make_lanes();
+  Lanes lanes = make_lanes();
   auto participant = DdsParticipant::create({.domain = options.domain});
   if (!participant) return tl::unexpected(participant.error());
   auto graph = RosGraph::create(**participant, options.speak);
@@ -38,7 +38,7 @@ DdsResult<std::unique_ptr<Bridge>> Bridge::create(BridgeOptions options, const L
                                             std::move(*participant), std::move(*graph)));
 }
 
-Bridge::Bridge(BridgeOptions options, const Log& log, OutwardRoutes::Lanes lanes,
+Bridge::Bridge(BridgeOptions options, const Log& log, Lanes lanes,
                std::unique_ptr<DdsParticipant> participant, std::unique_ptr<RosGraph> graph)
     : alive_interval_(options.alive ? options.alive_interval : std::chrono::nanoseconds(0)),
       alive_(std::move(options.alive)),
@@ -48,8 +48,8 @@ Bridge::Bridge(BridgeOptions options, const Log& log, OutwardRoutes::Lanes lanes
       types_(std::move(options.type_paths)),
       refusals_(log),
       outward_(*participant_, lanes_, types_, log, reaper_, refusals_),
-      inward_(*participant_, *lanes_.front(), types_, pace_, log, reaper_, refusals_),
-      services_(*participant_, *lanes_.front(), types_, log, reaper_, refusals_),
+      inward_(*participant_, lanes_.front()->node, types_, pace_, log, reaper_, refusals_),
+      services_(*participant_, lanes_.front()->node, types_, log, reaper_, refusals_),
       watch_(log, [this] { participant_->interrupt(); }),
       marker_(options.domain, participant_->guid(), watch_, log),
       planner_(options.domain, {std::move(options.rules), options.otherwise, options.announce},

@@ -5,7 +5,7 @@
 //   watch thread     sleeps until endpoints of this host change ──────────┐
 //   run()            sleeps until DDS or the graph has something: plans,  ◀┘
 //                    lets the routes create and end endpoints, and publish received messages
-//   lanes            (nodes' threads, the library's) outward_routes.hpp
+//   lanes            (a thread each) outward_routes.hpp
 //   Cyclone's        inward_routes.hpp
 //
 //   HostWatch, Marker ──▶ Planner ──▶ OutwardRoutes, InwardRoutes, ServiceRoutes ──▶ DiscoveryInfo, StatusCollector
@@ -14,6 +14,7 @@
 // counted and logged, and the others continue.
 #pragma once
 
+#include <bridge/common/lane.hpp>
 #include <bridge/common/linger.hpp>
 #include <bridge/common/log.hpp>
 #include <bridge/common/message_types.hpp>
@@ -77,7 +78,7 @@ class Bridge {
   std::optional<BridgeStatus> status(std::chrono::milliseconds patience);
 
  private:
-  Bridge(BridgeOptions options, const Log& log, OutwardRoutes::Lanes lanes,
+  Bridge(BridgeOptions options, const Log& log, Lanes lanes,
          std::unique_ptr<DdsParticipant> participant, std::unique_ptr<RosGraph> graph);
   /// Handles the events that woke run().
   void move(const DdsParticipant::Ready& ready);
@@ -91,7 +92,7 @@ class Bridge {
 
   const std::chrono::nanoseconds alive_interval_;
   const std::function<void()> alive_;
-  const OutwardRoutes::Lanes lanes_;
+  const Lanes lanes_;
   const std::unique_ptr<DdsParticipant> participant_;
   const std::unique_ptr<RosGraph> ros_graph_;
   MessageTypes types_;

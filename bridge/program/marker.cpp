@@ -28,14 +28,19 @@ Marker::Marker(std::uint32_t domain, const Guid& participant, HostWatch& watch, 
 
 bool Marker::show_oneself() {
   if (is_there()) return true;
-  if (node_ == nullptr) node_ = std::make_unique<Node>(node_name_);
+  try {
+    if (lane_ == nullptr) lane_ = std::make_unique<Lane>(node_name_);
+  } catch (const Error& error) {
+    refusal_ = {error.failure().code, error.what()};
+    return false;
+  }
   SubscriptionOptions options;
   options.connection_callback([&watch = watch_](ConnectionInfo& info) {
     watch.daemon_is(info.state != ConnectionState::reconnecting, "the connection has ended");
     if (info.state == ConnectionState::orphaned && info.reason == Errc::revoked) watch.revoke();
   });
   auto made = try_create_generic_subscription(
-      *node_, marker_topic, TypeIdentity{"agnocast_bridge", 1}, QoS(1), nullptr, options);
+      lane_->node, marker_topic, TypeIdentity{"agnocast_bridge", 1}, QoS(1), nullptr, options);
   if (!made) {
     refusal_ = {made.error().code, text_of(made.error())};
     return false;

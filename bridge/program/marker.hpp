@@ -10,6 +10,7 @@
 #include <agnocast/agnocast.hpp>
 #include <agnocast/generic.hpp>
 #include <agnocast/graph.hpp>
+#include <bridge/common/lane.hpp>
 #include <bridge/common/log.hpp>
 #include <bridge/common/refusals.hpp>
 #include <bridge/dds/participant.hpp>
@@ -57,7 +58,7 @@ class Marker {
   const std::string node_name_;
   std::optional<Refusal> refusal_;
   std::optional<std::uint32_t> standby_for_;
-  std::unique_ptr<Node> node_;
+  std::unique_ptr<Lane> lane_;
   GenericSubscription::SharedPtr subscription_;
 };
 

@@ -115,10 +115,11 @@ class SubscriptionSource final : public CallbackSource {
  public:
   SubscriptionSource(std::shared_ptr<SubscriptionEndpoint> endpoint,
                      detail::UntypedSubscription::Callback callback,
-                     detail::EventCallbacks events) noexcept
-      : endpoint_(std::move(endpoint)),
+                     const SubscriptionOptions& options)
+      : CallbackSource(options.is_serial()),
+        endpoint_(std::move(endpoint)),
         callback_(std::move(callback)),
-        events_(std::move(events)) {}
+        events_(options.events()) {}
   ~SubscriptionSource() override {
     const UserSignals as_creator(signals);
     callback_ = nullptr;
@@ -188,8 +189,8 @@ Result<std::shared_ptr<UntypedSubscription>> UntypedSubscription::create(
   if (subscription->group_ != nullptr) {
     GroupCallbacks& callbacks = *subscription->group_->state().callbacks;
     subscription->endpoint_->events().wake_for(options.events(), callbacks.wait_set());
-    subscription->source_ = std::make_shared<SubscriptionSource>(
-        subscription->endpoint_, std::move(callback), options.events());
+    subscription->source_ =
+        std::make_shared<SubscriptionSource>(subscription->endpoint_, std::move(callback), options);
     callbacks.add(subscription->source_);
   }
   return subscription;

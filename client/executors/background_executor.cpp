@@ -26,12 +26,9 @@ struct BackgroundState final : Executor::State {
 BackgroundExecutor::BackgroundExecutor() : Executor(std::make_unique<BackgroundState>()) {}
 
 BackgroundExecutor::~BackgroundExecutor() {
-  BackgroundThread& thread = *static_cast<BackgroundState&>(state()).thread;
-  if (is_forked_child()) {
-    thread.abandon();
-  } else {
-    thread.join();
-  }
+  if (is_forked_child()) return;
+  static_cast<BackgroundState&>(state()).thread->join();
+  state().is_spinning.store(false, std::memory_order_release);
 }
 
 }  // namespace agnocast

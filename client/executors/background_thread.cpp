@@ -101,8 +101,6 @@ void BackgroundThread::join() noexcept {
   thread.join();
 }
 
-void BackgroundThread::abandon() noexcept { new std::thread(std::move(thread_)); }
-
 // --- callbacks
 
 /// Returns whether there was a callback. Exceptions have no receiver, and the library must not end
@@ -136,6 +134,7 @@ void BackgroundThread::serve() {
     if (had_one) continue;
     shed_signals();
     core_->wait(std::nullopt, true);
+    LibraryThread::look_for_users();  // there may be no control thread yet
   }
 }
 

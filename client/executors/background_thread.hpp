@@ -30,8 +30,6 @@ class BackgroundThread {
   /// Cancels the executor and waits until the thread has ended, unless it is this thread, or waits
   /// for this one, or this one is inside exit() and has waited long enough.
   void join() noexcept;
-  /// For a forked child: the thread belongs to the parent.
-  void abandon() noexcept;
   bool has_ended() const noexcept {
     const std::lock_guard lock(mutex_);
     return has_ended_;

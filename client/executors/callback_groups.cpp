@@ -2,12 +2,10 @@
 
 #include <client/executors/callback_groups.hpp>
 
-#include <client/executors/background_thread.hpp>
-#include <client/executors/executor_state.hpp>
+#include <agnocast/heap.hpp>
 #include <client/process/forked_child.hpp>
 #include <client/session/context.hpp>
 
-#include <algorithm>
 #include <map>
 #include <mutex>
 #include <utility>
@@ -15,42 +13,10 @@
 
 namespace agnocast {
 
-/// The library's thread of one default group.
-class NodeThread {
- public:
-  /// Errors: os_failure.
-  [[nodiscard]] static Result<std::unique_ptr<NodeThread>> start() {
-    auto core = ExecutorCore::make();
-    if (!core) return tl::unexpected<Failure>(core.error());
-    std::shared_ptr<ExecutorCore> shared = std::move(*core);
-    auto thread = BackgroundThread::start(shared);
-    if (!thread) return tl::unexpected<Failure>(thread.error());
-    return std::make_unique<NodeThread>(std::move(shared), std::move(*thread));
-  }
-  NodeThread(std::shared_ptr<ExecutorCore> core, std::shared_ptr<BackgroundThread> thread) noexcept
-      : groups_(*core), thread_(std::move(thread)) {}
-  /// Waits as BackgroundThread::join() does.
-  ~NodeThread() {
-    if (is_forked_child()) {
-      thread_->abandon();
-    } else {
-      thread_->join();
-    }
-  }
-  NodeThread(const NodeThread&) = delete;
-  NodeThread& operator=(const NodeThread&) = delete;
-  GroupExecutor& groups() noexcept { return groups_; }
-
- private:
-  CoreGroups groups_;
-  const std::shared_ptr<BackgroundThread> thread_;  // keeps the core
-};
-
 CallbackGroup::State::State(std::string node, CallbackGroupType type, bool with_node)
     : node_name(std::move(node)),
       is_with_node(with_node),
       callbacks(std::make_shared<GroupCallbacks>(type)) {}
-CallbackGroup::State::~State() = default;
 
 namespace {
 
@@ -85,11 +51,14 @@ struct Places {
       if (made) wait_sets.push_back(*made);
       if (made || made.error().code != Errc::limit_reached || wait_sets.empty()) return made;
     }
-    return std::min_element(wait_sets.begin(), wait_sets.end(),
-                            [](const auto& one, const auto& other) {
-                              return one.use_count() < other.use_count();
-                            })
-        ->lock();
+    std::shared_ptr<WaitSet> least_used;
+    for (const auto& weak : wait_sets) {
+      std::shared_ptr<WaitSet> set = weak.lock();  // null: its last group has just left
+      if (set != nullptr && (least_used == nullptr || set.use_count() < least_used.use_count()))
+        least_used = std::move(set);
+    }
+    if (least_used == nullptr) return Context::instance().create_wait_set();
+    return least_used;
   }
 };
 Places& places() {
@@ -109,35 +78,16 @@ void unassign(CallbackGroup::State& group) noexcept {
   group.is_added_alone = false;
 }
 
-bool is_in_executor(const CallbackGroup::State& group) noexcept {
-  return group.executor != nullptr &&
-         (group.own_thread == nullptr || group.executor != &group.own_thread->groups());
-}
-
-/// For a group that no executor has. Errors: os_failure.
-Result<void> give_to_own_thread(CallbackGroup::State& state) {
-  if (state.executor != nullptr || !state.is_default) return {};
-  if (state.own_thread == nullptr) {
-    auto started = NodeThread::start();
-    if (!started) return tl::unexpected<Failure>(started.error());
-    state.own_thread = std::move(*started);
-  }
-  return assign(state, state.own_thread->groups());
-}
-
-/// Under the mutex of Places.
-Result<CallbackGroup::SharedPtr> make(Places& all, const std::string& node, CallbackGroupType type,
-                                      bool with_node) {
+/// Under the mutex of Places, which the destructor of `group` takes: also after a failure it must
+/// be destroyed later.
+Result<void> make(Places& all, const std::string& node, CallbackGroupType type, bool with_node,
+                  CallbackGroup::SharedPtr& group) {
+  group = std::make_shared<CallbackGroup>(
+      std::make_unique<CallbackGroup::State>(node, type, with_node));
   NodePlace& place = all.by_node[node];
-  place.groups.reserve(place.groups.size() + 1);
-  auto state = std::make_unique<CallbackGroup::State>(node, type, with_node);
-  if (with_node && place.executor != nullptr) {
-    if (Result<void> assigned = assign(*state, *place.executor); !assigned)
-      return tl::unexpected<Failure>(assigned.error());
-  }
-  auto group = std::make_shared<CallbackGroup>(std::move(state));
   place.groups.push_back(group.get());
-  return group;
+  return with_node && place.executor != nullptr ? assign(group->state(), *place.executor)
+                                                : Result<void>();
 }
 
 }  // namespace
@@ -147,7 +97,6 @@ CallbackGroup::CallbackGroup(std::unique_ptr<State> state) noexcept : state_(std
 CallbackGroup::~CallbackGroup() {
   if (is_forked_child()) return;
   Places& all = places();
-  // The state is destroyed after unlocking: it may wait for a thread.
   const std::lock_guard lock(all.mutex);
   unassign(*state_);
   const auto place = all.by_node.find(state_->node_name);
@@ -164,35 +113,44 @@ bool CallbackGroup::automatically_add_to_executor_with_node() const noexcept {
 CallbackGroup::SharedPtr detail::make_callback_group(const std::string& node,
                                                      CallbackGroupType type, bool with_node) {
   if (Result<void> refused = refuse_forked_child(); !refused) throw Error(refused.error());
+  const LoanPause pause;
+  CallbackGroup::SharedPtr group;
   Places& all = places();
   const std::lock_guard lock(all.mutex);
-  auto made = make(all, node, type, with_node);
-  if (!made) throw Error(made.error());
-  return std::move(*made);
+  if (Result<void> made = make(all, node, type, with_node, group); !made) throw Error(made.error());
+  return group;
 }
 
 namespace callback_groups {
 
-Result<CallbackGroup::SharedPtr> of_endpoint(const std::string& node,
+Result<CallbackGroup::SharedPtr> of_callback(const std::string& node,
                                              const CallbackGroup::SharedPtr& named) {
   if (Result<void> refused = refuse_forked_child(); !refused)
     return tl::unexpected<Failure>(refused.error());
   if (named != nullptr && named->state().node_name != node)
     return fail(Errc::invalid_argument, "the callback group belongs to another node");
+  const LoanPause pause;
   CallbackGroup::SharedPtr group = named;  // outside the lock: the destructor takes it
   Places& all = places();
   const std::lock_guard lock(all.mutex);
   if (group == nullptr) group = all.by_node[node].default_group.lock();
   if (group == nullptr) {
-    auto made = make(all, node, CallbackGroupType::MutuallyExclusive, true);
-    if (!made) return made;
-    group = std::move(*made);
-    group->state().is_default = true;
+    if (Result<void> made = make(all, node, CallbackGroupType::MutuallyExclusive, true, group);
+        !made)
+      return tl::unexpected<Failure>(made.error());
     all.by_node[node].default_group = group;
   }
-  CallbackGroup::State& state = group->state();
-  if (Result<void> given = give_to_own_thread(state); !given)
-    return tl::unexpected<Failure>(given.error());
+  return group;
+}
+
+Result<CallbackGroup::SharedPtr> of_endpoint(const std::string& node,
+                                             const CallbackGroup::SharedPtr& named) {
+  const LoanPause pause;  // executors and groups outlive any loan of this thread
+  auto group = of_callback(node, named);
+  if (!group) return group;
+  CallbackGroup::State& state = (*group)->state();
+  Places& all = places();
+  const std::lock_guard lock(all.mutex);
   if (state.callbacks->wait_set() != nullptr) return group;
   auto wait_set = all.wait_set();
   if (!wait_set) return tl::unexpected<Failure>(wait_set.error());
@@ -206,6 +164,7 @@ Result<CallbackGroup::SharedPtr> of_endpoint(const std::string& node,
 
 Result<void> claim_node(const std::string& node, GroupExecutor& executor) {
   if (Result<void> refused = refuse_forked_child(); !refused) return refused;
+  const LoanPause pause;
   Places& all = places();
   const std::lock_guard lock(all.mutex);
   NodePlace& place = all.by_node[node];
@@ -213,8 +172,7 @@ Result<void> claim_node(const std::string& node, GroupExecutor& executor) {
     return fail(Errc::invalid_argument, "the node has been added to an executor already");
   for (CallbackGroup* const group : place.groups) {
     CallbackGroup::State& state = group->state();
-    if (!state.is_with_node || is_in_executor(state)) continue;
-    unassign(state);
+    if (!state.is_with_node || state.executor != nullptr) continue;
     Result<void> assigned = assign(state, executor);
     if (assigned) continue;
     for (CallbackGroup* const before : place.groups) {
@@ -238,9 +196,7 @@ Result<void> release_node(const std::string& node, GroupExecutor& executor) {
   place->second.executor = nullptr;
   for (CallbackGroup* const group : place->second.groups) {
     CallbackGroup::State& state = group->state();
-    if (state.executor != &executor || state.is_added_alone) continue;
-    unassign(state);
-    if (Result<void> given = give_to_own_thread(state); !given) return given;
+    if (state.executor == &executor && !state.is_added_alone) unassign(state);
   }
   all.forget_if_unused(node);
   return {};
@@ -248,8 +204,9 @@ Result<void> release_node(const std::string& node, GroupExecutor& executor) {
 
 Result<void> claim_group(CallbackGroup& group, GroupExecutor& executor) {
   if (Result<void> refused = refuse_forked_child(); !refused) return refused;
+  const LoanPause pause;
   const std::lock_guard lock(places().mutex);
-  if (is_in_executor(group.state()))
+  if (group.state().executor != nullptr)
     return fail(Errc::invalid_argument, "the callback group has been added to an executor already");
   Result<void> assigned = assign(group.state(), executor);
   group.state().is_added_alone = assigned.has_value();
@@ -272,10 +229,7 @@ void release_all(GroupExecutor& executor) noexcept {
   for (auto place = all.by_node.begin(); place != all.by_node.end();) {
     NodePlace& node = place->second;
     for (CallbackGroup* const group : node.groups) {
-      if (group->state().executor != &executor) continue;
-      unassign(group->state());
-      // If there is no thread, the callbacks wait for the node's next executor.
-      (void)give_to_own_thread(group->state());
+      if (group->state().executor == &executor) unassign(group->state());
     }
     if (node.executor == &executor) node.executor = nullptr;
     place = node.executor == nullptr && node.groups.empty() ? all.by_node.erase(place)

@@ -6,8 +6,7 @@
 // added to an executor before or after its first endpoint, and any type of node fits. All changes
 // of executor go through here, under one mutex, so that a group has one executor at any time.
 //
-// A default group that no executor has is run by a library thread of its own. Other groups are
-// run by nobody then.
+// A group that no executor has is run by nobody; its messages stay unread.
 //
 // Groups have wait sets of their own while there are enough; then they share. A ring on a shared
 // one wakes the executors of all its groups, which costs time and nothing else.
@@ -33,29 +32,26 @@ class GroupExecutor {
   virtual void drop(GroupCallbacks& group) noexcept = 0;
 };
 
-class NodeThread;
-
 struct CallbackGroup::State {
   State(std::string node, CallbackGroupType type, bool with_node);
-  ~State();
 
   const std::string node_name;
   const bool is_with_node;
   const std::shared_ptr<GroupCallbacks> callbacks;  // running callbacks keep it as well
   // Under the mutex of CallbackGroups:
-  bool is_default = false;
   GroupExecutor* executor = nullptr;
   bool is_added_alone = false;  // by add_callback_group()
-  /// Of a default group, once it is needed: the library's thread, for as long as no executor has
-  /// the group.
-  std::unique_ptr<NodeThread> own_thread;
 };
 
 namespace callback_groups {
 
-/// Returns the group of a new endpoint of `node`, with its wait set: `named`, or the node's default
-/// group, which is made with its first endpoint and ends with its last. Errors: invalid_argument
-/// (a group of another node), limit_reached (no wait set), os_failure, and those of connecting.
+/// Returns the group of a new callback of `node`: `named`, or the node's default group, which is
+/// made with its first callback and ends with its last. Errors: invalid_argument (a group of
+/// another node), os_failure.
+[[nodiscard]] Result<CallbackGroup::SharedPtr> of_callback(const std::string& node,
+                                                           const CallbackGroup::SharedPtr& named);
+/// The same with a wait set, which the endpoint announces. Errors: also limit_reached (no wait
+/// set), and those of connecting.
 [[nodiscard]] Result<CallbackGroup::SharedPtr> of_endpoint(const std::string& node,
                                                            const CallbackGroup::SharedPtr& named);
 
@@ -67,7 +63,7 @@ namespace callback_groups {
 /// The same for one group.
 [[nodiscard]] Result<void> claim_group(CallbackGroup& group, GroupExecutor& executor);
 [[nodiscard]] Result<void> release_group(CallbackGroup& group, GroupExecutor& executor);
-/// Releases everything of a executor that ends.
+/// Releases everything of an executor that ends.
 void release_all(GroupExecutor& executor) noexcept;
 
 }  // namespace callback_groups

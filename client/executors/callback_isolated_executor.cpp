@@ -7,6 +7,7 @@
 #include <client/executors/spinning_threads.hpp>
 
 #include <algorithm>
+#include <atomic>
 #include <list>
 #include <mutex>
 #include <optional>
@@ -18,9 +19,10 @@ namespace {
 
 /// A group and, while the executor spins, its core and thread.
 struct Isolated {
-  std::shared_ptr<GroupCallbacks> group;  // null: it has left
-  std::shared_ptr<ExecutorCore> core;
-  std::thread thread;
+  std::shared_ptr<GroupCallbacks> group;  // null: it has left, and the thread ends
+  std::shared_ptr<ExecutorCore> core = {};
+  std::thread thread = {};
+  std::atomic<bool> has_ended{false};  // the thread, but for its last instructions
 };
 
 class IsolatedGroups final : public GroupExecutor {
@@ -29,28 +31,23 @@ class IsolatedGroups final : public GroupExecutor {
 
   Result<void> adopt(const std::shared_ptr<GroupCallbacks>& group) override {
     const std::lock_guard lock(mutex_);
-    Isolated& added = isolated_.emplace_back();
-    added.group = group;
-    Result<void> begun = first_ != nullptr ? isolate(added) : idle_.adopt(group);
-    if (!begun) isolated_.pop_back();
+    std::list<Isolated> added;
+    added.emplace_back(group);
+    Result<void> begun = first_ != nullptr ? isolate(added.back()) : idle_.adopt(group);
+    if (begun) isolated_.splice(isolated_.end(), added);
     return begun;
   }
   Result<void> listen(const GroupCallbacks& group, std::shared_ptr<WaitSet> wait_set) override {
     const std::lock_guard lock(mutex_);
-    const auto found = find(group);
-    return core_of(*found).listen(group, std::move(wait_set));
+    return core_of(*find(group)).listen(group, std::move(wait_set));
   }
   void drop(GroupCallbacks& group) noexcept override {
     const std::lock_guard lock(mutex_);
     const auto found = find(group);
     core_of(*found).drop(group);
+    if (found->core == nullptr) return (void)isolated_.erase(found);
     found->group = nullptr;
-    if (found->core == nullptr) {
-      isolated_.erase(found);
-    } else {
-      found->core->cancel();  // spin() joins the thread, which may be this one
-      idle_.wake();
-    }
+    found->core->cancel();  // tend() joins the thread, which may be this one
   }
 
   /// Gives each group a thread. Exceptions of callbacks go to `first`. Throws Error: os_failure.
@@ -62,23 +59,38 @@ class IsolatedGroups final : public GroupExecutor {
       if (Result<void> begun = isolate(isolated); !begun) throw Error(begun.error());
     }
   }
-  /// Joins the threads whose groups have left, or all.
-  void join(bool all) {
-    std::list<Isolated> ended;
-    {
-      const std::lock_guard lock(mutex_);
-      for (auto next = isolated_.begin(); next != isolated_.end();) {
-        const auto isolated = next++;
-        if (all && isolated->core != nullptr) isolated->core->cancel();
-        if (isolated->group == nullptr) ended.splice(ended.end(), isolated_, isolated);
+  /// Joins the threads that have ended; one that a callback has ended (pthread_exit) gets a
+  /// successor. Throws Error: os_failure.
+  void tend() {
+    std::list<std::thread> ended;  // joined without the lock, which destructors of theirs may take
+    struct Joining {
+      std::list<std::thread>& threads;
+      ~Joining() {
+        for (std::thread& thread : threads) thread.join();
+      }
+    };
+    const Joining joining{ended};
+    const std::lock_guard lock(mutex_);
+    for (auto next = isolated_.begin(); next != isolated_.end() && !*first_;) {
+      const auto isolated = next++;
+      if (!isolated->has_ended.load(std::memory_order_acquire)) continue;
+      ended.emplace_back().swap(isolated->thread);
+      if (isolated->group == nullptr) {
+        isolated_.erase(isolated);
+      } else if (Result<void> begun = start(*isolated); !begun) {
+        throw Error(begun.error());
       }
     }
-    for (Isolated& isolated : ended) isolated.thread.join();
   }
   /// Ends all threads, and gives the groups back. Throws Error: os_failure.
   void end() {
-    join(true);
-    std::optional<Failure> failed;
+    if (is_forked_child()) return;  // the locks and threads belong to the parent
+    {
+      const std::lock_guard lock(mutex_);
+      for (Isolated& isolated : isolated_) {
+        if (isolated.core != nullptr) isolated.core->cancel();
+      }
+    }
     // A thread that still runs a callback may add and remove groups meanwhile.
     for (;;) {
       std::thread thread;
@@ -87,17 +99,12 @@ class IsolatedGroups final : public GroupExecutor {
         const auto running =
             std::find_if(isolated_.begin(), isolated_.end(),
                          [](const Isolated& isolated) { return isolated.thread.joinable(); });
-        if (running == isolated_.end()) {
-          first_ = nullptr;
-          failed = give_back();
-          break;
-        }
+        if (running == isolated_.end()) return give_back();
         running->core->cancel();
         thread.swap(running->thread);
       }
       thread.join();
     }
-    if (failed) throw Error(*failed);
   }
 
  private:
@@ -109,42 +116,54 @@ class IsolatedGroups final : public GroupExecutor {
     return isolated.core != nullptr ? *isolated.core : idle_;
   }
 
+  /// After a failure the group is nowhere.
   Result<void> isolate(Isolated& isolated) {
     auto made = ExecutorCore::make();
     if (!made) return tl::unexpected<Failure>(made.error());
-    const std::shared_ptr<ExecutorCore> core = std::move(*made);
-    if (Result<void> adopted = core->adopt(isolated.group); !adopted) return adopted;
-    try {
-      isolated.thread = std::thread([core, first = first_, &idle = idle_] {
-        first->guard([&] {
-          while (!core->is_cancelled()) {
-            if (!core->run_next()) core->wait(std::nullopt);
-          }
-        });
-        if (*first) idle.wake();  // spin() ends
+    isolated.core = std::move(*made);
+    Result<void> begun = isolated.core->adopt(isolated.group);
+    if (begun) begun = start(isolated);
+    if (begun) return begun;
+    isolated.core->drop(*isolated.group);
+    isolated.core = nullptr;
+    return begun;
+  }
+  Result<void> start(Isolated& isolated) {
+    isolated.has_ended.store(false, std::memory_order_relaxed);
+    auto started = start_spinning_thread([&isolated, first = first_, this] {
+      struct Ending {
+        Isolated& isolated;
+        ExecutorCore& idle;
+        ~Ending() {
+          if (is_forked_child()) return;
+          isolated.has_ended.store(true, std::memory_order_release);
+          idle.wake();
+        }
+      };
+      const Ending ending{isolated, idle_};
+      ExecutorCore& core = *isolated.core;
+      first->guard([&] {
+        while (!core.is_cancelled()) {
+          if (!core.run_next()) core.wait(std::nullopt);
+        }
       });
-    } catch (const std::system_error& refused) {
-      core->drop(*isolated.group);
-      return fail(Errc::os_failure, "starting a thread of an executor", refused.code().value());
-    }
-    ::pthread_setname_np(isolated.thread.native_handle(), "agnocast-exec");
-    isolated.core = core;
+    });
+    if (!started) return tl::unexpected<Failure>(started.error());
+    isolated.thread = std::move(*started);
     return {};
   }
 
-  std::optional<Failure> give_back() {
+  /// Under the mutex, without threads.
+  void give_back() {
+    first_ = nullptr;
     std::optional<Failure> failed;
-    for (auto next = isolated_.begin(); next != isolated_.end();) {
-      const auto isolated = next++;
-      if (isolated->group == nullptr) {
-        isolated_.erase(isolated);
-        continue;
-      }
-      core_of(*isolated).drop(*isolated->group);
-      isolated->core = nullptr;
-      if (Result<void> back = idle_.adopt(isolated->group); !back) failed = back.error();
+    std::erase_if(isolated_, [](const Isolated& isolated) { return isolated.group == nullptr; });
+    for (Isolated& isolated : isolated_) {
+      core_of(isolated).drop(*isolated.group);
+      isolated.core = nullptr;
+      if (Result<void> back = idle_.adopt(isolated.group); !back) failed = back.error();
     }
-    return failed;
+    if (failed) throw Error(*failed);
   }
 
   ExecutorCore& idle_;
@@ -180,13 +199,15 @@ void CallbackIsolatedExecutor::spin() {
   };
   {
     const Ending ending{groups, first};
-    first.guard([&] { groups.begin(first); });
-    while (!core.is_cancelled() && !first) {
-      core.wait(std::nullopt);
-      groups.join(false);
-    }
+    first.guard([&] {
+      groups.begin(first);
+      while (!core.is_cancelled() && !first) {
+        core.wait(std::nullopt);
+        groups.tend();
+      }
+    });
   }
-  core.take_cancel();
+  if (!first) core.take_cancel();
   first.rethrow();
 }
 

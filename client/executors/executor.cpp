@@ -63,7 +63,13 @@ Executor::Executor(std::unique_ptr<State> state) noexcept : state_(std::move(sta
 Executor::Executor(std::chrono::nanoseconds spin_budget)
     : Executor(std::make_unique<State>(State::make_core(), spin_budget)) {}
 
-Executor::~Executor() { callback_groups::release_all(state_->groups()); }
+Executor::~Executor() {
+  callback_groups::release_all(state_->groups());
+  // exit() in a callback destroys an executor with static storage while its threads are in there,
+  // and a forked child has copies of what its parent's threads use.
+  if (is_forked_child() || state_->is_spinning.load(std::memory_order_acquire))
+    (void)state_.release();
+}
 
 void Executor::add_node_of_name(const std::string& node) {
   if (Result<void> claimed = callback_groups::claim_node(node, state_->groups()); !claimed)

@@ -142,7 +142,7 @@ ExecutorCore::Claim ExecutorCore::begin_of_cycle() {
 void ExecutorCore::pass_on() noexcept {
   if (is_asleep_ || successors_ == 0) return;
   ++passed_on_;
-  passed_.notify_one();
+  passed_->notify_one();
 }
 
 ExecutorCore::Claim ExecutorCore::next() {
@@ -166,7 +166,8 @@ bool ExecutorCore::run_next() {
     // The callback may have forked, and returned in the child.
     if (Result<void> refused = refuse_forked_child(); !refused) throw Error(refused.error());
     return true;
-  } while (is_shared());  // what came for the busy group meanwhile, no other thread has seen
+    // What came for the busy group meanwhile, no other thread has seen.
+  } while (is_shared() && !is_cancelled());
   return false;
 }
 
@@ -193,14 +194,16 @@ std::size_t ExecutorCore::run_cycle(Clock::time_point deadline) {
   return count;
 }
 
-bool ExecutorCore::has_work_here() const noexcept {
-  return std::any_of(assigned_.begin(), assigned_.end(),
-                     [this](const Assigned& assigned) { return assigned.group->has_work(*this); });
+bool ExecutorCore::has_work_here(Clock::time_point& due) const noexcept {
+  return std::any_of(assigned_.begin(), assigned_.end(), [&](const Assigned& assigned) {
+    return assigned.group->has_work(*this, due);
+  });
 }
 
 bool ExecutorCore::has_work() const noexcept {
+  Clock::time_point due = Clock::time_point::max();
   const std::lock_guard lock(mutex_);
-  return has_work_here();
+  return has_work_here(due);
 }
 
 // --- sleep
@@ -212,9 +215,13 @@ bool ExecutorCore::arm_or_find_work() noexcept {
     listened.wait_set->arm();
     listened.is_armed = true;
   }
-  if (!has_work_here()) return false;
-  disarm();
-  return true;
+  Clock::time_point due = Clock::time_point::max();
+  if (has_work_here(due)) {
+    disarm();
+    return true;
+  }
+  tick_.tick_at(due);
+  return false;
 }
 
 void ExecutorCore::disarm() noexcept {
@@ -263,8 +270,12 @@ void ExecutorCore::wait(std::optional<std::chrono::milliseconds> timeout,
   {
     std::unique_lock lock(mutex_);
     if (is_asleep_) {
+      // The thread that sleeps has not seen the timers of the group that this one has freed.
+      Clock::time_point due = Clock::time_point::max();
+      if (has_work_here(due)) return;
+      tick_.tick_at(due);
       ++successors_;
-      passed_.wait(lock, [&, before = passed_on_] {
+      passed_->wait(lock, [&, before = passed_on_] {
         return passed_on_ != before || !is_asleep_ || is_cancelled();
       });
       --successors_;
@@ -280,9 +291,10 @@ void ExecutorCore::wait(std::optional<std::chrono::milliseconds> timeout,
 }
 
 void ExecutorCore::leave() noexcept {
+  if (is_forked_child()) return;  // the lock may belong to the parent
   const std::lock_guard lock(mutex_);
   ++passed_on_;
-  passed_.notify_all();
+  passed_->notify_all();
   wake();
 }
 

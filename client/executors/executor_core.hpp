@@ -20,12 +20,12 @@
 
 #include <agnocast/result.hpp>
 #include <base/descriptors/unique_fd.hpp>
+#include <base/undestroyed_condition.hpp>
 #include <client/executors/group_callbacks.hpp>
 #include <client/executors/sleep_tick.hpp>
 
 #include <atomic>
 #include <chrono>
-#include <condition_variable>
 #include <cstddef>
 #include <cstdint>
 #include <memory>
@@ -146,7 +146,7 @@ class ExecutorCore {
   void end_listening(const std::shared_ptr<WaitSet>& wait_set) noexcept;
   Claim begin_of_cycle();
   void pass_on() noexcept;
-  bool has_work_here() const noexcept;
+  bool has_work_here(Clock::time_point& due) const noexcept;
   bool arm_or_find_work() noexcept;
   void disarm() noexcept;
   void note_events(const struct epoll_event* events, int count) noexcept;
@@ -168,7 +168,7 @@ class ExecutorCore {
   bool is_asleep_ = false;       // a thread is in wait(), on the doorbells
   std::size_t successors_ = 0;   // threads in wait() that are not
   std::uint64_t passed_on_ = 0;  // how often one of them was asked to look
-  std::condition_variable passed_;
+  UndestroyedCondition passed_;
 };
 
 }  // namespace agnocast

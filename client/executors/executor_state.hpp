@@ -4,9 +4,11 @@
 #pragma once
 
 #include <agnocast/executor.hpp>
+#include <agnocast/heap.hpp>
 #include <client/executors/callback_groups.hpp>
 #include <client/executors/executor_core.hpp>
 #include <client/process/forked_child.hpp>
+#include <client/process/preparation.hpp>
 
 #include <atomic>
 #include <chrono>
@@ -35,6 +37,8 @@ struct Executor::State {
   /// Throws Error: shut_down (in a forked child), os_failure.
   static std::shared_ptr<ExecutorCore> make_core() {
     if (Result<void> refused = refuse_forked_child(); !refused) throw Error(refused.error());
+    if (Result<void> prepared = prepare_process(); !prepared) throw Error(prepared.error());
+    const LoanPause pause;  // it outlives any loan of this thread
     auto core = ExecutorCore::make();
     if (!core) throw Error(core.error());
     return std::move(*core);

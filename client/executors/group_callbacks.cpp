@@ -37,23 +37,17 @@ void GroupCallbacks::remove(CallbackSource& source, std::shared_ptr<const void> 
   lock.unlock();
 }
 
-const GroupCallbacks::Running* GroupCallbacks::running_elsewhere(
-    const CallbackSource& source) const noexcept {
-  const auto found = std::find_if(running_.begin(), running_.end(), [&](const Running& running) {
-    return running.source == &source && running.thread != std::this_thread::get_id();
-  });
-  return found != running_.end() ? &*found : nullptr;
-}
-
 /// Waits for one callback of the source. Returns false if there is none to wait for: no other
-/// thread runs one, or it waits for this thread, or exit() bounds the wait.
+/// thread runs one that does not wait for this thread, or exit() bounds the wait.
 bool GroupCallbacks::wait_for_end(const CallbackSource& source,
                                   std::unique_lock<std::mutex>& lock) noexcept {
-  const Running* const running = running_elsewhere(source);
-  if (running == nullptr) return false;
-  const std::thread::id other = running->thread;
   CallbackWaits& waits = CallbackWaits::instance();
-  if (!waits.begin(other, this)) return false;
+  const auto running = std::find_if(running_.begin(), running_.end(), [&](const Running& entry) {
+    return entry.source == &source && entry.thread != std::this_thread::get_id() &&
+           waits.begin(entry.thread, this);
+  });
+  if (running == running_.end()) return false;
+  const std::thread::id other = running->thread;
   const auto has_ended = [&] {
     return std::none_of(running_.begin(), running_.end(), [&](const Running& entry) {
       return entry.source == &source && entry.thread == other;
@@ -62,11 +56,17 @@ bool GroupCallbacks::wait_for_end(const CallbackSource& source,
   ++waiters_;
   bool ended = false;
   do {
-    ended = callback_ended_.wait_for(lock, ExitPatience::look, has_ended);
+    ended = callback_ended_->wait_for(lock, ExitPatience::look, has_ended);
   } while (!ended && !ExitPatience::is_over());
   --waiters_;
   waits.end();
   return ended;
+}
+
+void GroupCallbacks::wake() noexcept {
+  if (is_forked_child()) return;
+  const std::lock_guard lock(mutex_);
+  if (executor_ != nullptr) executor_->wake();
 }
 
 void GroupCallbacks::hand_to(ExecutorCore* executor) noexcept {
@@ -79,10 +79,11 @@ std::shared_ptr<CallbackSource> GroupCallbacks::begin(const ExecutorCore& execut
                                                       std::uint64_t cycle, bool is_alone) {
   const std::lock_guard lock(mutex_);
   if (executor_ != &executor) return {};
-  if (type_ == CallbackGroupType::MutuallyExclusive && !running_.empty()) return {};
+  if (!is_free()) return {};
   const bool by_taking = is_alone && sources_.size() == 1;
   for (const auto& source : sources_) {
-    if (source->cycle_ == cycle || (!by_taking && !source->has_work())) continue;
+    if (source->cycle_ == cycle || !is_free(*source) || (!by_taking && !source->has_work()))
+      continue;
     running_.push_back({source.get(), std::this_thread::get_id(), {}});
     source->cycle_ = cycle;
     return source;
@@ -101,21 +102,31 @@ void GroupCallbacks::end(const ExecutorCore& executor, const CallbackSource& sou
   running_.erase(ended);
   if (waiters_ != 0) {
     CallbackWaits::instance().end_of(this);
-    callback_ended_.notify_all();
+    callback_ended_->notify_all();
   }
   if (executor_ != nullptr && executor_ != &executor)
     executor_->wake();  // it has seen nothing meanwhile
 }
 
-bool GroupCallbacks::has_work(const ExecutorCore& executor) const noexcept {
+bool GroupCallbacks::has_work(const ExecutorCore& executor,
+                              CallbackSource::Clock::time_point& due) const noexcept {
   const std::lock_guard lock(mutex_);
-  return has_work_here(executor);
+  if (executor_ != &executor || !is_free()) return false;
+  return std::any_of(sources_.begin(), sources_.end(), [&](const auto& source) {
+    if (!is_free(*source)) return false;
+    if (source->has_work()) return true;
+    due = std::min(due, source->due());
+    return false;
+  });
 }
 
-bool GroupCallbacks::has_work_here(const ExecutorCore& executor) const noexcept {
-  return executor_ == &executor && (type_ == CallbackGroupType::Reentrant || running_.empty()) &&
-         std::any_of(sources_.begin(), sources_.end(),
-                     [](const auto& source) { return source->has_work(); });
+bool GroupCallbacks::is_free() const noexcept {
+  return type_ == CallbackGroupType::Reentrant || running_.empty();
+}
+bool GroupCallbacks::is_free(const CallbackSource& source) const noexcept {
+  return !source.is_serial_ ||
+         std::none_of(running_.begin(), running_.end(),
+                      [&](const Running& running) { return running.source == &source; });
 }
 
 }  // namespace agnocast

@@ -13,11 +13,12 @@
 #pragma once
 
 #include <agnocast/callback_group.hpp>
+#include <base/undestroyed_condition.hpp>
 #include <client/process/library_thread.hpp>
 #include <client/process/wait_set.hpp>
 
 #include <atomic>
-#include <condition_variable>
+#include <chrono>
 #include <cstddef>
 #include <cstdint>
 #include <memory>
@@ -30,15 +31,19 @@ namespace agnocast {
 
 class ExecutorCore;
 
-/// Owner of callbacks: a subscription, or the events of a publisher.
+/// Owner of callbacks: a subscription, the events of a publisher, or a timer.
 class CallbackSource {
  public:
-  CallbackSource() = default;
+  using Clock = std::chrono::steady_clock;
+  /// `is_serial`: run_one() never runs in two threads at once, not even in a reentrant group.
+  explicit CallbackSource(bool is_serial = false) noexcept : is_serial_(is_serial) {}
   CallbackSource(const CallbackSource&) = delete;
   CallbackSource& operator=(const CallbackSource&) = delete;
   virtual ~CallbackSource() = default;
 
   virtual bool has_work() const noexcept = 0;
+  /// When there will be work without a doorbell: the next time of a timer.
+  virtual Clock::time_point due() const noexcept { return Clock::time_point::max(); }
   /// Runs at most one callback; returns whether there was one. Throws what it throws. In a
   /// reentrant group several threads call it at once.
   virtual bool run_one() = 0;
@@ -50,6 +55,7 @@ class CallbackSource {
 
  private:
   friend class GroupCallbacks;
+  const bool is_serial_;
   std::uint64_t cycle_ = 0;  // of the executor: when it ran last. Under the group's mutex
 };
 
@@ -77,6 +83,9 @@ class GroupCallbacks {
     wait_set_ = std::move(wait_set);
   }
 
+  /// Ends the sleep of its executor: a source is due earlier than it was. Any thread.
+  void wake() noexcept;
+
   /// Null: nobody runs them. The executor hands it to another one before it is destroyed.
   void hand_to(ExecutorCore* executor) noexcept;
 
@@ -91,8 +100,10 @@ class GroupCallbacks {
                                         bool is_alone);
   /// In the thread that has begun it.
   void end(const ExecutorCore& executor, const CallbackSource& source) noexcept;
-  /// Returns whether a callback could begin.
-  bool has_work(const ExecutorCore& executor) const noexcept;
+  /// Returns whether a callback could begin; otherwise `due` becomes the time of a timer that
+  /// comes before it.
+  bool has_work(const ExecutorCore& executor,
+                CallbackSource::Clock::time_point& due) const noexcept;
 
  private:
   struct Running {
@@ -100,13 +111,14 @@ class GroupCallbacks {
     std::thread::id thread;
     std::shared_ptr<const void> until_end;
   };
-  const Running* running_elsewhere(const CallbackSource& source) const noexcept;  // under the mutex
+  // Under the mutex:
   bool wait_for_end(const CallbackSource& source, std::unique_lock<std::mutex>& lock) noexcept;
-  bool has_work_here(const ExecutorCore& executor) const noexcept;  // under the mutex
+  bool is_free() const noexcept;
+  bool is_free(const CallbackSource& source) const noexcept;
 
   const CallbackGroupType type_;
   mutable std::mutex mutex_;  // taken after that of the executor
-  std::condition_variable callback_ended_;
+  UndestroyedCondition callback_ended_;
   std::vector<std::shared_ptr<CallbackSource>> sources_;
   std::shared_ptr<WaitSet> wait_set_;
   ExecutorCore* executor_ = nullptr;

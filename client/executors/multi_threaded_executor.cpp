@@ -4,7 +4,6 @@
 #include <client/executors/spinning_threads.hpp>
 
 #include <algorithm>
-#include <atomic>
 #include <thread>
 
 namespace agnocast {
@@ -15,25 +14,9 @@ MultiThreadedExecutor::MultiThreadedExecutor(std::size_t threads)
 
 void MultiThreadedExecutor::spin() {
   const Spinning spinning(state());
-  ExecutorCore& core = *state().core;
   FirstException first;
-  const auto work = [&]() noexcept(false) {
-    const Leaving leaving(core);
-    first.guard([&] {
-      while (!core.is_cancelled() && !first) {
-        if (!core.run_next()) core.wait(std::nullopt);
-      }
-    });
-  };
-  core.share(true);
-  SpinningThreads threads(core);
-  first.guard([&] {
-    for (std::size_t i = 1; i < threads_; ++i) threads.start(work);
-  });
-  work();
-  threads.join();
-  core.share(false);
-  core.take_cancel();
+  first.guard([&] { SpinningThreads(*state().core).run(threads_ - 1, first); });
+  if (!first) state().core->take_cancel();
   first.rethrow();
 }
 

@@ -12,7 +12,7 @@
 // The kernel keeps a process as long as it has threads. If `main` has ended by pthread_exit(),
 // the process must end with the user's last thread: when none is left and no user code runs, the
 // library threads end, and with the last of them the process, as it would without the library.
-// The control thread checks that at its tick (look_for_users()).
+// The control thread and background executors check that when they wake (look_for_users()).
 #pragma once
 
 #include <base/signals.hpp>
@@ -76,8 +76,8 @@ class LibraryThread {
   static bool is_over() noexcept;
   /// Ends the threads whose sleep can be cancelled, because their doorbells are lost. Any thread.
   static void end_sleeps() noexcept;
-  /// For the control thread: ends all library threads if the user's last thread has ended. Checks
-  /// at most once a second; one system call while `main` lives.
+  /// For library threads that wake once a second: ends all library threads if the user's last
+  /// thread has ended. Checks at most once a second; one system call while `main` lives.
   static void look_for_users() noexcept;
 
  private:

@@ -68,7 +68,7 @@ bool is_inside_exit() noexcept {
 }  // namespace
 
 Result<void> end_user_code_at_exit() noexcept {
-  static bool is_registered = false;  // under the lock of connecting
+  static bool is_registered = false;  // under the lock of prepare_process()
   if (is_registered) return {};
   if (std::atexit([] { on_exit(); }) != 0)
     return fail(Errc::os_failure, "registering an exit handler");

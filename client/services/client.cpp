@@ -31,11 +31,13 @@ namespace {
 // stopped at that moment.
 constexpr std::chrono::milliseconds unnamed_look_first{1}, unnamed_look_last{100};
 
-/// Both callbacks run in the client's group.
+/// Both callbacks run in the client's group, one at a time: a server that ends while another
+/// thread handles its last response must not count as one that gives no response.
 class ReplyOptions : public SubscriptionOptions {
  public:
   ReplyOptions(const CallbackGroup::SharedPtr& group, std::function<void()> changed) {
     callback_group(group);
+    is_serial_ = true;
     events_.matched = [changed](MatchedInfo&) { changed(); };
     events_.drained = std::move(changed);
   }

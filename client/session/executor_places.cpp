@@ -33,9 +33,9 @@ Result<ExecutorPlaces::Next> ExecutorPlaces::next() {
     next.again = true;
   } else if (next_number_ == abi::executor_count_max) {
     static_assert(abi::executor_count_max == 56);
-    return fail(Errc::limit_reached,
-                "more than 56 nodes with callbacks in one process (polling subscriptions together "
-                "count as one)");
+    return fail(
+        Errc::limit_reached,
+        "all 56 wait sets of this process are in use, or have messages that are still held");
   } else {
     next.executor = next_number_++;
   }

@@ -12,6 +12,7 @@
 #include <base/memory/mapping.hpp>
 #include <client/process/forked_child.hpp>
 #include <client/process/library_thread.hpp>
+#include <client/process/preparation.hpp>
 #include <client/process/steps.hpp>
 #include <client/process/user_code.hpp>
 
@@ -46,9 +47,7 @@ Result<void> Context::connect() {
   if (Result<void> refused = refuse_after_exit(); !refused) return refused;
   const std::lock_guard lock(connecting_);
   if (state_.is_connected()) return {};
-  if (Result<void> known = recognise_forked_children(); !known) return known;
-  if (Result<void> ends = end_user_code_at_exit(); !ends) return ends;
-  LibraryThread::be_started_here();
+  if (Result<void> prepared = prepare_process(); !prepared) return prepared;
   if (Result<void> found = registration_.find_daemon(); !found) return found;
   if (Result<void> known = become_known(); !known) return known;
   state_.step(SessionState::Step::connected);

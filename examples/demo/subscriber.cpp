@@ -50,6 +50,8 @@ void say(const char* text) {
 int run(const char* name, bool with_latency, bool with_dds) {
   if (with_latency) leave_first_core();  // before anything makes a thread
   agnocast::Node node(name);
+  agnocast::BackgroundExecutor executor;  // this thread reads standard input
+  executor.add_node(node);
   Counts counts;
   // Keep-all with a small bound: nothing may be lost, so the publisher waits for the slower one.
   auto clouds = agnocast::create_subscription<Cloud>(

@@ -21,6 +21,7 @@
 #include <agnocast/service_name.hpp>
 #include <agnocast/shared_allocator.hpp>
 #include <agnocast/subscription.hpp>
+#include <agnocast/timer.hpp>
 #include <agnocast/version.hpp>
 
 #if __has_include(<rosidl_typesupport_introspection_cpp/message_introspection.hpp>)

@@ -69,6 +69,8 @@ class CallbackGroupOption {
 template <class Node>
 CallbackGroup::SharedPtr create_callback_group(
     Node&& node, CallbackGroupType type, bool automatically_add_to_executor_with_node = true) {
+  static_assert(!detail::is_rclcpp_node<detail::NodeOf<Node>>,
+                "agnocast: an rclcpp node makes rclcpp's callback groups");
   return detail::make_callback_group(detail::dereference(node).get_fully_qualified_name(), type,
                                      automatically_add_to_executor_with_node);
 }

@@ -243,12 +243,13 @@ class BasicClient : public ClientBase,
 
 template <class Made, class Kind, class Node>
 Result<std::shared_ptr<Made>> make_client(Node& node, const std::string& service, Kind kind,
-                                          const QoS& qos, const CallbackGroup::SharedPtr& group) {
+                                          const QoS& qos, const GroupOf<Node>& group) {
   const Result<EndpointName> name = resolve_service(dereference(node), service);
   if (!name) return tl::unexpected<Failure>(name.error());
   const Result<ServiceTypes> types = kind.types();
   if (!types) return tl::unexpected<Failure>(types.error());
-  auto untyped = UntypedClient::create(*name, *types, qos, kind.request_code().code(), group);
+  auto untyped = UntypedClient::create(*name, *types, qos, kind.request_code().code(),
+                                       AdapterOf<Node>::group(dereference(node), group));
   if (!untyped) return tl::unexpected<Failure>(untyped.error());
   return std::make_shared<Made>(std::move(*untyped), kind);
 }
@@ -273,15 +274,15 @@ class Client : public detail::BasicClient<detail::TypedService<ServiceT>> {
 template <class ServiceT, class Node>
 [[nodiscard]] Result<typename Client<ServiceT>::SharedPtr> try_create_client(
     Node&& node, const std::string& service, const QoS& qos = ServicesQoS(),
-    const CallbackGroup::SharedPtr& group = nullptr) {
+    const detail::GroupOf<Node>& group = nullptr) {
   return detail::make_client<Client<ServiceT>>(node, service, detail::TypedService<ServiceT>(), qos,
                                                group);
 }
 /// The same; throws Error.
 template <class ServiceT, class Node>
-typename Client<ServiceT>::SharedPtr create_client(
-    Node&& node, const std::string& service, const QoS& qos = ServicesQoS(),
-    const CallbackGroup::SharedPtr& group = nullptr) {
+typename Client<ServiceT>::SharedPtr create_client(Node&& node, const std::string& service,
+                                                   const QoS& qos = ServicesQoS(),
+                                                   const detail::GroupOf<Node>& group = nullptr) {
   auto client = try_create_client<ServiceT>(node, service, qos, group);
   if (!client) detail::throw_error(client.error());
   return std::move(*client);

@@ -45,12 +45,16 @@ class AGNOCAST_PUBLIC Executor {
   /// executor already), os_failure.
   template <class Node>
   void add_node(Node&& node, [[maybe_unused]] bool notify = true) {
+    static_assert(!detail::is_rclcpp_node<detail::NodeOf<Node>>,
+                  "agnocast: the callbacks of an rclcpp node run in rclcpp's executors");
     add_node_of_name(detail::dereference(node).get_fully_qualified_name());
   }
   /// A running callback ends where it is; no other one begins. Throws Error: invalid_argument (it
   /// is not in this executor).
   template <class Node>
   void remove_node(Node&& node, [[maybe_unused]] bool notify = true) {
+    static_assert(!detail::is_rclcpp_node<detail::NodeOf<Node>>,
+                  "agnocast: the callbacks of an rclcpp node run in rclcpp's executors");
     remove_node_of_name(detail::dereference(node).get_fully_qualified_name());
   }
 

@@ -292,7 +292,7 @@ template <class Node>
 Result<GenericSubscription::SharedPtr> make_generic_subscription(
     Node& node, const std::string& topic, const Result<MessageType>& type,
     const MessageMembers* members, const QoS& qos, GenericCallback callback,
-    const SubscriptionOptions& options) {
+    const SubscriptionOptionsOf<Node>& options) {
   if (!type) return tl::unexpected<Failure>(type.error());
   const Result<EndpointName> name = resolve(dereference(node), topic);
   if (!name) return tl::unexpected<Failure>(name.error());
@@ -302,8 +302,11 @@ Result<GenericSubscription::SharedPtr> make_generic_subscription(
       function(GenericMessage(ipc_shared_ptr<const std::byte>(block), members));
     };
   }
+  QoS used = qos;
+  const SubscriptionOptions& adapted =
+      AdapterOf<Node>::options(dereference(node), *name, used, options);
   auto untyped =
-      UntypedSubscription::create(*name, *type, qos, options, std::move(untyped_callback));
+      UntypedSubscription::create(*name, *type, used, adapted, std::move(untyped_callback));
   if (!untyped) return tl::unexpected<Failure>(untyped.error());
   return std::make_shared<GenericSubscription>(std::move(*untyped), members);
 }
@@ -314,14 +317,17 @@ Result<GenericSubscription::SharedPtr> make_generic_subscription(
 template <class Node>
 [[nodiscard]] Result<GenericPublisher::SharedPtr> try_create_generic_publisher(
     Node&& node, const std::string& topic, const IntrospectedType& type, const QoS& qos,
-    const PublisherOptions& options = {}) {
+    const detail::PublisherOptionsOf<Node>& options = {}) {
   Result<detail::EndpointName> name = detail::resolve(detail::dereference(node), topic);
   if (!name) return tl::unexpected<Failure>(name.error());
   Result<MessageType> message_type = type.message_type();
   if (!message_type) return tl::unexpected<Failure>(message_type.error());
   const detail::MessageCode code{detail::EndByTable::of(type.members()), false};
+  QoS used = qos;
+  const PublisherOptions& adapted =
+      detail::AdapterOf<Node>::options(detail::dereference(node), *name, used, options);
   auto untyped =
-      detail::UntypedPublisher::create(*name, std::move(*message_type), qos, options, code);
+      detail::UntypedPublisher::create(*name, std::move(*message_type), used, adapted, code);
   if (!untyped) return tl::unexpected<Failure>(untyped.error());
   return std::make_shared<GenericPublisher>(std::move(*untyped), type.members());
 }
@@ -329,7 +335,7 @@ template <class Node>
 template <class Node>
 [[nodiscard]] Result<GenericPublisher::SharedPtr> try_create_generic_publisher(
     Node&& node, const std::string& topic, const std::string& type, const QoS& qos,
-    const PublisherOptions& options = {}) {
+    const detail::PublisherOptionsOf<Node>& options = {}) {
   const auto found = try_find_message_type(type);
   if (!found) return tl::unexpected<Failure>(found.error());
   return try_create_generic_publisher(node, topic, *found, qos, options);
@@ -340,7 +346,7 @@ template <class Node>
 template <class Node>
 [[nodiscard]] Result<GenericSubscription::SharedPtr> try_create_generic_subscription(
     Node&& node, const std::string& topic, const IntrospectedType& type, const QoS& qos,
-    GenericCallback callback = nullptr, const SubscriptionOptions& options = {}) {
+    GenericCallback callback = nullptr, const detail::SubscriptionOptionsOf<Node>& options = {}) {
   return detail::make_generic_subscription(node, topic, type.message_type(), &type.members(), qos,
                                            std::move(callback), options);
 }
@@ -348,7 +354,7 @@ template <class Node>
 template <class Node>
 [[nodiscard]] Result<GenericSubscription::SharedPtr> try_create_generic_subscription(
     Node&& node, const std::string& topic, const std::string& type, const QoS& qos,
-    GenericCallback callback = nullptr, const SubscriptionOptions& options = {}) {
+    GenericCallback callback = nullptr, const detail::SubscriptionOptionsOf<Node>& options = {}) {
   const auto found = try_find_message_type(type);
   if (!found) return tl::unexpected<Failure>(found.error());
   return try_create_generic_subscription(node, topic, *found, qos, std::move(callback), options);
@@ -359,7 +365,7 @@ template <class Node>
 template <class Node>
 [[nodiscard]] Result<GenericSubscription::SharedPtr> try_create_generic_subscription(
     Node&& node, const std::string& topic, const TypeIdentity& identity, const QoS& qos,
-    GenericCallback callback = nullptr, const SubscriptionOptions& options = {}) {
+    GenericCallback callback = nullptr, const detail::SubscriptionOptionsOf<Node>& options = {}) {
   return detail::make_generic_subscription(node, topic, detail::make_named_type(identity), nullptr,
                                            qos, std::move(callback), options);
 }
@@ -367,9 +373,9 @@ template <class Node>
 /// The same; these throw Error. `type`: a name, an IntrospectedType, and for subscriptions a
 /// TypeIdentity.
 template <class Node, class Type>
-GenericPublisher::SharedPtr create_generic_publisher(Node&& node, const std::string& topic,
-                                                     const Type& type, const QoS& qos,
-                                                     const PublisherOptions& options = {}) {
+GenericPublisher::SharedPtr create_generic_publisher(
+    Node&& node, const std::string& topic, const Type& type, const QoS& qos,
+    const detail::PublisherOptionsOf<Node>& options = {}) {
   auto publisher = try_create_generic_publisher(node, topic, type, qos, options);
   if (!publisher) detail::throw_error(publisher.error());
   return std::move(*publisher);
@@ -377,7 +383,7 @@ GenericPublisher::SharedPtr create_generic_publisher(Node&& node, const std::str
 template <class Node, class Type>
 GenericSubscription::SharedPtr create_generic_subscription(
     Node&& node, const std::string& topic, const Type& type, const QoS& qos,
-    GenericCallback callback = nullptr, const SubscriptionOptions& options = {}) {
+    GenericCallback callback = nullptr, const detail::SubscriptionOptionsOf<Node>& options = {}) {
   auto subscription =
       try_create_generic_subscription(node, topic, type, qos, std::move(callback), options);
   if (!subscription) detail::throw_error(subscription.error());

@@ -158,7 +158,7 @@ template <class Node, class Callback>
 [[nodiscard]] Result<GenericService::SharedPtr> try_create_generic_service(
     Node&& node, const std::string& service, const IntrospectedServiceType& type,
     Callback&& callback, const QoS& qos = ServicesQoS(),
-    const CallbackGroup::SharedPtr& group = nullptr) {
+    const detail::GroupOf<Node>& group = nullptr) {
   return detail::make_service<GenericService>(node, service, detail::GenericServiceKind(type),
                                               std::forward<Callback>(callback), qos, group);
 }
@@ -166,7 +166,7 @@ template <class Node, class Callback>
 template <class Node, class Callback>
 [[nodiscard]] Result<GenericService::SharedPtr> try_create_generic_service(
     Node&& node, const std::string& service, const std::string& type, Callback&& callback,
-    const QoS& qos = ServicesQoS(), const CallbackGroup::SharedPtr& group = nullptr) {
+    const QoS& qos = ServicesQoS(), const detail::GroupOf<Node>& group = nullptr) {
   const auto found = try_find_service_type(type);
   if (!found) return tl::unexpected<Failure>(found.error());
   return try_create_generic_service(node, service, *found, std::forward<Callback>(callback), qos,
@@ -177,7 +177,7 @@ template <class Node, class Callback>
 template <class Node>
 [[nodiscard]] Result<GenericClient::SharedPtr> try_create_generic_client(
     Node&& node, const std::string& service, const IntrospectedServiceType& type,
-    const QoS& qos = ServicesQoS(), const CallbackGroup::SharedPtr& group = nullptr) {
+    const QoS& qos = ServicesQoS(), const detail::GroupOf<Node>& group = nullptr) {
   return detail::make_client<GenericClient>(node, service, detail::GenericServiceKind(type), qos,
                                             group);
 }
@@ -185,7 +185,7 @@ template <class Node>
 template <class Node>
 [[nodiscard]] Result<GenericClient::SharedPtr> try_create_generic_client(
     Node&& node, const std::string& service, const std::string& type,
-    const QoS& qos = ServicesQoS(), const CallbackGroup::SharedPtr& group = nullptr) {
+    const QoS& qos = ServicesQoS(), const detail::GroupOf<Node>& group = nullptr) {
   const auto found = try_find_service_type(type);
   if (!found) return tl::unexpected<Failure>(found.error());
   return try_create_generic_client(node, service, *found, qos, group);
@@ -196,7 +196,7 @@ template <class Node, class Type, class Callback>
 GenericService::SharedPtr create_generic_service(Node&& node, const std::string& service,
                                                  const Type& type, Callback&& callback,
                                                  const QoS& qos = ServicesQoS(),
-                                                 const CallbackGroup::SharedPtr& group = nullptr) {
+                                                 const detail::GroupOf<Node>& group = nullptr) {
   auto made =
       try_create_generic_service(node, service, type, std::forward<Callback>(callback), qos, group);
   if (!made) detail::throw_error(made.error());
@@ -205,7 +205,7 @@ GenericService::SharedPtr create_generic_service(Node&& node, const std::string&
 template <class Node, class Type>
 GenericClient::SharedPtr create_generic_client(Node&& node, const std::string& service,
                                                const Type& type, const QoS& qos = ServicesQoS(),
-                                               const CallbackGroup::SharedPtr& group = nullptr) {
+                                               const detail::GroupOf<Node>& group = nullptr) {
   auto made = try_create_generic_client(node, service, type, qos, group);
   if (!made) detail::throw_error(made.error());
   return std::move(*made);

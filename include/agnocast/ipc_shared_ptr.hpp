@@ -11,6 +11,7 @@
 #include <atomic>
 #include <cstddef>
 #include <cstdint>
+#include <memory>
 #include <type_traits>
 #include <utility>
 
@@ -105,5 +106,13 @@ class ipc_shared_ptr {
 
   detail::Block* block_ = nullptr;
 };
+
+/// Returns the message as a std::shared_ptr, for code that takes one: it is held as long as copies
+/// live. One allocation. Throws std::bad_alloc.
+template <class T>
+std::shared_ptr<T> to_shared_ptr(ipc_shared_ptr<T> message) {
+  T* const object = message.get();
+  return std::shared_ptr<T>(object, [held = std::move(message)](T*) mutable { held.reset(); });
+}
 
 }  // namespace agnocast

@@ -13,7 +13,9 @@
 #include <agnocast/result.hpp>
 #include <agnocast/service.hpp>
 #include <agnocast/subscription.hpp>
+#include <agnocast/timer.hpp>
 
+#include <chrono>
 #include <memory>
 #include <string>
 #include <type_traits>
@@ -99,11 +101,17 @@ class AGNOCAST_PUBLIC Node {
   [[nodiscard]] Result<std::string> try_resolve_service_name(const std::string& service) const;
   std::string resolve_service_name(const std::string& service) const;
 
-  /// The functions below are the free functions of callback_group.hpp, publisher.hpp,
+  /// The functions below are the free functions of callback_group.hpp, timer.hpp, publisher.hpp,
   /// subscription.hpp, service.hpp and client.hpp. They throw Error.
   CallbackGroup::SharedPtr create_callback_group(
       CallbackGroupType type, bool automatically_add_to_executor_with_node = true) {
     return agnocast::create_callback_group(*this, type, automatically_add_to_executor_with_node);
+  }
+  template <class Rep, class Period, class Callback>
+  WallTimer::SharedPtr create_wall_timer(std::chrono::duration<Rep, Period> period,
+                                         Callback&& callback,
+                                         const CallbackGroup::SharedPtr& group = nullptr) {
+    return agnocast::create_wall_timer(*this, period, std::forward<Callback>(callback), group);
   }
   template <class T>
   typename Publisher<T>::SharedPtr create_publisher(const std::string& topic, const QoS& qos,

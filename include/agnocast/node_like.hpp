@@ -55,6 +55,54 @@ auto& dereference(Node& node) noexcept {
   }
 }
 
+/// The type of the node itself, for a node by reference, pointer or shared pointer.
+template <class Node>
+using NodeOf =
+    std::remove_cv_t<std::remove_reference_t<decltype(dereference(std::declval<Node&>()))>>;
+
+template <class Node, class = void>
+inline constexpr bool has_base_interface = false;
+template <class Node>
+inline constexpr bool has_base_interface<
+    Node, std::void_t<decltype(std::declval<Node&>().get_node_base_interface())>> = true;
+template <class Node, class = void>
+inline constexpr bool is_base_interface = false;
+template <class Node>
+inline constexpr bool
+    is_base_interface<Node, std::void_t<decltype(std::declval<Node&>().get_rcl_node_handle())>> =
+        true;
+/// Whether the callbacks of this node type belong to rclcpp's callback groups and executors: an
+/// rclcpp::Node, a lifecycle node, or the interface that rclcpp's executors take.
+template <class Node>
+inline constexpr bool is_rclcpp_node = has_base_interface<Node> || is_base_interface<Node>;
+
+template <class Node, class = void>
+inline constexpr bool has_sub_namespace = false;
+template <class Node>
+inline constexpr bool
+    has_sub_namespace<Node, std::void_t<decltype(std::declval<Node&>().get_sub_namespace())>> =
+        true;
+
+/// Returns the fully qualified name; a lifecycle node has it in its base interface only.
+template <class Node>
+std::string name_of(Node& node) {
+  if constexpr (has_base_interface<Node>) {
+    return node.get_node_base_interface()->get_fully_qualified_name();
+  } else {
+    return node.get_fully_qualified_name();
+  }
+}
+/// Returns `name` as an rclcpp node made by create_sub_node() means it.
+template <class Node>
+std::string in_sub_namespace(Node& node, const std::string& name) {
+  if constexpr (has_sub_namespace<Node>) {
+    const std::string prefix = node.get_sub_namespace();
+    const bool is_relative = !name.empty() && name.front() != '/' && name.front() != '~';
+    if (is_relative && !prefix.empty()) return prefix + '/' + name;
+  }
+  return name;
+}
+
 /// How to get the full name of a topic, or of a service, from a node: through the interface of an
 /// rclcpp::Node, a member that returns a Result, or one that throws; else by the rules alone.
 struct TopicNames {
@@ -116,9 +164,10 @@ inline constexpr bool has_resolve<
 
 /// Resolves `name` as `node` would: with its remappings if it has any, else by the rules alone.
 template <class Names, class Node>
-[[nodiscard]] Result<EndpointName> resolve_as(Node& node, const std::string& name) {
+[[nodiscard]] Result<EndpointName> resolve_as(Node& node, const std::string& of_node) {
   EndpointName resolved;
-  resolved.node = node.get_fully_qualified_name();
+  resolved.node = name_of(node);
+  const std::string name = in_sub_namespace(node, of_node);
   const auto ask = [&](auto& names) -> Result<void> {
 #if defined(__cpp_exceptions)
     try {

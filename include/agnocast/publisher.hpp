@@ -10,6 +10,7 @@
 #include <agnocast/ipc_shared_ptr.hpp>
 #include <agnocast/message_type.hpp>
 #include <agnocast/message_windows.hpp>
+#include <agnocast/node_adapter.hpp>
 #include <agnocast/node_like.hpp>
 #include <agnocast/qos.hpp>
 #include <agnocast/residency.hpp>
@@ -484,13 +485,17 @@ class Publisher : public detail::LendingPublisher<T, detail::TypedCode<T>> {
 /// (include/agnocast/error.hpp).
 template <class T, class Node>
 [[nodiscard]] Result<typename Publisher<T>::SharedPtr> try_create_publisher(
-    Node&& node, const std::string& topic, const QoS& qos, const PublisherOptions& options = {}) {
+    Node&& node, const std::string& topic, const QoS& qos,
+    const detail::PublisherOptionsOf<Node>& options = {}) {
   Result<detail::EndpointName> name = detail::resolve(detail::dereference(node), topic);
   if (!name) return tl::unexpected<Failure>(name.error());
   Result<MessageType> type = message_type_of<T>();
   if (!type) return tl::unexpected<Failure>(type.error());
+  QoS used = qos;
+  const PublisherOptions& adapted =
+      detail::AdapterOf<Node>::options(detail::dereference(node), *name, used, options);
   auto untyped = detail::UntypedPublisher::create(
-      *name, std::move(*type), qos, options,
+      *name, std::move(*type), used, adapted,
       detail::MessageCode{detail::MessageEnd::of<T>(), std::is_base_of_v<SharedMessage, T>});
   if (!untyped) return tl::unexpected<Failure>(untyped.error());
   return std::make_shared<Publisher<T>>(std::move(*untyped));
@@ -498,9 +503,9 @@ template <class T, class Node>
 
 /// The same; throws agnocast::Error.
 template <class T, class Node>
-typename Publisher<T>::SharedPtr create_publisher(Node&& node, const std::string& topic,
-                                                  const QoS& qos,
-                                                  const PublisherOptions& options = {}) {
+typename Publisher<T>::SharedPtr create_publisher(
+    Node&& node, const std::string& topic, const QoS& qos,
+    const detail::PublisherOptionsOf<Node>& options = {}) {
   auto publisher = try_create_publisher<T>(node, topic, qos, options);
   if (!publisher) detail::throw_error(publisher.error());
   return std::move(*publisher);

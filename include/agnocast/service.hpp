@@ -227,14 +227,14 @@ class BasicService {
 template <class Made, class Kind, class Node, class Callback>
 Result<std::shared_ptr<Made>> make_service(Node& node, const std::string& service, Kind kind,
                                            Callback&& callback, const QoS& qos,
-                                           const CallbackGroup::SharedPtr& group) {
+                                           const GroupOf<Node>& group) {
   const Result<EndpointName> name = resolve_service(dereference(node), service);
   if (!name) return tl::unexpected<Failure>(name.error());
   const Result<ServiceTypes> types = kind.types();
   if (!types) return tl::unexpected<Failure>(types.error());
-  auto untyped =
-      UntypedService::create(*name, *types, qos, kind.response_code().code(),
-                             erase_service(kind, std::forward<Callback>(callback)), group);
+  auto untyped = UntypedService::create(*name, *types, qos, kind.response_code().code(),
+                                        erase_service(kind, std::forward<Callback>(callback)),
+                                        AdapterOf<Node>::group(dereference(node), group));
   if (!untyped) return tl::unexpected<Failure>(untyped.error());
   return std::make_shared<Made>(std::move(*untyped), kind);
 }
@@ -263,15 +263,16 @@ class Service : public detail::BasicService<detail::TypedService<ServiceT>> {
 template <class ServiceT, class Node, class Callback>
 [[nodiscard]] Result<typename Service<ServiceT>::SharedPtr> try_create_service(
     Node&& node, const std::string& service, Callback&& callback, const QoS& qos = ServicesQoS(),
-    const CallbackGroup::SharedPtr& group = nullptr) {
+    const detail::GroupOf<Node>& group = nullptr) {
   return detail::make_service<Service<ServiceT>>(node, service, detail::TypedService<ServiceT>(),
                                                  std::forward<Callback>(callback), qos, group);
 }
 /// The same; throws Error.
 template <class ServiceT, class Node, class Callback>
-typename Service<ServiceT>::SharedPtr create_service(
-    Node&& node, const std::string& service, Callback&& callback, const QoS& qos = ServicesQoS(),
-    const CallbackGroup::SharedPtr& group = nullptr) {
+typename Service<ServiceT>::SharedPtr create_service(Node&& node, const std::string& service,
+                                                     Callback&& callback,
+                                                     const QoS& qos = ServicesQoS(),
+                                                     const detail::GroupOf<Node>& group = nullptr) {
   auto made =
       try_create_service<ServiceT>(node, service, std::forward<Callback>(callback), qos, group);
   if (!made) detail::throw_error(made.error());

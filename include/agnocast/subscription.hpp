@@ -9,6 +9,7 @@
 #include <agnocast/events.hpp>
 #include <agnocast/ipc_shared_ptr.hpp>
 #include <agnocast/message_type.hpp>
+#include <agnocast/node_adapter.hpp>
 #include <agnocast/node_like.hpp>
 #include <agnocast/qos.hpp>
 #include <agnocast/result.hpp>
@@ -54,6 +55,10 @@ class SubscriptionOptions : public detail::EventOptions<SubscriptionOptions>,
     return depth_per_publisher_ = wanted, *this;
   }
   bool is_depth_per_publisher() const noexcept { return depth_per_publisher_; }
+  bool is_serial() const noexcept { return is_serial_; }
+
+ protected:
+  bool is_serial_ = false;  // one callback at a time, also in a reentrant group
 
  private:
   std::size_t hold_quota_ = 64;
@@ -115,38 +120,48 @@ class AGNOCAST_PUBLIC UntypedSubscription {
   bool has_ended_ = false;
 };
 
-template <class Callback, class T>
-inline constexpr bool takes_message =
-    std::is_invocable_v<Callback&, ipc_shared_ptr<T>> ||
-    std::is_invocable_v<Callback&, ipc_shared_ptr<T>, const MessageInfo&>;
+template <class Function, class Argument>
+struct Takes : std::bool_constant<std::is_invocable_v<Function&, Argument> ||
+                                  std::is_invocable_v<Function&, Argument, const MessageInfo&>> {};
 
-/// The accepted callbacks of create_subscription for messages of type T.
-template <class T, class Callback>
-inline constexpr bool is_callback = takes_message<std::remove_reference_t<Callback>, const T> ||
-                                    takes_message<std::remove_reference_t<Callback>, T>;
+/// The accepted callbacks of create_subscription for messages of type T. A form is tried only if
+/// none before it fits, because that instantiates a generic lambda.
+template <class T, class Callback, class Function = std::remove_reference_t<Callback>>
+inline constexpr bool is_callback =
+    std::disjunction_v<Takes<Function, ipc_shared_ptr<const T>>, Takes<Function, ipc_shared_ptr<T>>,
+                       Takes<Function, const T&>, Takes<Function, std::shared_ptr<const T>>>;
 
-template <class Message, class Callback>
-void call(Callback& callback, Block* block) {
-  if constexpr (std::is_invocable_v<Callback&, ipc_shared_ptr<Message>>) {
-    callback(ipc_shared_ptr<Message>(block));
-  } else {
-    const MessageInfo info = block->info;  // the callback may release the message first
-    callback(ipc_shared_ptr<Message>(block), info);
-  }
-}
-
-/// Wraps a user's callback: passes ipc_shared_ptr<const T> if the callback accepts it, else
-/// ipc_shared_ptr<T> (usual in rclcpp; the memory is read-only all the same).
+/// Wraps a user's callback: passes the first of ipc_shared_ptr<const T>, ipc_shared_ptr<T> (the
+/// memory is read-only all the same), const T& and std::shared_ptr<const T> that it accepts.
 template <class T, class Callback>
 UntypedSubscription::Callback erase(Callback&& callback) {
   static_assert(is_callback<T, Callback>,
-                "a subscription's callback takes agnocast::ipc_shared_ptr<const T> or "
-                "agnocast::ipc_shared_ptr<T>, and after it a const agnocast::MessageInfo& if it "
-                "wants one");
+                "a subscription's callback takes agnocast::ipc_shared_ptr<const T>, "
+                "agnocast::ipc_shared_ptr<T>, const T& or std::shared_ptr<const T>, and after it a "
+                "const agnocast::MessageInfo& if it wants one");
   return [function = std::forward<Callback>(callback)](Block* block) mutable {
     using Function = decltype(function);
-    using Message = std::conditional_t<takes_message<Function, const T>, const T, T>;
-    call<Message>(function, block);
+    const MessageInfo info = block->info;  // the callback may release the message first
+    const auto call = [&](auto&& message) {
+      using Message = decltype(message);
+      if constexpr (std::is_invocable_v<Function&, Message>) {
+        function(std::forward<Message>(message));
+      } else {
+        function(std::forward<Message>(message), info);
+      }
+    };
+    if constexpr (Takes<Function, ipc_shared_ptr<const T>>::value) {
+      call(ipc_shared_ptr<const T>(block));
+    } else if constexpr (Takes<Function, ipc_shared_ptr<T>>::value) {
+      call(ipc_shared_ptr<T>(block));
+    } else {
+      ipc_shared_ptr<const T> message(block);
+      if constexpr (Takes<Function, const T&>::value) {
+        call(*message);
+      } else {
+        call(to_shared_ptr(std::move(message)));
+      }
+    }
   };
 }
 
@@ -268,12 +283,15 @@ template <class Made, class T, class Node>
 Result<std::shared_ptr<Made>> make_subscription(Node& node, const std::string& topic,
                                                 const QoS& qos,
                                                 UntypedSubscription::Callback callback,
-                                                const SubscriptionOptions& options) {
+                                                const SubscriptionOptionsOf<Node>& options) {
   Result<EndpointName> name = resolve(dereference(node), topic);
   if (!name) return tl::unexpected<Failure>(name.error());
   const Result<MessageType> type = message_type_of<T>();
   if (!type) return tl::unexpected<Failure>(type.error());
-  auto untyped = UntypedSubscription::create(*name, *type, qos, options, std::move(callback));
+  QoS used = qos;
+  const SubscriptionOptions& adapted =
+      AdapterOf<Node>::options(dereference(node), *name, used, options);
+  auto untyped = UntypedSubscription::create(*name, *type, used, adapted, std::move(callback));
   if (!untyped) return tl::unexpected<Failure>(untyped.error());
   return std::make_shared<Made>(std::move(*untyped));
 }
@@ -284,10 +302,11 @@ Result<std::shared_ptr<Made>> make_subscription(Node& node, const std::string& t
 /// group. `callback` takes ipc_shared_ptr<const T> (or of T), by value, const reference
 /// or rvalue, and optionally a const MessageInfo&.
 template <class T, class Node, class Callback,
-          class = std::enable_if_t<!std::is_same_v<std::decay_t<Callback>, SubscriptionOptions>>>
+          class = std::enable_if_t<
+              !std::is_convertible_v<Callback, const detail::SubscriptionOptionsOf<Node>&>>>
 [[nodiscard]] Result<typename Subscription<T>::SharedPtr> try_create_subscription(
     Node&& node, const std::string& topic, const QoS& qos, Callback&& callback,
-    const SubscriptionOptions& options = {}) {
+    const detail::SubscriptionOptionsOf<Node>& options = {}) {
   return detail::make_subscription<Subscription<T>, T>(
       node, topic, qos, detail::erase<T>(std::forward<Callback>(callback)), options);
 }
@@ -295,16 +314,17 @@ template <class T, class Node, class Callback,
 template <class T, class Node>
 [[nodiscard]] Result<typename PollingSubscriber<T>::SharedPtr> try_create_subscription(
     Node&& node, const std::string& topic, const QoS& qos,
-    const SubscriptionOptions& options = {}) {
+    const detail::SubscriptionOptionsOf<Node>& options = {}) {
   return detail::make_subscription<PollingSubscriber<T>, T>(node, topic, qos, nullptr, options);
 }
 
 /// The same; these throw agnocast::Error.
 template <class T, class Node, class Callback,
-          class = std::enable_if_t<!std::is_same_v<std::decay_t<Callback>, SubscriptionOptions>>>
-typename Subscription<T>::SharedPtr create_subscription(Node&& node, const std::string& topic,
-                                                        const QoS& qos, Callback&& callback,
-                                                        const SubscriptionOptions& options = {}) {
+          class = std::enable_if_t<
+              !std::is_convertible_v<Callback, const detail::SubscriptionOptionsOf<Node>&>>>
+typename Subscription<T>::SharedPtr create_subscription(
+    Node&& node, const std::string& topic, const QoS& qos, Callback&& callback,
+    const detail::SubscriptionOptionsOf<Node>& options = {}) {
   auto subscription =
       try_create_subscription<T>(node, topic, qos, std::forward<Callback>(callback), options);
   if (!subscription) detail::throw_error(subscription.error());
@@ -313,7 +333,7 @@ typename Subscription<T>::SharedPtr create_subscription(Node&& node, const std::
 template <class T, class Node>
 typename PollingSubscriber<T>::SharedPtr create_subscription(
     Node&& node, const std::string& topic, const QoS& qos,
-    const SubscriptionOptions& options = {}) {
+    const detail::SubscriptionOptionsOf<Node>& options = {}) {
   auto subscription = try_create_subscription<T>(node, topic, qos, options);
   if (!subscription) detail::throw_error(subscription.error());
   return std::move(*subscription);

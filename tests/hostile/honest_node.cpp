@@ -25,6 +25,7 @@
 #include <base/clock.hpp>
 #include <tests/hostile/messages.hpp>
 #include <tests/support/processes/plain_node.hpp>
+#include <tests/support/processes/spun.hpp>
 
 #include <grp.h>
 #include <sched.h>
@@ -213,7 +214,7 @@ class HonestNode {
     if (thread_.joinable()) thread_.join();
   }
 
-  PlainNode node_;
+  Spun<PlainNode> node_;
   std::atomic<std::uint64_t> published_{0}, refused_{0}, received_{0}, wrong_{0};
   std::atomic<std::uint64_t> seen_{0}, low_{~std::uint64_t{0}}, high_{0}, sum_{0};
   std::atomic<const char*> refusal_{""};

@@ -17,6 +17,7 @@
 #include <agnocast/relay.hpp>
 #include <tests/hostile/messages.hpp>
 #include <tests/support/processes/plain_node.hpp>
+#include <tests/support/processes/spun.hpp>
 
 #include <std_msgs/msg/string.hpp>
 
@@ -111,7 +112,7 @@ class RelayNode {
     if (text.find_first_not_of('h') != std::string::npos) ++strange_;
   }
 
-  PlainNode node_;
+  Spun<PlainNode> node_;
   std::atomic<std::uint64_t> read_{0}, relayed_{0}, refused_{0}, strange_{0};
   Subscription<Numbered>::SharedPtr secret_;
   GenericSubscription::SharedPtr rumor_;

@@ -27,6 +27,7 @@
 #include <tests/recovery/sweep_parcel.hpp>
 #include <tests/support/crash/crash_point.hpp>
 #include <tests/support/processes/actor.hpp>
+#include <tests/support/processes/spun.hpp>
 
 #include <fcntl.h>
 #include <grp.h>
@@ -275,7 +276,7 @@ class Actor {
     return "ok";
   }
 
-  test::ActorNode node_{"actor"};
+  test::Spun<test::ActorNode> node_{"actor"};
   std::map<std::uint64_t, OwnPublisher> publishers_;
   std::map<std::uint64_t, Subscription<Parcel>::SharedPtr> subscriptions_;
   std::map<std::uint64_t, Callback> callbacks_;

@@ -20,6 +20,7 @@
 //   QOS: a depth, then t (transient local), a (keep-all)
 
 #include <tests/support/processes/actor.hpp>
+#include <tests/support/processes/spun.hpp>
 #include <tests/system/sheaf.hpp>
 
 #include <agnocast/agnocast.hpp>
@@ -180,7 +181,7 @@ class Mortal {
     return asked ? "ok" : "refused " + text_of(asked.error());
   }
 
-  ActorNode node_{"mortal"};
+  Spun<ActorNode> node_{"mortal"};
   Publisher<Sheaf>::SharedPtr publisher_;
   Subscription<Sheaf>::SharedPtr subscription_;
   std::vector<Held> held_;

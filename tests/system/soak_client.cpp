@@ -13,7 +13,11 @@ class Mayfly {
  public:
   Mayfly(Here here, std::uint64_t seed)
       : here_(here), random_(seed), node_("mayfly"), assigned_(random_.chance(50)) {
-    if (assigned_) executor_.emplace().add_node(node_);
+    if (assigned_) {
+      executor_.emplace().add_node(node_);
+    } else {
+      background_.emplace().add_node(node_);
+    }
   }
 
   void live() {
@@ -82,6 +86,7 @@ class Mayfly {
   Node node_;
   const bool assigned_;
   std::optional<SingleThreadedExecutor> executor_;
+  std::optional<BackgroundExecutor> background_;
   std::vector<std::unique_ptr<Writer>> writers_;
   std::vector<std::unique_ptr<Reader>> readers_;
   std::deque<Held> outliving_;
@@ -91,7 +96,9 @@ class Mayfly {
 
 class Resident {
  public:
-  Resident(Here here, std::uint64_t seed) : here_(here), random_(seed), node_("resident") {}
+  Resident(Here here, std::uint64_t seed) : here_(here), random_(seed), node_("resident") {
+    executor_.add_node(node_);
+  }
 
   void live() {
     for (std::uint64_t i = 0; i < static_cast<std::uint64_t>(SoakTopic::count); ++i) {
@@ -183,6 +190,7 @@ class Resident {
   Here here_;
   Random random_;
   Node node_;
+  BackgroundExecutor executor_;
   std::vector<std::unique_ptr<Reader>> readers_;
   std::vector<std::unique_ptr<Writer>> writers_;
   bool is_writing_ = false;

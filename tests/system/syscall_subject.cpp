@@ -20,6 +20,7 @@
 #include <atomic>
 #include <cstdint>
 #include <iostream>
+#include <optional>
 #include <sstream>
 #include <string>
 
@@ -49,6 +50,7 @@ class Subject {
     if (what == "sub")
       return subscription_ = create_subscription<Specimen>(node_, "/traced", QoS(100)), "ok";
     if (what == "callback") {
+      executor_.emplace().add_node(node_);
       subscription_ = create_subscription<Specimen>(
           node_, "/traced", QoS(100),
           [this](const ipc_shared_ptr<const Specimen>&) { received_.fetch_add(1); });
@@ -110,6 +112,7 @@ class Subject {
   }
 
   Node node_;
+  std::optional<BackgroundExecutor> executor_;
   std::uint64_t next_ = 0;
   Publisher<Specimen>::SharedPtr publisher_;
   Subscription<Specimen>::SharedPtr subscription_;

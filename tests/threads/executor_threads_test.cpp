@@ -3,7 +3,7 @@
 // Goal: groups of callbacks move from executor to executor without a race, a lost wake-up, or two
 // callbacks of an exclusive group at a time, with any number of threads; a thread that does not
 // run them keeps sleeping.
-// Method: the executors' core and the library's thread without daemon and client; a source of
+// Method: the executors' core and background threads without daemon and client; a source of
 // callbacks is a queue that threads of this test fill. They ring like a publisher: only an armed
 // sleep word, once for each of its values, through the real doorbells. The test adds no
 // synchronisation beyond what the code under test promises, so ThreadSanitizer sees what it lacks.
@@ -295,6 +295,7 @@ TEST(ExecutorThreads, ExecutorsThatShareAWaitSetAreAllWoken) {
 
 /// Counts what it runs without any lock. Its callbacks take some time.
 struct Counter final : CallbackSource {
+  explicit Counter(bool is_serial = false) : CallbackSource(is_serial) {}
   std::atomic<std::uint64_t> wanted{0}, run{0};
   std::uint64_t unguarded = 0;
   bool has_work() const noexcept override { return run < wanted; }
@@ -491,6 +492,31 @@ TEST(ExecutorThreads, ACycleSeesSourcesAndGroupsThatCameAndWent) {
   EXPECT_TRUE(gone.expired()) << "a list keeps nothing alive";
   EXPECT_EQ(run_cycle(), 0u);
   core->drop(*other.callbacks);
+}
+
+// The responses of a client are such a source.
+TEST(ExecutorThreads, ASerialSourceRunsInOneThreadAtATimeInAReentrantGroup) {
+  const auto deadline = deadline_of_all_rounds();
+  Spinner several(false, 4);
+  Group group(CallbackGroupType::Reentrant);
+  const std::shared_ptr<Counter> counters[] = {std::make_shared<Counter>(true),
+                                               std::make_shared<Counter>(true)};
+  for (const auto& counter : counters) group.callbacks->add(counter);
+  ASSERT_TRUE(several.core->adopt(group.callbacks));
+  for (std::uint64_t round = 1; round <= rounds; ++round) {
+    for (const auto& counter : counters) {
+      counter->wanted += 10;
+      group.ring(round % 2 == 0);
+    }
+    ASSERT_TRUE(wait_for(deadline, [&] {
+      return counters[0]->run == counters[0]->wanted && counters[1]->run == counters[1]->wanted;
+    })) << round;
+  }
+  for (const auto& counter : counters) {
+    group.callbacks->remove(*counter, nullptr);
+    EXPECT_EQ(counter->unguarded, counter->run);
+  }
+  several.core->drop(*group.callbacks);
 }
 
 }  // namespace

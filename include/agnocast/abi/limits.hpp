@@ -60,9 +60,8 @@ inline constexpr std::uint64_t window_granule_bytes = 2 << 20;
 // Observers of one user. The daemon may have to store one dump for each.
 inline constexpr std::uint32_t observer_count_max = 8;
 
-// Executors of one process, one for each of its nodes with callbacks: one line each in the rest
-// of the client region's first page beside the windows. Containers with more nodes exist, but are
-// rare.
+// Wait sets of one process: one line each in the rest of the client region's first page beside the
+// windows. Callback groups share them when there are more.
 inline constexpr std::uint32_t executor_count_max = 56;
 
 }  // namespace agnocast::abi

@@ -14,6 +14,7 @@
 #include <tests/support/processes/ctl.hpp>
 #include <tests/support/processes/daemon_process.hpp>
 #include <tests/support/processes/plain_node.hpp>
+#include <tests/support/processes/spun.hpp>
 #include <tests/support/processes/steered_process.hpp>
 
 #include <example_interfaces/srv/add_two_ints.hpp>
@@ -129,10 +130,10 @@ class BridgeCtl : public testing::Test {
                                  topic(), "7"},
         std::vector<std::string>{});
   }
-  static auto serve() {
-    return create_service<AddTwoInts>(
-        PlainNode(), topic(),
-        [](const auto& request, auto& response) { response->sum = request->a + request->b; });
+  static auto serve(const PlainNode& node) {
+    return create_service<AddTwoInts>(node, topic(), [](const auto& request, auto& response) {
+      response->sum = request->a + request->b;
+    });
   }
   std::unique_ptr<DdsReader> reads(const std::string& topic, const char* type, bool reliable) {
     DdsQos qos;

@@ -96,7 +96,8 @@ TEST_F(BridgeCtl, SaysWhyATopicOfBothSidesIsNotBridged) {
 
 TEST_F(BridgeCtl, ShowsAServiceOfThisHostWithAClientInDds) {
   const auto running = bridge(domain->id());
-  const auto service = serve();
+  const test::Spun<PlainNode> node;
+  const auto service = serve(node);
   const auto client = plain("client");
   ASSERT_TRUE(eventually([&] { return client->ask("matched") == "1 1"; }));
   for (int i = 1; i <= 3; ++i) {
@@ -158,7 +159,8 @@ TEST_F(BridgeCtl, ShowsAServiceOfThisHostWithAClientInDds) {
 
 TEST_F(BridgeCtl, ShowsAServiceInDdsWithAClientHereAndReportsAMissingOne) {
   const auto running = bridge(domain->id());
-  const auto client = create_client<AddTwoInts>(PlainNode(), topic());
+  const test::Spun<PlainNode> node;
+  const auto client = create_client<AddTwoInts>(node, topic());
   ASSERT_TRUE(eventually([&] { return !lack_of(topic(), "in").is_null(); }));
   EXPECT_EQ(lack_of(topic(), "in")["kind"], "service");
   EXPECT_EQ(lack_of(topic(), "in")["why"], "no_server");

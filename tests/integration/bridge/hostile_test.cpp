@@ -8,6 +8,7 @@
 
 #include <tests/integration/bridge/bridge_side.hpp>
 #include <tests/support/processes/plain_node.hpp>
+#include <tests/support/processes/spun.hpp>
 
 #include <agnocast/agnocast.hpp>
 #include <bridge/dds/limits.hpp>
@@ -286,8 +287,9 @@ TEST_F(HostileDds, WrongTypesUnderRightNamesAreReportedAndRightOnesGoOn) {
 }
 
 TEST_F(HostileDds, RequestsOfOneClientLeavePlacesToOthers) {
+  const Spun<PlainNode> node;
   const auto service =
-      create_service<AddTwoInts>(PlainNode(), topic(),
+      create_service<AddTwoInts>(node, topic(),
                                  [](const ipc_shared_ptr<const AddTwoInts::Request>& request,
                                     const ipc_shared_ptr<AddTwoInts::Response>& response) {
                                    response->sum = request->a + request->b;
@@ -331,7 +333,8 @@ TEST_F(HostileDds, RequestsOfOneClientLeavePlacesToOthers) {
 
 TEST_F(HostileDds, DuplicateAndForeignResponsesOfAServerAreDropped) {
   ASSERT_EQ(ask("serve " + topic()), "serves");
-  const auto client = create_client<AddTwoInts>(PlainNode(), topic());
+  const Spun<PlainNode> node;
+  const auto client = create_client<AddTwoInts>(node, topic());
   ASSERT_TRUE(client->wait_for_service(std::chrono::seconds(60)));
   constexpr std::int64_t calls = 50;
   for (std::int64_t i = 0; i < calls; ++i) {

@@ -17,6 +17,7 @@
 //     pending NAME            how many have not ended
 
 #include <tests/support/processes/plain_node.hpp>
+#include <tests/support/processes/spun.hpp>
 
 #include <agnocast/agnocast.hpp>
 
@@ -66,7 +67,7 @@ class Peer {
       const auto count = std::make_shared<std::atomic<std::uint64_t>>(0);
       services_[name] = {
           agnocast::create_service<AddTwoInts>(
-              agnocast::test::PlainNode(), service,
+              service_node_, service,
               [add, count](const agnocast::ipc_shared_ptr<const AddTwoInts::Request>& request,
                            agnocast::ipc_shared_ptr<AddTwoInts::Response>& response) {
                 response->sum = request->a + request->b + add;
@@ -79,8 +80,7 @@ class Peer {
     if (what == "client") {
       std::string service;
       words >> service;
-      clients_[name].client =
-          agnocast::create_client<AddTwoInts>(agnocast::test::PlainNode(), service);
+      clients_[name].client = agnocast::create_client<AddTwoInts>(service_node_, service);
       return "made";
     }
     if (what == "ready") return clients_.at(name).client->service_is_ready() ? "yes" : "no";
@@ -154,6 +154,7 @@ class Peer {
   }
 
   agnocast::Node node_{"local_peer"};
+  agnocast::test::Spun<agnocast::test::PlainNode> service_node_;
   std::map<std::string, Publishing> publishers_;
   std::map<std::string, agnocast::Subscription<String>::SharedPtr> subscriptions_;
   std::map<std::string, Serving> services_;

@@ -6,6 +6,7 @@
 
 #include <tests/integration/bridge/bridge_side.hpp>
 #include <tests/support/processes/plain_node.hpp>
+#include <tests/support/processes/spun.hpp>
 
 #include <agnocast/agnocast.hpp>
 #include <bridge/dds/ros_graph.hpp>
@@ -52,7 +53,7 @@ class ServiceBridge : public BridgeTest {
                   ipc_shared_ptr<AddTwoInts::Response>& response) {
     response->sum = request->a + request->b;
   }
-  auto serve() { return create_service<AddTwoInts>(PlainNode(), topic(), add); }
+  auto serve() { return create_service<AddTwoInts>(node_, topic(), add); }
   /// Lets the server answer the next request; returns the request.
   std::string serve_one(SteeredProcess& server) {
     const std::string request = say(server, "next");
@@ -71,6 +72,8 @@ class ServiceBridge : public BridgeTest {
     request->b = b;
     return client.async_send_request(std::move(request));
   }
+
+  Spun<PlainNode> node_;
 };
 
 TEST_F(ServiceBridge, AServerHereAnswersAClientInDds) {
@@ -167,7 +170,7 @@ TEST_F(ServiceBridge, ForgetsNoRequestAsLongAsOthersAreAnswered) {
     response->sum = request->a + request->b;
     EXPECT_TRUE(service->send_response(request, std::move(response)));
   };
-  service = create_service<AddTwoInts>(PlainNode(), topic(), [&](ServiceRequest<AddTwoInts> now) {
+  service = create_service<AddTwoInts>(node_, topic(), [&](ServiceRequest<AddTwoInts> now) {
     if (now->a == 1) {
       first = std::move(now);
     } else {
@@ -209,7 +212,7 @@ TEST_F(ServiceBridge, GivesEachClientInDdsItsOwnAnswers) {
 }
 
 TEST_F(ServiceBridge, AServerInDdsAnswersAClientHere) {
-  const auto client = create_client<AddTwoInts>(PlainNode(), topic());
+  const auto client = create_client<AddTwoInts>(node_, topic());
   EXPECT_FALSE(client->service_is_ready());
   const auto server = plain("server", 1);
   ASSERT_TRUE(client->wait_for_service(patience));
@@ -237,7 +240,7 @@ TEST_F(ServiceBridge, AServerInDdsAnswersAClientHere) {
 }
 
 TEST_F(ServiceBridge, ReportsThatAServerInDdsIsGone) {
-  const auto client = create_client<AddTwoInts>(PlainNode(), topic());
+  const auto client = create_client<AddTwoInts>(node_, topic());
   auto server = plain("server", 1);
   ASSERT_TRUE(client->wait_for_service(patience));
   auto answer = send(*client, 1, 2);
@@ -252,7 +255,7 @@ TEST_F(ServiceBridge, ReportsThatAServerInDdsIsGone) {
 
 TEST_F(ServiceBridge, LeavesServersAndClientsHereToEachOther) {
   const auto service = serve();
-  const auto client = create_client<AddTwoInts>(PlainNode(), topic());
+  const auto client = create_client<AddTwoInts>(node_, topic());
   const auto other = plain("client", 1);
   ASSERT_TRUE(is_matched(*other));
   ASSERT_TRUE(client->wait_for_service(patience));
@@ -355,7 +358,7 @@ TEST_F(ServiceBridge, WaitsOnceForADaemonThatIsStoppedAndHasAllServicesAfterward
     });
   };
   for (int i = 0; i < 2; ++i) {
-    clients[i] = create_client<AddTwoInts>(PlainNode(), names[i]);
+    clients[i] = create_client<AddTwoInts>(node_, names[i]);
     ASSERT_TRUE(is_missed(names[i], true));
   }
   daemon->kill_worker(SIGSTOP);

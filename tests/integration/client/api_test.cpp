@@ -8,6 +8,7 @@
 #include <agnocast/agnocast.hpp>
 #include <tests/support/messages/error_of.hpp>
 #include <tests/support/processes/daemon_process.hpp>
+#include <tests/support/processes/spun.hpp>
 #include <tests/support/processes/suite_daemon.hpp>
 
 #include <sensor_msgs/msg/point_cloud2.hpp>
@@ -144,7 +145,7 @@ TEST_F(Api, ForeignMemoryIsAdoptedAndReported) {
   EXPECT_EQ(received->data, elsewhere);
 }
 
-TEST_F(Api, CallbacksRunWithoutAnyExecutorAndTakeEitherPointer) {
+TEST_F(Api, CallbacksWaitForAnExecutorAndTakeEitherPointer) {
   std::mutex mutex;
   std::condition_variable changed;
   std::vector<std::uint32_t> by_const, by_mutable;
@@ -165,6 +166,13 @@ TEST_F(Api, CallbacksRunWithoutAnyExecutorAndTakeEitherPointer) {
     loan->width = width;
     ASSERT_TRUE(publisher->publish(std::move(loan)));
   }
+  std::this_thread::sleep_for(std::chrono::milliseconds(50));
+  {
+    const std::lock_guard lock(mutex);
+    EXPECT_TRUE(by_const.empty() && by_mutable.empty());
+  }
+  BackgroundExecutor executor;
+  executor.add_node(node);
   std::unique_lock lock(mutex);
   EXPECT_TRUE(changed.wait_for(lock, std::chrono::seconds(10),
                                [&] { return by_const.size() == 3 && by_mutable.size() == 3; }));
@@ -174,12 +182,12 @@ TEST_F(Api, CallbacksRunWithoutAnyExecutorAndTakeEitherPointer) {
 
 TEST_F(Api, NodesWithCallbacksComeAndGoWithoutLimit) {
   struct NumberedNode : PlainNode {
+    explicit NumberedNode(int number) : name("/ns/node" + std::to_string(number)) {}
     std::string name;
     std::string get_fully_qualified_name() const { return name; }
   };
   for (int i = 0; i < 100; ++i) {
-    NumberedNode numbered;
-    numbered.name = "/ns/node" + std::to_string(i);
+    test::Spun<NumberedNode> numbered(i);
     ASSERT_NO_THROW(create_subscription<Cloud>(numbered, "many", QoS(1),
                                                [](const ipc_shared_ptr<const Cloud>&) {}))
         << i;
@@ -190,6 +198,8 @@ TEST_F(Api, AtTheHoldQuotaACallbackThreadSleepsUntilARelease) {
   std::mutex mutex;
   std::condition_variable changed;
   std::vector<ipc_shared_ptr<const Cloud>> held;
+  BackgroundExecutor executor;
+  executor.add_node(node);
   auto subscription = create_subscription<Cloud>(
       node, "quota", QoS(10),
       [&](const ipc_shared_ptr<const Cloud>& cloud) {

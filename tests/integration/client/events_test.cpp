@@ -3,11 +3,12 @@
 // Goal: an endpoint learns which peers matched it, left or died, and which could not match and
 // why, whichever side came first.
 // Method: the public interface with the real daemon; the other side is a second process that ends
-// or is killed. The test polls statuses; the library's thread or an executor runs callbacks.
+// or is killed. The test polls statuses; a background executor or the test's own runs callbacks.
 
 #include <agnocast/agnocast.hpp>
 #include <tests/integration/client/second_process.hpp>
 #include <tests/support/processes/daemon_process.hpp>
+#include <tests/support/processes/spun.hpp>
 #include <tests/support/processes/suite_daemon.hpp>
 #include <tests/support/wire/foreign_socket.hpp>
 
@@ -29,6 +30,7 @@ using test::eventually;
 using test::Number;
 using test::qos_of;
 using test::SecondProcess;
+using test::Spun;
 
 class Events : public test::SuiteDaemon {};
 
@@ -58,7 +60,7 @@ struct Told {
 };
 
 TEST_F(Events, AnEndpointLearnsThatTheDaemonIsAwayAndBack) {
-  Node node(own("node"));
+  Spun<Node> node(own("node"));
   Told<ConnectionInfo> told, also_told;
   auto subscription = node.create_subscription<Number>(
       own("topic"), 1, [](const ipc_shared_ptr<const Number>&) {},
@@ -80,7 +82,7 @@ TEST_F(Events, AnEndpointLearnsThatTheDaemonIsAwayAndBack) {
 }
 
 TEST_F(Events, ASubscriptionIsNotifiedOfPublishersThatComeLeaveAndDie) {
-  Node node(own("node"));
+  Spun<Node> node(own("node"));
   Told<MatchedInfo> told;
   auto subscription = node.create_subscription<Number>(
       own("topic"), 1, [](const ipc_shared_ptr<const Number>&) {},
@@ -104,7 +106,7 @@ TEST_F(Events, ASubscriptionIsNotifiedOfPublishersThatComeLeaveAndDie) {
 }
 
 TEST_F(Events, APublisherIsNotifiedOfSubscriptionsThatComeLeaveAndDie) {
-  Node node(own("node"));
+  Spun<Node> node(own("node"));
   Told<MatchedInfo> told;
   SecondProcess first({"subscribe", own("topic"), "1rv"});
   auto publisher = node.create_publisher<Number>(
@@ -121,7 +123,7 @@ TEST_F(Events, APublisherIsNotifiedOfSubscriptionsThatComeLeaveAndDie) {
 }
 
 TEST_F(Events, APublisherCountsEachSubscriptionAlsoOneThatEndsAtOnce) {
-  Node node(own("node"));
+  Spun<Node> node(own("node"));
   Told<MatchedInfo> told;
   auto publisher = node.create_publisher<Number>(
       own("topic"), 1,
@@ -207,7 +209,7 @@ TEST_F(Events, CallbacksRunInTheExecutorAndReportEarlierEvents) {
 }
 
 TEST_F(Events, APresentEndpointIsNotifiedOfAnotherType) {
-  Node node(own("node"));
+  Spun<Node> node(own("node"));
   Told<IncompatibleTypeInfo> told;
   auto publisher =
       node.create_publisher<Number>(own("topic"), 1,
@@ -228,7 +230,11 @@ TEST_F(Events, AnExceptionOfAnEventCallbackIsHandledLikeAnyOther) {
   auto publisher = node.create_publisher<Number>(
       own("topic"), 1, PublisherOptions().matched_callback([](MatchedInfo&) { throw 1; }));
   auto subscription = node.create_subscription<Number>(own("topic"), 1);
-  EXPECT_TRUE(eventually([&] { return publisher->get_callback_exception_count() == 1; }));
+  {
+    BackgroundExecutor background;
+    background.add_node(node);
+    EXPECT_TRUE(eventually([&] { return publisher->get_callback_exception_count() == 1; }));
+  }
   SingleThreadedExecutor executor;
   executor.add_node(node);
   auto second = node.create_subscription<Number>(own("topic"), 1);

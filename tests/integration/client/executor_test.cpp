@@ -1,78 +1,73 @@
 // SPDX-License-Identifier: Apache-2.0
 //
 // Goal: executors run the callbacks of their nodes, all of them once, in a fair order and in the
-// thread that spins, while nodes move between executors and the library's thread.
-// Method: the public interface, the real daemon, publishers in this process and (where messages
-// flow meanwhile) in a second one. tests/threads/executor_threads_test.cpp covers the moves under
-// ThreadSanitizer.
+// thread that spins, while nodes move between executors; nothing runs without one.
+// Method: executor_fixture.hpp. tests/threads/executor_threads_test.cpp covers the moves under
+// ThreadSanitizer; callback_group_test.cpp has the groups and the executors with several threads.
 
-#include <agnocast/agnocast.hpp>
-#include <tests/integration/client/second_process.hpp>
-#include <tests/support/messages/error_of.hpp>
+#include <tests/integration/client/executor_fixture.hpp>
 #include <tests/support/processes/child.hpp>
-#include <tests/support/processes/daemon_process.hpp>
-#include <tests/support/processes/suite_daemon.hpp>
 
 #include <poll.h>
 #include <signal.h>
 
 #include <gmock/gmock.h>
 
-#include <algorithm>
 #include <atomic>
 #include <chrono>
-#include <cstdlib>
-#include <functional>
+#include <cstdint>
 #include <future>
 #include <memory>
-#include <mutex>
 #include <stdexcept>
 #include <string>
 #include <thread>
 #include <type_traits>
+#include <utility>
 #include <vector>
 
 namespace agnocast {
 namespace {
 
-using namespace std::chrono_literals;
-using test::error_of;
-using test::eventually;
-using test::Number;
 using test::SecondProcess;
-using Message = ipc_shared_ptr<const Number>;
 
 static_assert(std::has_virtual_destructor_v<Executor>, "may be held by pointers to the base");
 
-class Executors : public test::SuiteDaemon {
- protected:
-  static void publish(Publisher<Number>& publisher, std::uint64_t value) {
-    auto number = publisher.borrow_loaned_message();
-    number->value = value;
-    ASSERT_TRUE(publisher.publish(std::move(number)));
-  }
-};
-
-/// The values that callbacks got, from any thread.
-struct Seen {
-  std::mutex mutex;
-  std::vector<std::uint64_t> values;
-  std::vector<std::thread::id> threads;
-  void add(std::uint64_t value) {
-    const std::lock_guard lock(mutex);
-    values.push_back(value);
-    threads.push_back(std::this_thread::get_id());
-  }
-  std::size_t count() {
-    const std::lock_guard lock(mutex);
-    return values.size();
-  }
-};
+class Executors : public ExecutorFixture {};
 
 std::vector<std::uint64_t> up_to(std::uint64_t last) {
   std::vector<std::uint64_t> values;
   for (std::uint64_t value = 1; value <= last; ++value) values.push_back(value);
   return values;
+}
+
+TEST_F(Executors, NothingRunsUntilAnExecutorThatHasTheNodeSpins) {
+  Node node(own("node"));
+  Seen seen;
+  std::atomic<int> events{0};
+  auto subscription = node.create_subscription<Number>(
+      own("topic"), 10, [&](const Message& number) { seen.add(number->value); },
+      SubscriptionOptions().matched_callback([&](MatchedInfo&) { ++events; }));
+  auto publisher = node.create_publisher<Number>(own("topic"), 10);
+  ASSERT_TRUE(eventually([&] { return subscription->get_publisher_count() == 1; }));
+  for (std::uint64_t value = 1; value <= 3; ++value) publish(*publisher, value);
+  BackgroundExecutor other;
+  SingleThreadedExecutor executor;
+  std::this_thread::sleep_for(50ms);
+  executor.add_node(node);
+  std::this_thread::sleep_for(50ms);
+  EXPECT_EQ(seen.count(), 0u);
+  EXPECT_EQ(events, 0);
+  executor.spin_all(0s);
+  EXPECT_EQ(seen.values, up_to(3)) << "unread messages wait";
+  EXPECT_EQ(events, 1);
+  EXPECT_THAT(seen.threads, testing::Each(std::this_thread::get_id()));
+  executor.remove_node(node);
+  publish(*publisher, 4);
+  executor.spin_all(0s);
+  std::this_thread::sleep_for(50ms);
+  EXPECT_EQ(seen.count(), 3u);
+  other.add_node(node);
+  EXPECT_TRUE(eventually([&] { return seen.count() == 4; }));
 }
 
 TEST_F(Executors, SpinRunsCallbacksInItsThreadUntilCancelled) {
@@ -147,9 +142,9 @@ TEST_F(Executors, ASignalHandlerMayCancel) {
   ::sigaction(SIGUSR1, &before, nullptr);
 }
 
-// The node moves between two spinning executors, a third one that is made and destroyed, and the
-// library's thread, while a publisher in another process sends at full speed. keep-all: every
-// message must arrive.
+// The node moves between three spinning executors, one of them a background executor, and a fourth
+// one that is made and destroyed, while a publisher in another process sends at full speed.
+// keep-all: every message must arrive.
 TEST_F(Executors, NothingIsLostOrDoubledOrOvertakenWhileANodeMoves) {
   constexpr std::uint64_t count = 30000;
   Node node(own("node")), other(own("other"));
@@ -163,20 +158,20 @@ TEST_F(Executors, NothingIsLostOrDoubledOrOvertakenWhileANodeMoves) {
                                                        });
   auto second = other.create_subscription<Number>(own("nothing"), 1, [](const Message&) {});
   SingleThreadedExecutor sleeping;
+  BackgroundExecutor background;
   SpinningExecutor spinning(100us);
+  Executor* const executors[] = {&sleeping, &background, &spinning};
   sleeping.add_node(other);
   std::thread one([&] { sleeping.spin(); }), two([&] { spinning.spin(); });
   SecondProcess publisher({"publish", own("topic"), "100rva", std::to_string(count)});
   std::uint64_t moves = 0;
   EXPECT_TRUE(eventually([&] {
     for (int i = 0; i < 10; ++i) {
-      sleeping.add_node(node);
-      if (i % 3 == 0) std::this_thread::sleep_for(300us);
-      sleeping.remove_node(node);
-      if (i % 3 == 1) std::this_thread::sleep_for(300us);
-      spinning.add_node(node);
-      if (i % 3 == 2) std::this_thread::sleep_for(300us);
-      spinning.remove_node(node);
+      for (int stay = 0; stay < 3; ++stay) {
+        executors[stay]->add_node(node);
+        if (i % 3 == stay) std::this_thread::sleep_for(300us);
+        executors[stay]->remove_node(node);
+      }
       {
         SingleThreadedExecutor passing;
         passing.add_node(node);
@@ -198,24 +193,25 @@ TEST_F(Executors, NothingIsLostOrDoubledOrOvertakenWhileANodeMoves) {
   EXPECT_GT(moves, 10u);
 }
 
-// It sleeps when the node is taken and when it is given back: the last message before and the
-// first one after a move must wake the right executor.
+// Both sleep when the node moves: the last message before and the first one after a move must wake
+// the right executor.
 TEST_F(Executors, ANewExecutorIsWokenByMessagesAfterTheMove) {
   Node node(own("node"));
   Seen seen;
   auto subscription = node.create_subscription<Number>(
       own("topic"), 10, [&](const Message& number) { seen.add(number->value); });
   auto publisher = node.create_publisher<Number>(own("topic"), 10);
+  BackgroundExecutor background;
   SingleThreadedExecutor executor;
+  Executor *from = &background, *to = &executor;
+  from->add_node(node);
   std::thread spinner([&] { executor.spin(); });
   for (std::uint64_t value = 1; value <= 40; ++value) {
     publish(*publisher, value);
     ASSERT_TRUE(eventually([&] { return seen.count() == value; })) << value;
-    if (value % 2 == 1) {
-      executor.add_node(node);
-    } else {
-      executor.remove_node(node);
-    }
+    from->remove_node(node);
+    to->add_node(node);
+    std::swap(from, to);
   }
   const std::thread::id id = spinner.get_id();
   executor.cancel();
@@ -283,6 +279,8 @@ TEST_F(Executors, AnExceptionLeavesSpinAndTheExecutorGoesOn) {
   EXPECT_EQ(subscription->get_callback_exception_count(), 0u) << "the caller got them";
 
   executor.remove_node(node);
+  BackgroundExecutor background;
+  background.add_node(node);
   for (std::uint64_t value = 5; value <= 8; ++value) publish(*publisher, value);
   EXPECT_TRUE(eventually([&] { return seen.count() == 8; }))
       << "the library's thread survives them";
@@ -374,23 +372,21 @@ TEST_F(Executors, SpinUntilFutureCompleteEndsWithTheFuture) {
   other.join();
 }
 
-/// Look-alikes of rclcpp's node and of its base interface: all that add_node needs.
+/// A node of another library, and a part of one: all that add_node needs.
 struct BaseInterface {
   std::string name;
   const char* get_fully_qualified_name() const { return name.c_str(); }
 };
-struct LookAlikeNode {
+struct OtherNode {
   std::string name = "like";
   const char* get_name() const { return name.c_str(); }
   const char* get_namespace() const { return "/ns"; }
   std::string get_fully_qualified_name() const { return "/ns/" + name; }
-  std::shared_ptr<BaseInterface> get_node_base_interface() const {
-    return std::make_shared<BaseInterface>(BaseInterface{get_fully_qualified_name()});
-  }
 };
 
 TEST_F(Executors, NodesOfOtherTypesAreKnownByTheirName) {
-  auto node = std::make_shared<LookAlikeNode>();
+  auto node = std::make_shared<OtherNode>();
+  auto base = std::make_shared<BaseInterface>(BaseInterface{node->get_fully_qualified_name()});
   Seen seen;
   auto publisher = create_publisher<Number>(node, own("topic"), 10);
   SingleThreadedExecutor executor;
@@ -402,9 +398,13 @@ TEST_F(Executors, NodesOfOtherTypesAreKnownByTheirName) {
   executor.spin_once();
   EXPECT_EQ(seen.values, up_to(1));
   EXPECT_THAT(seen.threads, testing::ElementsAre(std::this_thread::get_id()));
-  executor.remove_node(node->get_node_base_interface());
+  executor.remove_node(base);
   publish(*publisher, 2);
-  EXPECT_TRUE(eventually([&] { return seen.count() == 2; })) << "the library's thread again";
+  executor.spin_some();
+  EXPECT_EQ(seen.count(), 1u) << "it is in no executor";
+  executor.add_node(base);
+  executor.spin_once();
+  EXPECT_EQ(seen.values, up_to(2));
 }
 
 TEST_F(Executors, ACallbackMayMoveItsNodeAndEndItsSubscription) {
@@ -428,38 +428,6 @@ TEST_F(Executors, ACallbackMayMoveItsNodeAndEndItsSubscription) {
   EXPECT_EQ(seen.values, up_to(1));
   other.spin_all(0s);
   EXPECT_EQ(seen.values, up_to(2));
-}
-
-// The last subscription of the node goes, and the next one comes, while the callback still runs.
-TEST_F(Executors, ACallbackThatReplacesItsSubscriptionNeverRunsConcurrently) {
-  Node node(own("node"));
-  std::atomic<int> inside{0}, overlaps{0}, first{0}, second{0};
-  const auto enter = [&] {
-    if (inside.fetch_add(1) != 0) ++overlaps;
-  };
-  auto publisher = node.create_publisher<Number>(own("topic"), QoS(1).transient_local());
-  publish(*publisher, 1);
-  Subscription<Number>::SharedPtr subscription;
-  std::promise<void> ready;
-  subscription =
-      node.create_subscription<Number>(own("topic"), QoS(1).transient_local(), [&](const Message&) {
-        ready.get_future().wait();
-        enter();
-        subscription.reset();
-        subscription = node.create_subscription<Number>(own("topic"), QoS(1).transient_local(),
-                                                        [&](const Message&) {
-                                                          enter();
-                                                          ++second;
-                                                          --inside;
-                                                        });
-        // Time for a concurrent callback, if there were one.
-        for (int i = 0; i < 300 && overlaps == 0; ++i) std::this_thread::sleep_for(1ms);
-        --inside;
-        ++first;
-      });
-  ready.set_value();
-  EXPECT_TRUE(eventually([&] { return first == 1 && second == 1; })) << first << second;
-  EXPECT_EQ(overlaps, 0);
 }
 
 TEST_F(Executors, MisuseIsReported) {
@@ -500,6 +468,8 @@ TEST_F(Executors, AForkedChildCanDoNoHarm) {
           right && error_of([&] { executor->remove_node(node); }).find(forked) != std::string::npos;
       right = right &&
               error_of([&] { SingleThreadedExecutor another; }).find(forked) != std::string::npos;
+      right =
+          right && error_of([&] { BackgroundExecutor another; }).find(forked) != std::string::npos;
       right = right && subscription->get_matched_status().total_count == 0;
       subscription.reset();
       executor.reset();
@@ -547,236 +517,11 @@ TEST_F(Executors, AChildForkedInACallbackThatReturnsGetsAnError) {
 
   executor.remove_node(node);
   status = -1;
+  BackgroundExecutor background;
+  background.add_node(node);
   publish(*publisher, 2);
   EXPECT_TRUE(eventually([&] { return seen.count() == 2; }));
   EXPECT_EQ(status, 0) << "in the library's thread: the thread ends, and with it the child";
-}
-
-// More groups than wait sets: they share, and each is woken all the same.
-TEST_F(Executors, NodesBeyondTheWaitSetsOfAProcessShareThem) {
-  constexpr std::size_t count = 200;
-  std::vector<std::unique_ptr<Node>> nodes;
-  std::vector<Subscription<Number>::SharedPtr> subscriptions;
-  std::vector<std::atomic<int>> got(count);
-  SingleThreadedExecutor executor, other;
-  for (std::size_t i = 0; i < count; ++i) {
-    nodes.push_back(std::make_unique<Node>(own("node") + std::to_string(i)));
-    (i % 2 == 0 ? executor : other).add_node(*nodes.back());
-    subscriptions.push_back(nodes.back()->create_subscription<Number>(
-        own("topic"), 1, [&got, i](const Message&) { ++got[i]; }));
-  }
-  std::thread one([&] { executor.spin(); }), two([&] { other.spin(); });
-  auto publisher = nodes.front()->create_publisher<Number>(own("topic"), 1);
-  EXPECT_TRUE(eventually([&] { return publisher->get_subscription_count() == count; }));
-  for (int value = 1; value <= 5; ++value) {
-    publish(*publisher, static_cast<std::uint64_t>(value));
-    EXPECT_TRUE(eventually([&] {
-      return std::all_of(got.begin(), got.end(), [&](const auto& of) { return of == value; });
-    })) << value;
-  }
-  executor.cancel();
-  other.cancel();
-  one.join();
-  two.join();
-}
-
-// --- groups and executors with several threads
-
-/// Two groups of one node, each with a subscription to a topic of its own.
-struct TwoGroups {
-  explicit TwoGroups(const std::string& name, CallbackGroupType type) : node(name) {
-    for (auto& group : groups) group = node.create_callback_group(type);
-  }
-  Subscription<Number>::SharedPtr subscribe(std::size_t group, const std::string& topic,
-                                            std::function<void(const Message&)> callback) {
-    return node.create_subscription<Number>(topic, 1000, std::move(callback),
-                                            SubscriptionOptions().callback_group(groups[group]));
-  }
-  Node node;
-  CallbackGroup::SharedPtr groups[2];
-};
-
-/// Runs `spin` in a thread until the end of the scope.
-class Spun {
- public:
-  explicit Spun(Executor& executor)
-      : executor_(executor), thread_([&executor] { executor.spin(); }) {}
-  ~Spun() {
-    executor_.cancel();
-    thread_.join();
-  }
-
- private:
-  Executor& executor_;
-  std::thread thread_;
-};
-
-TEST_F(Executors, AGroupThatIsInNoExecutorRunsNothing) {
-  TwoGroups two(own("node"), CallbackGroupType::MutuallyExclusive);
-  std::atomic<int> got{0};
-  auto subscription = two.subscribe(0, own("topic"), [&](const Message&) { ++got; });
-  auto publisher = two.node.create_publisher<Number>(own("topic"), 1000);
-  ASSERT_TRUE(eventually([&] { return subscription->get_publisher_count() == 1; }));
-  publish(*publisher, 1);
-  std::this_thread::sleep_for(50ms);
-  EXPECT_EQ(got, 0);
-  SingleThreadedExecutor executor;
-  executor.add_callback_group(two.groups[0]);
-  executor.spin_some();
-  EXPECT_EQ(got, 1);
-  executor.remove_callback_group(two.groups[0]);
-  publish(*publisher, 2);
-  executor.spin_some();
-  EXPECT_EQ(got, 1);
-}
-
-TEST_F(Executors, AGroupStaysWhereItWasAddedAlone) {
-  Node node(own("node"));
-  auto apart = node.create_callback_group(CallbackGroupType::MutuallyExclusive, false);
-  auto with = node.create_callback_group(CallbackGroupType::MutuallyExclusive);
-  EXPECT_FALSE(apart->automatically_add_to_executor_with_node());
-  EXPECT_EQ(apart->type(), CallbackGroupType::MutuallyExclusive);
-  SingleThreadedExecutor executor, other;
-  other.add_callback_group(with);
-  executor.add_node(node);
-  EXPECT_THAT(error_of([&] { executor.add_callback_group(with); }), testing::HasSubstr("already"));
-  EXPECT_THAT(error_of([&] { executor.remove_callback_group(with); }),
-              testing::HasSubstr("not in this executor"));
-  executor.add_callback_group(apart);
-  executor.remove_node(node);
-  EXPECT_THAT(error_of([&] { other.add_callback_group(apart); }), testing::HasSubstr("already"));
-  executor.remove_callback_group(apart);
-  other.add_callback_group(apart);
-  Node another(own("another"));
-  EXPECT_THAT(error_of([&] {
-                auto refused = another.create_subscription<Number>(
-                    own("topic"), 1, [](const Message&) {},
-                    SubscriptionOptions().callback_group(with));
-              }),
-              testing::HasSubstr("the callback group belongs to another node"));
-}
-
-TEST_F(Executors, SeveralThreadsRunDifferentGroupsAtOnceAndOneGroupNever) {
-  TwoGroups two(own("node"), CallbackGroupType::MutuallyExclusive);
-  std::atomic<int> inside[2]{}, overlaps{0}, together{0};
-  std::uint64_t unguarded[2]{};
-  std::vector<Subscription<Number>::SharedPtr> subscriptions;
-  for (std::size_t i = 0; i < 4; ++i) {
-    const std::size_t group = i / 2;
-    subscriptions.push_back(two.subscribe(group, own("topic"), [&, group](const Message&) {
-      if (inside[group].fetch_add(1) != 0) ++overlaps;
-      if (inside[1 - group] != 0) ++together;
-      ++unguarded[group];
-      std::this_thread::sleep_for(100us);
-      --inside[group];
-    }));
-  }
-  auto publisher = two.node.create_publisher<Number>(own("topic"), 1000);
-  MultiThreadedExecutor executor(4);
-  EXPECT_EQ(executor.get_number_of_threads(), 4u);
-  executor.add_node(two.node);
-  {
-    const Spun spun(executor);
-    ASSERT_TRUE(eventually([&] { return publisher->get_subscription_count() == 4; }));
-    for (std::uint64_t value = 1; value <= 200; ++value) {
-      publish(*publisher, value);
-      std::this_thread::sleep_for(std::chrono::microseconds(value * 7 % 300));
-    }
-  }
-  executor.spin_all(0s);  // what was published just before the end
-  EXPECT_EQ(overlaps, 0);
-  EXPECT_GT(together, 0);
-  EXPECT_EQ(unguarded[0], 400u);
-  EXPECT_EQ(unguarded[1], 400u);
-}
-
-TEST_F(Executors, AReentrantGroupRunsOneSubscriptionInSeveralThreads) {
-  TwoGroups two(own("node"), CallbackGroupType::Reentrant);
-  std::atomic<int> inside{0}, met{0};
-  auto subscription = two.subscribe(0, own("topic"), [&](const Message&) {
-    ++inside;
-    if (eventually([&] { return inside >= 2; })) ++met;
-  });
-  auto publisher = two.node.create_publisher<Number>(own("topic"), 1000);
-  ASSERT_TRUE(eventually([&] { return subscription->get_publisher_count() == 1; }));
-  MultiThreadedExecutor executor(2);
-  executor.add_node(two.node);
-  const Spun spun(executor);
-  publish(*publisher, 1);
-  publish(*publisher, 2);
-  EXPECT_TRUE(eventually([&] { return met == 2; }));
-}
-
-TEST_F(Executors, ACallbackIsolatedExecutorGivesEachGroupItsThread) {
-  TwoGroups two(own("node"), CallbackGroupType::MutuallyExclusive);
-  Seen seen[3];
-  std::promise<void> may_end;
-  auto blocked = may_end.get_future().share();
-  auto first = two.subscribe(0, own("first"), [&](const Message& number) {
-    blocked.wait();
-    seen[0].add(number->value);
-  });
-  auto second =
-      two.subscribe(1, own("second"), [&](const Message& number) { seen[1].add(number->value); });
-  auto to_first = two.node.create_publisher<Number>(own("first"), 10);
-  auto to_second = two.node.create_publisher<Number>(own("second"), 10);
-  ASSERT_TRUE(eventually(
-      [&] { return first->get_publisher_count() == 1 && second->get_publisher_count() == 1; }));
-  CallbackIsolatedExecutor executor;
-  executor.add_node(two.node);
-  {
-    const Spun spun(executor);
-    publish(*to_first, 1);
-    publish(*to_second, 1);
-    EXPECT_TRUE(eventually([&] { return seen[1].count() == 1; })) << "the first is blocked";
-    // A group that comes while it spins, and goes.
-    auto third_group = two.node.create_callback_group(CallbackGroupType::MutuallyExclusive);
-    auto third = two.node.create_subscription<Number>(
-        own("second"), 10, [&](const Message& number) { seen[2].add(number->value); },
-        SubscriptionOptions().callback_group(third_group));
-    ASSERT_TRUE(eventually([&] { return third->get_publisher_count() == 1; }));
-    publish(*to_second, 2);
-    EXPECT_TRUE(eventually([&] { return seen[1].count() == 2 && seen[2].count() == 1; }));
-    third.reset();
-    third_group.reset();
-    publish(*to_second, 3);
-    EXPECT_TRUE(eventually([&] { return seen[1].count() == 3; }));
-    EXPECT_EQ(seen[0].count(), 0u);
-    may_end.set_value();
-    EXPECT_TRUE(eventually([&] { return seen[0].count() == 1; }));
-  }
-  EXPECT_NE(seen[0].threads[0], seen[1].threads[0]);
-  EXPECT_NE(seen[1].threads[0], seen[2].threads[0]);
-  EXPECT_THAT(seen[1].threads, testing::Each(seen[1].threads[0]));
-  publish(*to_second, 4);
-  executor.spin_some();
-  EXPECT_EQ(seen[1].threads[3], std::this_thread::get_id()) << "other spin functions go on";
-}
-
-template <class Made>
-void leaves_spin(const std::string& name, const std::string& topic) {
-  Node node(name);
-  std::atomic<int> got{0};
-  auto subscription = node.create_subscription<Number>(topic, 10, [&](const Message&) {
-    if (++got == 1) throw std::runtime_error("the first");
-  });
-  auto publisher = node.create_publisher<Number>(topic, 10);
-  Made executor;
-  executor.add_node(node);
-  ASSERT_TRUE(eventually([&] { return subscription->get_publisher_count() == 1; }));
-  auto number = publisher->borrow_loaned_message();
-  ASSERT_TRUE(publisher->publish(std::move(number)));
-  EXPECT_THROW(executor.spin(), std::runtime_error);
-  EXPECT_FALSE(executor.is_spinning());
-  number = publisher->borrow_loaned_message();
-  ASSERT_TRUE(publisher->publish(std::move(number)));
-  const Spun spun(executor);
-  EXPECT_TRUE(eventually([&] { return got == 2; }));
-}
-
-TEST_F(Executors, AnExceptionLeavesTheSpinOfSeveralThreads) {
-  leaves_spin<MultiThreadedExecutor>(own("node"), own("topic"));
-  leaves_spin<CallbackIsolatedExecutor>(own("isolated"), own("other"));
 }
 
 TEST_F(Executors, ABackgroundExecutorRunsCallbacksInItsThreadWhileItLives) {

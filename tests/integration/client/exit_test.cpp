@@ -9,6 +9,7 @@
 #include <tests/support/processes/child.hpp>
 #include <tests/support/processes/daemon_process.hpp>
 #include <tests/support/processes/plain_node.hpp>
+#include <tests/support/processes/spun.hpp>
 
 #include <gmock/gmock.h>
 
@@ -24,8 +25,7 @@
 #include <thread>
 #include <utility>
 
-// exit() without destroying endpoints leaves their node's thread unjoined, which is under test
-// here.
+// exit() without destroying an executor leaves its thread unjoined, which is under test here.
 extern "C" [[gnu::visibility("default")]] const char* __tsan_default_options();
 extern "C" const char* __tsan_default_options() { return "report_thread_leaks=0"; }
 
@@ -34,6 +34,7 @@ namespace {
 
 using test::Child;
 using test::PlainNode;
+using test::Spun;
 using test::take_soon;
 
 int too_late = -1;  // the pipe
@@ -106,7 +107,8 @@ namespace {
 TEST_F(Exiting, NoCallbackBeginsAfterExit) {
   EXPECT_EQ(run([](AtExit& at_exit) {
               std::atomic<int> called{0};
-              auto subscription = create_subscription<Ping>(PlainNode(), "ping", QoS(10),
+              Spun<PlainNode> node;
+              auto subscription = create_subscription<Ping>(node, "ping", QoS(10),
                                                             [&](const ipc_shared_ptr<const Ping>&) {
                                                               ++called;
                                                               note('c');
@@ -128,8 +130,9 @@ TEST_F(Exiting, NoCallbackBeginsAfterExit) {
 TEST_F(Exiting, NoEventCallbackBeginsAfterExit) {
   EXPECT_EQ(run([](AtExit& at_exit) {
               std::atomic<bool> matched{false};
+              Spun<PlainNode> node;
               auto publisher = create_publisher<Ping>(
-                  PlainNode(), "ping", 10, PublisherOptions().matched_callback([&](MatchedInfo&) {
+                  node, "ping", 10, PublisherOptions().matched_callback([&](MatchedInfo&) {
                     matched = true;
                     note('e');
                   }));
@@ -165,8 +168,9 @@ TEST_F(Exiting, NoMessageIsDestroyedByTheControlThreadAfterExit) {
 TEST_F(Exiting, ARunningCallbackIsWaitedFor) {
   EXPECT_EQ(run([](AtExit& at_exit) {
               std::atomic<bool> is_inside{false}, has_ended{false};
+              Spun<PlainNode> node;
               auto subscription = create_subscription<Ping>(
-                  PlainNode(), "ping", QoS(10), [&](const ipc_shared_ptr<const Ping>&) {
+                  node, "ping", QoS(10), [&](const ipc_shared_ptr<const Ping>&) {
                     is_inside = true;
                     std::this_thread::sleep_for(std::chrono::milliseconds(200));
                     has_ended = true;
@@ -188,7 +192,8 @@ TEST_F(Exiting, ARunningCallbackIsWaitedFor) {
 TEST_F(Exiting, ACallbackThatNeverEndsDoesNotBlockExit) {
   EXPECT_EQ(run([](AtExit& at_exit) {
               std::atomic<bool> is_inside{false};
-              auto subscription = create_subscription<Ping>(PlainNode(), "ping", QoS(10),
+              Spun<PlainNode> node;
+              auto subscription = create_subscription<Ping>(node, "ping", QoS(10),
                                                             [&](const ipc_shared_ptr<const Ping>&) {
                                                               is_inside = true;
                                                               for (;;) ::pause();
@@ -207,9 +212,9 @@ TEST_F(Exiting, ACallbackThatNeverEndsDoesNotBlockExit) {
 TEST_F(Exiting, ACallbackMayExit) {
   EXPECT_EQ(run([](AtExit& at_exit) {
               at_exit.act = [] {};
+              Spun<PlainNode> node;
               auto subscription = create_subscription<Ping>(
-                  PlainNode(), "ping", QoS(10),
-                  [](const ipc_shared_ptr<const Ping>&) { std::exit(7); });
+                  node, "ping", QoS(10), [](const ipc_shared_ptr<const Ping>&) { std::exit(7); });
               auto publisher = create_publisher<Ping>(PlainNode(), "ping", 10);
               for (;;) {
                 publisher->publish(publisher->borrow_loaned_message());

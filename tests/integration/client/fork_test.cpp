@@ -10,6 +10,7 @@
 #include <tests/support/processes/daemon_process.hpp>
 #include <tests/support/processes/own_process.hpp>
 #include <tests/support/processes/plain_node.hpp>
+#include <tests/support/processes/spun.hpp>
 
 #include <sensor_msgs/msg/point_cloud2.hpp>
 
@@ -51,8 +52,9 @@ struct Busy {
   PollingSubscriber<Cloud>::SharedPtr newest =
       create_subscription<Cloud>(PlainNode(), "points", QoS(10));
   std::atomic<std::uint32_t> called{0};
+  test::Spun<PlainNode> node;
   Subscription<Cloud>::SharedPtr with_callback = create_subscription<Cloud>(
-      PlainNode(), "points", QoS(10),
+      node, "points", QoS(10),
       [this](const ipc_shared_ptr<const Cloud>& cloud) { called = cloud->width; });
   Publisher<Cloud>::SharedPtr publisher = create_publisher<Cloud>(PlainNode(), "points", 10);
   ipc_shared_ptr<const Cloud> held;

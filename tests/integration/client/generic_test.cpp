@@ -8,6 +8,7 @@
 // of rosidl messages.
 
 #include <agnocast/abi/heaphook.h>
+#include <agnocast/executor.hpp>
 #include <agnocast/generic.hpp>
 #include <agnocast/heap.hpp>
 #include <tests/support/processes/daemon_process.hpp>
@@ -315,6 +316,8 @@ TEST_F(Generic, MessagesOfABatchHaveTheirTable) {
 
 TEST_F(Generic, ACallbackIsCalledForEachMessage) {
   std::atomic<std::uint64_t> sum{0};
+  BackgroundExecutor executor;
+  executor.add_node(node);
   auto subscription = create_generic_subscription(
       node, "called", "std_msgs/UInt64", QoS(100), [&](GenericMessage message) {
         EXPECT_EQ(message.members()->member_count_, 1U);

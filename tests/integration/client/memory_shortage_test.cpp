@@ -219,6 +219,8 @@ TEST_F(MemoryShortageOnce, EachResponseReachesItsCallback) {
   executor.add_node(asker);
   std::mutex mutex;
   std::vector<ServiceRequest<Repeat>> asked;
+  BackgroundExecutor of_service;
+  of_service.add_node(*node);
   const auto service = node->create_service<Repeat>("/f", [&](ServiceRequest<Repeat> request) {
     const std::lock_guard lock(mutex);
     asked.push_back(std::move(request));

@@ -9,6 +9,7 @@
 #include <agnocast/relay.hpp>
 #include <tests/integration/services/services.hpp>
 #include <tests/support/processes/plain_node.hpp>
+#include <tests/support/processes/spun.hpp>
 
 #include <cstdint>
 #include <cstdio>
@@ -63,12 +64,13 @@ int use() {
   if (result.code != Errc::heap_exhausted && result.code != Errc::window_exhausted)
     return failed("publish without room", sentence_of(result.code));
 
-  auto service = try_create_service<Repeat>(PlainNode(), "/repeat",
+  test::Spun<PlainNode> node;
+  auto service = try_create_service<Repeat>(node, "/repeat",
                                             [](const ipc_shared_ptr<const Repeat::Request>& request,
                                                const ipc_shared_ptr<Repeat::Response>& response) {
                                               Repeat::answer(*request, *response);
                                             });
-  auto client = try_create_client<Repeat>(PlainNode(), "/repeat");
+  auto client = try_create_client<Repeat>(node, "/repeat");
   if (!service || !client || !(*client)->wait_for_service(std::chrono::seconds(10)))
     return failed("service");
   auto request = (*client)->borrow_loaned_request();

@@ -40,8 +40,11 @@ static_assert(is_taken<void(Const, const MessageInfo&)> && is_taken<void(Const, 
               is_taken<void(Const&&, const MessageInfo&)>);
 static_assert(is_taken<void(Mutable, const MessageInfo&)> &&
               is_taken<void(Mutable&&, const MessageInfo&)> && is_taken<int(Const)>);
-static_assert(!is_taken<void()> && !is_taken<void(const Number&)> && !is_taken<void(Const&)> &&
-              !is_taken<void(Const, MessageInfo&)> &&
+static_assert(is_taken<void(const Number&)> && is_taken<void(std::shared_ptr<const Number>)> &&
+              is_taken<void(const Number&, const MessageInfo&)> &&
+              is_taken<void(const std::shared_ptr<const Number>&, const MessageInfo&)>);
+static_assert(!is_taken<void()> && !is_taken<void(Number&)> && !is_taken<void(Const&)> &&
+              !is_taken<void(std::shared_ptr<Number>)> && !is_taken<void(Const, MessageInfo&)> &&
               !is_taken<void(ipc_shared_ptr<const MessageInfo>)>);
 
 class Nodes : public test::SuiteDaemon {
@@ -199,16 +202,23 @@ TEST_F(Nodes, CallbacksOfEverySignatureAreCalled) {
   add([&](Mutable&& number, const MessageInfo& info) { note(number), infos += info.sequence; });
   add([&](Const number, MessageInfo info) { note(number), infos += info.sequence; });
   add([calls = 0, &note](Const number) mutable { note(number), ++calls; });
+  add([&](const Number& number) { values.push_back(number.value); });
+  std::shared_ptr<const Number> kept;
+  add([&](std::shared_ptr<const Number> number, const MessageInfo& info) {
+    note(number), infos += info.sequence, kept = std::move(number);
+  });
   auto publisher = node.create_publisher<Number>("shapes", 1);
   auto number = publisher->borrow_loaned_message();
   number->value = 5;
   ASSERT_TRUE(publisher->publish(std::move(number)));
   EXPECT_TRUE(eventually([&] {
     executor.spin_once(std::chrono::milliseconds(1));
-    return values.size() == 8;
+    return values.size() == 10;
   }));
   EXPECT_THAT(values, testing::Each(5));
-  EXPECT_EQ(infos, 2u);
+  EXPECT_EQ(infos, 3u);
+  all.clear();
+  EXPECT_EQ(kept->value, 5u) << "it is held without its subscription";
 }
 
 TEST_F(Nodes, APollingSubscriberReturnsTheNewestAndKeepsIt) {

@@ -13,8 +13,9 @@
 //   callback_ends PLACE  user code calls pthread_exit(): callback event request response; prints
 //                      whether the next one runs
 //   callback_cancelled   the same by pthread_cancel() while the thread sleeps
-//   endless WHERE      main returns while a callback runs for ever; its subscription is a static
-//                      object made before or after the first endpoint: before after
+//   endless WHERE      main returns while a callback runs for ever; its executor and subscription
+//                      are static objects, the subscription's made before or after the first
+//                      endpoint: before after
 //   mutual             two callbacks destroy each other's subscription
 //   closes WHERE       closes every descriptor and opens files: at the numbers that are then free
 //                      (low), or at each number that was open before (same). Prints the state of
@@ -27,6 +28,7 @@
 //                      FROM is renamed to TO. Without FROM nobody ever listens
 
 #include <tests/integration/services/services.hpp>
+#include <tests/support/processes/spun.hpp>
 
 #include <fcntl.h>
 #include <pthread.h>
@@ -109,6 +111,7 @@ namespace {
 using agnocast::Node;
 using agnocast::QoS;
 using agnocast::test::Repeat;
+using agnocast::test::Spun;
 using Message = agnocast::ipc_shared_ptr<const Ping>;
 using namespace std::chrono_literals;
 
@@ -170,7 +173,7 @@ struct Endpoints {
   /// The user code, by name of its place.
   std::map<std::string, std::function<void()>> places;
   std::atomic<int> calls{0};
-  Node first{"first"}, second{"second"};
+  Spun<Node> first{"first"}, second{"second"};
   agnocast::Publisher<Ping>::SharedPtr publisher;
   agnocast::Subscription<Ping>::SharedPtr subscription;
   agnocast::Service<Repeat>::SharedPtr service;
@@ -217,9 +220,11 @@ struct Endpoints {
 };
 
 Endpoints& endpoints() {
-  static Endpoints* const all = new Endpoints;  // not destroyed
+  static Endpoints* const all = new Endpoints;  // exit() does not destroy them
   return *all;
 }
+/// With their executors: waits for the threads of these.
+void destroy_endpoints() { delete &endpoints(); }
 
 int signals(const std::string& place) {
   block(SIGUSR1);
@@ -242,7 +247,7 @@ int signals(const std::string& place) {
     all.publish();
     held.reset();
   } else if (place == "closure") {
-    // The node's thread ends the callback: it runs it during the destruction.
+    // The executor's thread ends the callback: it runs it during the destruction.
     std::atomic<bool> is_inside{false};
     all.places["callback"] = [&] {
       is_inside = true;
@@ -292,10 +297,10 @@ int asleep() {
 }
 
 int main_ends(const std::string& what) {
-  Endpoints& all = endpoints();
   static std::atomic<bool> main_has_ended{false};
   std::atexit([] { tell("exit handlers, " + blocked_here()); });
   block(SIGUSR1);
+  Endpoints& all = endpoints();
   all.make();
   all.use();
   wait_until([&] { return all.calls >= 4; });
@@ -347,9 +352,7 @@ int callback_ends(const std::string& place) {
     std::this_thread::sleep_for(10ms);
   }
   tell("the next one runs");
-  all.subscription.reset();
-  all.client.reset();
-  all.service.reset();
+  destroy_endpoints();
   return 0;
 }
 
@@ -375,7 +378,7 @@ int callback_cancelled() {
     std::this_thread::sleep_for(10ms);
   }
   tell("the next one runs");
-  all.subscription.reset();
+  destroy_endpoints();
   return 0;
 }
 
@@ -383,7 +386,7 @@ agnocast::Subscription<Ping>::SharedPtr made_before;
 
 int endless(const std::string& where) {
   std::atomic<bool> is_inside{false};
-  static Node node("node");
+  static Spun<Node> node("node");
   auto publisher = node.create_publisher<Ping>("ping", QoS(10));
   const auto subscribe = [&] {
     return node.create_subscription<Ping>("ping", QoS(10), [&](const Message&) {
@@ -405,7 +408,7 @@ int endless(const std::string& where) {
 }
 
 int mutual() {
-  Node left("left"), right("right");
+  Spun<Node> left("left"), right("right");
   agnocast::Subscription<Ping>::SharedPtr one, other;
   std::atomic<int> inside{0}, over{0};
   const auto destroys = [&](agnocast::Subscription<Ping>::SharedPtr& whom) {
@@ -506,10 +509,7 @@ int closes(const std::string& where) {
     const auto made = agnocast::try_create_subscription<Ping>(all.first, "ping", QoS(1));
     tell(made ? "a subscription was made" : agnocast::word_of(made.error().code));
   }
-  all.subscription.reset();
-  all.client.reset();
-  all.service.reset();
-  all.publisher.reset();
+  destroy_endpoints();
   tell_files();
   return 0;
 }

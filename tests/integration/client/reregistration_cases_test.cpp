@@ -9,6 +9,7 @@
 #include <tests/integration/client/reregistration_in_process.hpp>
 #include <tests/support/processes/child.hpp>
 #include <tests/support/processes/client_tool.hpp>
+#include <tests/support/processes/spun.hpp>
 #include <tests/support/wire/wire_dump.hpp>
 
 #include <time.h>
@@ -316,7 +317,8 @@ TEST_F(ReregistrationCases, ASubscriptionThatHoldsAllItMayOfAPreviousPublisherSl
 }
 
 TEST_F(ReregistrationCases, ACallbackThreadThatHoldsAllItMayUsesNoProcessor) {
-  Node node("keeper"), talker("talker");
+  test::Spun<Node> node("keeper");
+  Node talker("talker");
   struct {
     std::mutex mutex;
     std::vector<std::uint64_t> values;

@@ -1,12 +1,13 @@
 // SPDX-License-Identifier: Apache-2.0
 //
-// Goal: an ordinary program goes on when the daemon's store is lost: callbacks in the library's
-// thread and in executors are woken, loans and held messages stay valid, a stream from another
-// process arrives whole and in order.
+// Goal: an ordinary program goes on when the daemon's store is lost: callbacks in any executor
+// are woken, loans and held messages stay valid, a stream from another process arrives whole and
+// in order.
 // Method: the public interface, real daemons that are killed with their supervisors and restarted
 // without a store at the same socket, a second process that publishes.
 
 #include <tests/integration/client/reregistration_in_process.hpp>
+#include <tests/support/processes/spun.hpp>
 
 #include <algorithm>
 #include <cstdint>
@@ -20,6 +21,7 @@ namespace agnocast {
 namespace {
 
 using test::SecondProcess;
+using test::Spun;
 
 class ReregistrationOfNodes : public ReregistrationInProcess {};
 
@@ -45,10 +47,11 @@ struct Seen {
 };
 
 TEST_F(ReregistrationOfNodes, CallbacksAreWokenWhereverTheySleep) {
-  Node library_node("by_library"), executor_node("by_executor"), talker("talker");
-  Seen by_library, by_executor;
-  const auto one = library_node.create_subscription<Number>(
-      "/woken", 10, [&](ipc_shared_ptr<const Number> number) { by_library.add(number->value); });
+  Spun<Node> background_node("in_background");
+  Node executor_node("by_executor"), talker("talker");
+  Seen in_background, by_executor;
+  const auto one = background_node.create_subscription<Number>(
+      "/woken", 10, [&](ipc_shared_ptr<const Number> number) { in_background.add(number->value); });
   const auto two = executor_node.create_subscription<Number>(
       "/woken", 10, [&](ipc_shared_ptr<const Number> number) { by_executor.add(number->value); });
   const auto polled = talker.create_subscription<Number>("/woken", 1);
@@ -61,7 +64,7 @@ TEST_F(ReregistrationOfNodes, CallbacksAreWokenWhereverTheySleep) {
     for (int i = 0; i < 3; ++i) {
       publish(*publisher, ++value);
       // Each sleeps again before the next one.
-      EXPECT_TRUE(eventually([&] { return by_library.count() == value; })) << value;
+      EXPECT_TRUE(eventually([&] { return in_background.count() == value; })) << value;
       EXPECT_TRUE(eventually([&] { return by_executor.count() == value; })) << value;
     }
     const auto newest = polled->take_data();
@@ -72,7 +75,7 @@ TEST_F(ReregistrationOfNodes, CallbacksAreWokenWhereverTheySleep) {
   }
   executor.cancel();
   spins.join();
-  EXPECT_EQ(by_library.values, range(1, value));
+  EXPECT_EQ(in_background.values, range(1, value));
   EXPECT_EQ(by_executor.values, range(1, value));
   EXPECT_EQ(one->get_lost_count(), 0u);
   EXPECT_TRUE(eventually([&] { return one->get_publisher_count() == 1; }));
@@ -86,7 +89,7 @@ TEST_F(ReregistrationOfNodes, HistoryArrivesOnceWhileItIsMoved) {
   const auto publisher =
       talker.create_publisher<Number>("/brought", test::qos_of(std::to_string(kept) + "rt"));
   struct Listener {
-    Node node;
+    Spun<Node> node;
     Seen seen;
     Subscription<Number>::SharedPtr subscription;
     Listener(const char* name, const char* qos) : node(name) {
@@ -152,7 +155,7 @@ TEST_F(ReregistrationOfNodes, LoansAndHeldMessagesStayValid) {
 
 TEST_F(ReregistrationOfNodes, AStreamOfAnotherProcessArrivesWhole) {
   constexpr std::uint64_t count = 200'000;
-  Node node("listener");
+  Spun<Node> node("listener");
   Seen seen;
   const auto subscription = node.create_subscription<Number>(
       "/stream", test::qos_of("20rva"),
@@ -168,7 +171,7 @@ TEST_F(ReregistrationOfNodes, AStreamOfAnotherProcessArrivesWhole) {
 }
 
 TEST_F(ReregistrationOfNodes, ConnectionCallbacksReportTheLoss) {
-  Node node("asks");
+  Spun<Node> node("asks");
   std::mutex mutex;
   std::vector<ConnectionState> told;
   SubscriptionOptions options;

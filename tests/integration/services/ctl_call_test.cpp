@@ -8,6 +8,7 @@
 #include <tests/support/machine/temporary_directory.hpp>
 #include <tests/support/processes/ctl.hpp>
 #include <tests/support/processes/daemon_process.hpp>
+#include <tests/support/processes/spun.hpp>
 #include <tests/support/processes/steered_process.hpp>
 #include <tests/support/processes/suite_daemon.hpp>
 
@@ -56,7 +57,7 @@ class CtlCall : public test::SuiteDaemon {
           response->sum = request->a + request->b;
         });
   }
-  Node node{"server"};
+  test::Spun<Node> node{"server"};
 };
 
 TEST_F(CtlCall, PrintsTheResponseOfATypedService) {

@@ -8,6 +8,7 @@
 #include <agnocast/agnocast.hpp>
 #include <agnocast/generic_service.hpp>
 #include <tests/support/processes/daemon_process.hpp>
+#include <tests/support/processes/spun.hpp>
 #include <tests/support/processes/suite_daemon.hpp>
 
 #include <example_interfaces/srv/add_two_ints.hpp>
@@ -32,6 +33,7 @@ namespace {
 using namespace std::chrono_literals;
 using example_interfaces::srv::AddTwoInts;
 using test::eventually;
+using test::Spun;
 using Arrays = test_msgs::srv::Arrays;
 
 constexpr auto patience = 20s;
@@ -65,7 +67,7 @@ const T& as(const GenericMessage& message) {
 }
 
 TEST_F(GenericServices, OfRosTypesAreTyped) {
-  Node node("node");
+  Spun<Node> node("node");
   auto service = node.create_service<AddTwoInts>("add", add);
   auto client = node.create_client<AddTwoInts>("add");
   ASSERT_TRUE(client->wait_for_service(patience));
@@ -78,7 +80,7 @@ TEST_F(GenericServices, OfRosTypesAreTyped) {
 }
 
 TEST_F(GenericServices, AnswerTypedClients) {
-  Node node("node");
+  Spun<Node> node("node");
   auto service = create_generic_service(node, "add_generic", "example_interfaces/srv/AddTwoInts",
                                         [](const GenericMessage& request, GenericLoan& response) {
                                           const auto& two = as<AddTwoInts::Request>(request);
@@ -95,7 +97,7 @@ TEST_F(GenericServices, AnswerTypedClients) {
 }
 
 TEST_F(GenericServices, AnswerGenericClientsLater) {
-  Node node("node");
+  Spun<Node> node("node");
   std::mutex mutex;
   std::vector<GenericServiceRequest> kept;
   const IntrospectedServiceType type = find_service_type("example_interfaces/AddTwoInts");
@@ -131,7 +133,7 @@ TEST_F(GenericServices, AnswerGenericClientsLater) {
 }
 
 TEST_F(GenericServices, CarryStringsAndSequencesWhole) {
-  Node node("node");
+  Spun<Node> node("node");
   const IntrospectedServiceType type = find_service_type("test_msgs/srv/Arrays");
   Arrays::Request asked;
   for (std::size_t i = 0; i < asked.string_values.size(); ++i)
@@ -152,7 +154,7 @@ TEST_F(GenericServices, CarryStringsAndSequencesWhole) {
 }
 
 TEST_F(GenericServices, AdoptForeignMemory) {
-  Node node("node");
+  Spun<Node> node("node");
   auto service =
       node.create_service<Arrays>("adopts", [](const ipc_shared_ptr<const Arrays::Request>& request,
                                                ipc_shared_ptr<Arrays::Response>& response) {
@@ -186,7 +188,7 @@ TEST_F(GenericServices, AdoptForeignMemory) {
 // The service interprets a request by its own type, so one of another type must not pass. A new
 // client, or service, is usually made at the address of the previous one.
 TEST_F(GenericServices, ARequestThatOutlivesItsClientIsRefusedByOtherTypes) {
-  Node node("node");
+  Spun<Node> node("node");
   std::atomic<int> asked{0};
   auto service = create_generic_service(node, "stale_requests", "test_msgs/srv/Arrays",
                                         [&](const GenericMessage&, GenericLoan&) { ++asked; });
@@ -213,7 +215,7 @@ TEST_F(GenericServices, ARequestThatOutlivesItsClientIsRefusedByOtherTypes) {
 }
 
 TEST_F(GenericServices, AResponseThatOutlivesItsServiceIsRefusedByOtherTypes) {
-  Node node("node");
+  Spun<Node> node("node");
   std::vector<GenericLoan> stale;
   auto client = create_generic_client(node, "stale_responses", "test_msgs/srv/Arrays");
   for (int round = 0; round < 20; ++round) {
@@ -246,7 +248,7 @@ TEST_F(GenericServices, AResponseThatOutlivesItsServiceIsRefusedByOtherTypes) {
 }
 
 TEST_F(GenericServices, OfEmptyMessagesAnswer) {
-  Node node("node");
+  Spun<Node> node("node");
   auto service = node.create_service<std_srvs::srv::Empty>(
       "empty", [](const ipc_shared_ptr<const std_srvs::srv::Empty::Request>&,
                   ipc_shared_ptr<std_srvs::srv::Empty::Response>&) {});

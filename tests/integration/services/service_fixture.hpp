@@ -6,6 +6,7 @@
 #include <tests/integration/services/services.hpp>
 #include <tests/support/processes/daemon_process.hpp>
 #include <tests/support/processes/plain_node.hpp>
+#include <tests/support/processes/spun.hpp>
 #include <tests/support/processes/suite_daemon.hpp>
 
 #include <agnocast/abi/heaphook.h>
@@ -30,6 +31,7 @@ using test::Count;
 using test::eventually;
 using test::PlainNode;
 using test::Repeat;
+using test::Spun;
 
 inline constexpr auto patience = 20s;
 

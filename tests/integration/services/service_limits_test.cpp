@@ -42,7 +42,8 @@ struct MessageTraits<Trap::Response> {
 namespace {
 
 TEST_F(Services, ReportAFailedRequestEitherToTheCallerOrToTheCallback) {
-  Node server("server"), asker("asker");
+  Node server("server");
+  Spun<Node> asker("asker");
   auto service = server.create_service<Trap>("trap", [](const ServiceRequest<Trap>&) {});
   auto client = asker.create_client<Trap>("trap");
   ASSERT_TRUE(client->wait_for_service(patience));
@@ -73,7 +74,7 @@ TEST_F(Services, ReportAFailedRequestEitherToTheCallerOrToTheCallback) {
 }
 
 TEST_F(Services, RememberRequestsInPrivateMemory) {
-  Node node("private");
+  Spun<Node> node("private");
   auto service = node.create_service<Repeat>("private", answer);
   auto client = node.create_client<Repeat>("private");
   ASSERT_TRUE(client->wait_for_service(patience));
@@ -95,7 +96,7 @@ TEST_F(Services, RememberRequestsInPrivateMemory) {
 // --- cancelling
 
 TEST_F(Services, DropTheResponseToARemovedRequest) {
-  Node server("server"), asker("asker");
+  Spun<Node> server("server"), asker("asker");
   Kept kept;
   auto service = server.create_service<Repeat>("removed", kept.keep());
   auto client = asker.create_client<Repeat>("removed");
@@ -114,7 +115,7 @@ TEST_F(Services, DropTheResponseToARemovedRequest) {
 }
 
 TEST_F(Services, PruneRequestsAllOrByAge) {
-  Node server("server"), asker("asker");
+  Spun<Node> server("server"), asker("asker");
   Kept kept;
   auto service = server.create_service<Repeat>("pruned", kept.keep());
   auto client = asker.create_client<Repeat>("pruned");
@@ -137,7 +138,7 @@ TEST_F(Services, PruneRequestsAllOrByAge) {
 }
 
 TEST_F(Services, AClientThatEndsBreaksItsFuturesAndGetsNoResponse) {
-  Node server("server"), asker("asker");
+  Spun<Node> server("server"), asker("asker");
   Kept kept;
   auto service = server.create_service<Repeat>("left", kept.keep());
   auto client = asker.create_client<Repeat>("left");
@@ -153,7 +154,7 @@ TEST_F(Services, AClientThatEndsBreaksItsFuturesAndGetsNoResponse) {
 // --- ending in a callback
 
 TEST_F(Services, MayEndInTheirOwnCallbacks) {
-  Node server("ending_server"), asker("ending_asker");  // a callback may end after the test
+  Spun<Node> server("server"), asker("asker");
   Service<Repeat>::SharedPtr service;
   std::mutex assigning;
   {
@@ -181,7 +182,8 @@ TEST_F(Services, MayEndInTheirOwnCallbacks) {
 // --- limits
 
 TEST_F(Services, ThatDoNotReadCauseAnErrorAtTheSender) {
-  Node server("late_server"), asker("asker");
+  Node server("late_server");
+  Spun<Node> asker("asker");
   SingleThreadedExecutor nobody_spins;
   nobody_spins.add_node(server);
   auto service = server.create_service<Repeat>("full", answer, 3);
@@ -208,7 +210,8 @@ TEST_F(Services, ThatDoNotReadCauseAnErrorAtTheSender) {
 }
 
 TEST_F(Services, AClientThatDoesNotReadDelaysNoOther) {
-  Node server("server"), reads("reads"), sleeps("sleeps");
+  Spun<Node> server("server"), reads("reads");
+  Node sleeps("sleeps");
   Kept kept;
   SingleThreadedExecutor nobody_spins;
   nobody_spins.add_node(sleeps);

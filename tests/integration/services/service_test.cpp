@@ -2,7 +2,7 @@
 //
 // Goal: requests get their responses, at once or later, once; and a request that cannot be
 // answered ends with an error, at the right place, and soon.
-// Method: the public interface with the real daemon, all in this process. The library's threads
+// Method: the public interface with the real daemon, all in this process. Background executors
 // run the nodes unless the test says otherwise. More processes: service_processes_test.cpp.
 
 #include <tests/integration/services/service_fixture.hpp>
@@ -13,7 +13,7 @@ namespace {
 // --- requests and responses
 
 TEST_F(Services, AnswerRequests) {
-  Node server("server"), asker("asker");
+  Spun<Node> server("server"), asker("asker");
   auto service = server.create_service<Repeat>("repeat", answer);
   auto client = asker.create_client<Repeat>("repeat");
   ASSERT_TRUE(client->wait_for_service(patience));
@@ -34,7 +34,7 @@ TEST_F(Services, AnswerRequests) {
 }
 
 TEST_F(Services, ServeAnythingThatHasTheNamesOfANode) {
-  PlainNode node;
+  Spun<PlainNode> node;
   auto service = create_service<Repeat>(&node, "plain", answer);
   auto client = create_client<Repeat>(node, "plain");
   EXPECT_STREQ(client->get_service_name(), "/ns/plain");
@@ -45,7 +45,7 @@ TEST_F(Services, ServeAnythingThatHasTheNamesOfANode) {
 }
 
 TEST_F(Services, CallTheClientBackWithItsFuture) {
-  Node node("node");
+  Spun<Node> node("node");
   auto service = node.create_service<Repeat>("called_back", answer);
   auto client = node.create_client<Repeat>("called_back");
   ASSERT_TRUE(client->wait_for_service(patience));
@@ -75,7 +75,7 @@ TEST_F(Services, TakeCallbacksOfEveryPromisedSignature) {
 }
 
 TEST_F(Services, OfManyClientsAnswerEachItsOwn) {
-  Node server("server"), asker("asker");
+  Spun<Node> server("server"), asker("asker");
   auto service = server.create_service<Repeat>("many", answer);
   std::vector<Client<Repeat>::SharedPtr> clients;
   std::vector<std::pair<std::uint64_t, Client<Repeat>::Future>> asked;
@@ -95,7 +95,7 @@ TEST_F(Services, OfManyClientsAnswerEachItsOwn) {
 }
 
 TEST_F(Services, ReleaseClientsThatCameAndWent) {
-  Node server("server"), asker("asker");
+  Spun<Node> server("server"), asker("asker");
   auto service = server.create_service<Repeat>("guests", answer);
   for (std::uint64_t guest = 0; guest < 50; ++guest) {
     auto client = asker.create_client<Repeat>("guests");
@@ -149,7 +149,7 @@ TEST_F(Services, GiveTheExceptionOfACallbackToTheSpinningCaller) {
 // --- later
 
 TEST_F(Services, AnswerLaterInAnyOrderFromAnyThread) {
-  Node server("server"), asker("asker");
+  Spun<Node> server("server"), asker("asker");
   Kept kept;
   auto service = server.create_service<Repeat>("later", kept.keep());
   auto client = asker.create_client<Repeat>("later");
@@ -174,7 +174,7 @@ TEST_F(Services, AnswerLaterInAnyOrderFromAnyThread) {
 }
 
 TEST_F(Services, AnswerARequestOnce) {
-  Node server("server"), asker("asker");
+  Spun<Node> server("server"), asker("asker");
   Kept kept;
   auto service = server.create_service<Repeat>("once", kept.keep());
   auto client = asker.create_client<Repeat>("once");
@@ -190,7 +190,7 @@ TEST_F(Services, AnswerARequestOnce) {
 }
 
 TEST_F(Services, AnswerOnlyTheirOwnRequestsWithTheirOwnLoans) {
-  Node server("server"), asker("asker");
+  Spun<Node> server("server"), asker("asker");
   Kept kept;
   auto service = server.create_service<Repeat>("mine", kept.keep());
   auto other = server.create_service<Repeat>("others", kept.keep());
@@ -207,7 +207,7 @@ TEST_F(Services, AnswerOnlyTheirOwnRequestsWithTheirOwnLoans) {
 }
 
 TEST_F(Services, AnswerNoRequestAndSendNoLoanOfAnEarlierOne) {
-  Node server("server"), asker("asker");
+  Spun<Node> server("server"), asker("asker");
   Kept kept;
   std::vector<ipc_shared_ptr<Repeat::Response>> loans;
   auto client = asker.create_client<Repeat>("earlier");
@@ -251,7 +251,7 @@ TEST_F(Services, SendNoRequestOfAnEarlierClient) {
 }
 
 TEST_F(Services, CanReleaseARequestBeforeTheyAnswer) {
-  Node server("server"), asker("asker");
+  Spun<Node> server("server"), asker("asker");
   Kept kept;
   auto service = server.create_service<Repeat>("light", kept.keep());
   auto client = asker.create_client<Repeat>("light");
@@ -303,7 +303,7 @@ TEST_F(Services, RefuseARequestWithoutAServer) {
 }
 
 TEST_F(Services, EndWithAnErrorForTheWaitingCaller) {
-  Node server("server"), asker("asker");
+  Spun<Node> server("server"), asker("asker");
   Kept kept;
   auto service = server.create_service<Repeat>("ends", kept.keep());
   auto client = asker.create_client<Repeat>("ends");
@@ -331,6 +331,7 @@ TEST_F(Services, EndWithAnErrorAlsoIfTheirLastResponseIsMalformed) {
   spins_late.add_node(asker);
   using Kind = detail::TypedService<Repeat>;
   const Kind::ResponseCode code;
+  const Spun<Node> node_of_liar("liar");
   std::promise<Errc> lied;
   auto liar = detail::UntypedService::create(
       {"/malformed", "/liar"}, *Kind().types(), ServicesQoS(), code.code(),
@@ -359,7 +360,7 @@ TEST_F(Services, EndWithAnErrorAlsoIfTheirLastResponseIsMalformed) {
 }
 
 TEST_F(Services, HaveDestroyedTheirCallbackWhenTheyHaveEnded) {
-  Node server("server"), asker("asker");
+  Spun<Node> server("server"), asker("asker");
   for (int round = 0; round < 100; ++round) {
     auto token = std::make_shared<int>(round);
     const std::weak_ptr<int> callback = token;
@@ -368,7 +369,7 @@ TEST_F(Services, HaveDestroyedTheirCallbackWhenTheyHaveEnded) {
                                             ipc_shared_ptr<Repeat::Response>& response) {
           Repeat::answer(*request, *response);
         });
-    // Meanwhile the library's thread makes the publisher to this client.
+    // Meanwhile the library's thread of services makes the publisher to this client.
     auto client = asker.create_client<Repeat>("ended");
     service.reset();
     ASSERT_TRUE(callback.expired()) << "round " << round;
@@ -376,7 +377,7 @@ TEST_F(Services, HaveDestroyedTheirCallbackWhenTheyHaveEnded) {
 }
 
 TEST_F(Services, OfSeveralTheFirstResponseCounts) {
-  Node first("first"), second("second"), asker("asker");
+  Spun<Node> first("first"), second("second"), asker("asker");
   Kept kept_first, kept_second;
   auto one = first.create_service<Repeat>("several", kept_first.keep());
   auto two = second.create_service<Repeat>("several", kept_second.keep());

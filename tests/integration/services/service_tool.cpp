@@ -18,6 +18,7 @@
 //   result NUMBER         → the response's value, or the word of the error; waits for it
 
 #include <tests/integration/services/services.hpp>
+#include <tests/support/processes/spun.hpp>
 
 #include <chrono>
 #include <iostream>
@@ -133,7 +134,7 @@ class Tool {
     }
   }
 
-  Node node_{"tool"};
+  Spun<Node> node_{"tool"};
   std::mutex mutex_;
   std::vector<ServiceRequest<Repeat>> held_;
   Service<Repeat>::SharedPtr service_;

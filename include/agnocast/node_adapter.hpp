@@ -1,0 +1,48 @@
+// SPDX-License-Identifier: Apache-2.0
+//
+// What the create_… functions take with a node, besides names: options and callback groups of this
+// library, or those of the node's own.
+#pragma once
+
+#include <agnocast/callback_group.hpp>
+#include <agnocast/node_like.hpp>
+
+#include <type_traits>
+#include <utility>
+
+namespace agnocast {
+
+class PublisherOptions;
+class SubscriptionOptions;
+
+namespace detail {
+
+/// For the nodes of rclcpp, a package specializes this.
+template <class Node, class = void>
+struct NodeAdapter {
+  static_assert(!is_rclcpp_node<Node>,
+                "agnocast: the callbacks of an rclcpp node run in rclcpp's executors: include "
+                "<agnocast_rclcpp/agnocast_rclcpp.hpp>, of the package agnocast_rclcpp");
+  using Group = CallbackGroup::SharedPtr;
+  using PublisherOptions = agnocast::PublisherOptions;
+  using SubscriptionOptions = agnocast::SubscriptionOptions;
+  static const Group& group(const Node&, const Group& named) noexcept { return named; }
+  /// May change the QoS.
+  template <class Options, class Qos>
+  static const Options& options(const Node&, const EndpointName&, Qos&,
+                                const Options& options) noexcept {
+    return options;
+  }
+};
+
+template <class Node>
+using AdapterOf = NodeAdapter<NodeOf<Node>>;
+template <class Node>
+using GroupOf = typename AdapterOf<Node>::Group;
+template <class Node>
+using PublisherOptionsOf = typename AdapterOf<Node>::PublisherOptions;
+template <class Node>
+using SubscriptionOptionsOf = typename AdapterOf<Node>::SubscriptionOptions;
+
+}  // namespace detail
+}  // namespace agnocast
