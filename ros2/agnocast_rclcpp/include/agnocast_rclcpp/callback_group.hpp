@@ -1,0 +1,21 @@
+// SPDX-License-Identifier: Apache-2.0
+#pragma once
+
+#include <agnocast/callback_group.hpp>
+
+#include <rclcpp/callback_group.hpp>
+#include <rclcpp/node_interfaces/node_base_interface.hpp>
+#include <rclcpp/node_interfaces/node_waitables_interface.hpp>
+
+namespace agnocast_rclcpp {
+
+/// Returns the group for callbacks that rclcpp shall run with those of `group` (null: the default
+/// group of the node): they exclude each other, or do not, as rclcpp's do. It ends with the last
+/// endpoint that has it. Any thread. Throws std::runtime_error (a group of another node) and
+/// agnocast::Error (shut_down, os_failure).
+agnocast::CallbackGroup::SharedPtr adapt_group(
+    rclcpp::node_interfaces::NodeBaseInterface& node,
+    const rclcpp::node_interfaces::NodeWaitablesInterface::SharedPtr& waitables,
+    rclcpp::CallbackGroup::SharedPtr group);
+
+}  // namespace agnocast_rclcpp

@@ -1,0 +1,66 @@
+// SPDX-License-Identifier: Apache-2.0
+//
+// How the create_… functions treat an rclcpp node: see <agnocast/node_adapter.hpp>.
+#pragma once
+
+#include <agnocast/node_adapter.hpp>
+#include <agnocast/qos.hpp>
+#include <agnocast_rclcpp/callback_group.hpp>
+#include <agnocast_rclcpp/options.hpp>
+
+#include <rclcpp/detail/qos_parameters.hpp>
+#include <rclcpp/qos.hpp>
+
+#include <string>
+#include <type_traits>
+
+namespace agnocast_rclcpp {
+
+/// Applies overrides by parameters, which it declares, as rclcpp does: qos_overrides.<topic>.….
+template <class Node, class EntityTraits>
+agnocast::QoS override_qos(Node& node, const std::string& topic,
+                           const rclcpp::QosOverridingOptions& options, const agnocast::QoS& qos,
+                           EntityTraits traits) {
+  if (options.get_policy_kinds().empty()) return qos;
+  rclcpp::QoS given(qos.depth());
+  if (qos.is_keep_all()) given.keep_all();
+  if (!qos.is_reliable()) given.best_effort();
+  if (qos.is_transient_local()) given.transient_local();
+  return rclcpp::detail::declare_qos_parameters(options, node, topic, given, traits);
+}
+
+}  // namespace agnocast_rclcpp
+
+namespace agnocast::detail {
+
+template <class Node>
+struct NodeAdapter<Node, std::enable_if_t<is_rclcpp_node<Node>>> {
+  using Group = rclcpp::CallbackGroup::SharedPtr;
+  using PublisherOptions = agnocast_rclcpp::PublisherOptions;
+  using SubscriptionOptions = agnocast_rclcpp::SubscriptionOptions;
+
+  static CallbackGroup::SharedPtr group(Node& node, const Group& named) {
+    return agnocast_rclcpp::adapt_group(*node.get_node_base_interface(),
+                                        node.get_node_waitables_interface(), named);
+  }
+  static agnocast::SubscriptionOptions options(Node& node, const EndpointName& name, QoS& qos,
+                                               const SubscriptionOptions& options) {
+    return adapt<rclcpp::detail::SubscriptionQosParametersTraits>(node, name, qos, options);
+  }
+  static agnocast::PublisherOptions options(Node& node, const EndpointName& name, QoS& qos,
+                                            const PublisherOptions& options) {
+    return adapt<rclcpp::detail::PublisherQosParametersTraits>(node, name, qos, options);
+  }
+
+ private:
+  template <class Traits, class Options>
+  static auto adapt(Node& node, const EndpointName& name, QoS& qos, const Options& options) {
+    qos = agnocast_rclcpp::override_qos(node, name.topic, options.ros.qos_overriding_options, qos,
+                                        Traits());
+    auto translated = agnocast_rclcpp::translate(options, name.topic, node.get_logger());
+    translated.callback_group(group(node, options.ros.callback_group));
+    return translated;
+  }
+};
+
+}  // namespace agnocast::detail

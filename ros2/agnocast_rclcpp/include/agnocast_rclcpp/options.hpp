@@ -1,0 +1,49 @@
+// SPDX-License-Identifier: Apache-2.0
+//
+// The options that endpoints of rclcpp nodes take: those of rclcpp, or those of agnocast.
+#pragma once
+
+#include <agnocast/publisher.hpp>
+#include <agnocast/subscription.hpp>
+
+#include <rclcpp/publisher_options.hpp>
+#include <rclcpp/subscription_options.hpp>
+
+#include <utility>
+
+namespace agnocast_rclcpp {
+
+/// Either kind converts. The callback group is always rclcpp's.
+class SubscriptionOptions {
+ public:
+  SubscriptionOptions() = default;
+  template <class Allocator>
+  SubscriptionOptions(const rclcpp::SubscriptionOptionsWithAllocator<Allocator>& options)
+      : ros(options) {}
+  /// Throws agnocast::Error (invalid_argument): it names a callback group of agnocast's.
+  SubscriptionOptions(agnocast::SubscriptionOptions options);
+
+  rclcpp::SubscriptionOptionsBase ros;
+  agnocast::SubscriptionOptions own;
+};
+
+class PublisherOptions {
+ public:
+  PublisherOptions() = default;
+  template <class Allocator>
+  PublisherOptions(const rclcpp::PublisherOptionsWithAllocator<Allocator>& options)
+      : ros(options) {}
+  PublisherOptions(agnocast::PublisherOptions options);
+
+  rclcpp::PublisherOptionsBase ros;
+  agnocast::PublisherOptions own;
+};
+
+/// Returns the options for the library: what `options` says, with rclcpp's event callbacks, or its
+/// default ones, which warn of incompatible QoS. Warns of what has no effect here.
+agnocast::SubscriptionOptions translate(const SubscriptionOptions& options,
+                                        const std::string& topic, const rclcpp::Logger& logger);
+agnocast::PublisherOptions translate(const PublisherOptions& options, const std::string& topic,
+                                     const rclcpp::Logger& logger);
+
+}  // namespace agnocast_rclcpp

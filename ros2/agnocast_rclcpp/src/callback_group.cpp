@@ -1,0 +1,85 @@
+// SPDX-License-Identifier: Apache-2.0
+
+#include <agnocast_rclcpp/callback_group.hpp>
+
+#include "group_waitable.hpp"
+
+#include <map>
+#include <memory>
+#include <mutex>
+#include <utility>
+
+namespace agnocast_rclcpp {
+namespace {
+
+using NodeBase = rclcpp::node_interfaces::NodeBaseInterface;
+using NodeWaitables = rclcpp::node_interfaces::NodeWaitablesInterface;
+
+/// A group of agnocast's, and how rclcpp runs it. Endpoints share it.
+struct AdaptedGroup {
+  ~AdaptedGroup();
+
+  agnocast::CallbackGroup::SharedPtr group;
+  std::shared_ptr<GroupWaitable> waitable;
+  std::weak_ptr<NodeWaitables> waitables;
+  std::weak_ptr<rclcpp::CallbackGroup> rclcpp_group;
+};
+
+struct Groups {
+  std::mutex mutex;
+  // The control block of a key lives as long as the key, so no other group is mistaken for it.
+  std::map<std::weak_ptr<rclcpp::CallbackGroup>, std::weak_ptr<AdaptedGroup>,
+           std::owner_less<std::weak_ptr<rclcpp::CallbackGroup>>>
+      adapted;
+};
+Groups& groups() {
+  static Groups* const all = new Groups;  // for endpoints in statics
+  return *all;
+}
+
+AdaptedGroup::~AdaptedGroup() {
+  {
+    Groups& all = groups();
+    const std::lock_guard lock(all.mutex);
+    const auto found = all.adapted.find(rclcpp_group);
+    // Another thread may have adapted the group anew meanwhile.
+    if (found != all.adapted.end() && found->second.expired()) all.adapted.erase(found);
+  }
+  if (waitable == nullptr) return;
+  waitable->leave();
+  const auto node = waitables.lock();
+  const auto in = rclcpp_group.lock();
+  if (node != nullptr && in != nullptr) node->remove_waitable(waitable, in);
+}
+
+}  // namespace
+
+agnocast::CallbackGroup::SharedPtr adapt_group(NodeBase& node,
+                                               const NodeWaitables::SharedPtr& waitables,
+                                               rclcpp::CallbackGroup::SharedPtr group) {
+  if (group == nullptr) group = node.get_default_callback_group();
+  std::shared_ptr<AdaptedGroup> adapted;  // outside the lock: its destructor takes it
+  Groups& all = groups();
+  const std::lock_guard lock(all.mutex);
+  const auto found = all.adapted.find(group);
+  if (found != all.adapted.end()) adapted = found->second.lock();
+  if (adapted == nullptr) {
+    adapted = std::make_shared<AdaptedGroup>();
+    const auto type = group->type() == rclcpp::CallbackGroupType::Reentrant
+                          ? agnocast::CallbackGroupType::Reentrant
+                          : agnocast::CallbackGroupType::MutuallyExclusive;
+    adapted->group =
+        agnocast::detail::make_callback_group(node.get_fully_qualified_name(), type, false);
+    adapted->waitable = GroupWaitable::make(node.get_context(), *adapted->group);
+    adapted->waitables = waitables;
+    adapted->rclcpp_group = group;
+    waitables->add_waitable(adapted->waitable, group);  // refuses a group of another node
+    // An executor that already spins watches the groups that it has, and finds new ones when it is
+    // woken: Humble's does not watch the condition of the node.
+    node.get_default_callback_group()->trigger_notify_guard_condition();
+    all.adapted[group] = adapted;
+  }
+  return {adapted, adapted->group.get()};
+}
+
+}  // namespace agnocast_rclcpp

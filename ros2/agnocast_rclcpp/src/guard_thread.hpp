@@ -1,0 +1,41 @@
+// SPDX-License-Identifier: Apache-2.0
+//
+// GuardThread: the one thread of the process that wakes rclcpp's executors. It sleeps on the
+// descriptors of all adapted groups, and triggers a guard condition when a group has something to
+// do. It runs no callback.
+#pragma once
+
+#include <cstdint>
+#include <map>
+#include <memory>
+#include <mutex>
+#include <thread>
+
+namespace agnocast_rclcpp {
+
+class GroupWaitable;
+
+class GuardThread {
+ public:
+  /// The only one. It is never destroyed; its thread ends with exit().
+  static GuardThread& instance();
+
+  /// From the next arm() on, calls ring() of the waitable once when `fd` is readable. Returns the
+  /// number for the other functions. Throws std::system_error.
+  std::uint64_t add(const std::shared_ptr<GroupWaitable>& waitable, int fd);
+  void arm(std::uint64_t number, int fd) noexcept;
+  void remove(std::uint64_t number, int fd) noexcept;
+
+ private:
+  GuardThread();
+  void run() noexcept;
+  void end() noexcept;
+
+  int epoll_, ended_;
+  std::mutex mutex_;
+  std::map<std::uint64_t, std::weak_ptr<GroupWaitable>> waitables_;
+  std::uint64_t last_ = 0;
+  std::thread thread_;
+};
+
+}  // namespace agnocast_rclcpp

@@ -1,0 +1,101 @@
+// SPDX-License-Identifier: Apache-2.0
+
+#include <agnocast_rclcpp/options.hpp>
+
+#include <rmw/incompatible_qos_events_statuses.h>
+#include <rclcpp/logging.hpp>
+
+#include <memory>
+#include <string>
+#include <utility>
+
+namespace agnocast_rclcpp {
+namespace {
+
+template <class Options>
+Options without_group(Options options) {
+  if (options.callback_group() != nullptr)
+    throw agnocast::Error({agnocast::Errc::invalid_argument, 0,
+                           "an endpoint of an rclcpp node takes rclcpp's callback groups"});
+  return options;
+}
+
+const char* name_of(agnocast::QosPolicyKind kind) {
+  return kind == agnocast::QosPolicyKind::durability ? "DURABILITY" : "RELIABILITY";
+}
+
+/// rmw's structure for both sides; the numbers of the policies are rmw's.
+template <class Info>
+Info to_rmw(const agnocast::IncompatibleQosInfo& info) {
+  Info status{};
+  status.total_count = info.total_count;
+  status.total_count_change = info.total_count_change;
+  status.last_policy_kind = static_cast<rmw_qos_policy_kind_t>(info.last_policy_kind);
+  return status;
+}
+
+void warn_of(bool given, const char* what, const std::string& topic, const rclcpp::Logger& logger) {
+  if (given)
+    RCLCPP_WARN(logger, "%s has no effect on '%s', which agnocast serves", what, topic.c_str());
+}
+
+}  // namespace
+
+SubscriptionOptions::SubscriptionOptions(agnocast::SubscriptionOptions options)
+    : own(without_group(std::move(options))) {}
+PublisherOptions::PublisherOptions(agnocast::PublisherOptions options)
+    : own(without_group(std::move(options))) {}
+
+agnocast::SubscriptionOptions translate(const SubscriptionOptions& options,
+                                        const std::string& topic, const rclcpp::Logger& logger) {
+  agnocast::SubscriptionOptions translated = options.own;
+  const rclcpp::SubscriptionEventCallbacks& events = options.ros.event_callbacks;
+  warn_of(events.deadline_callback != nullptr, "deadline_callback", topic, logger);
+  warn_of(events.liveliness_callback != nullptr, "liveliness_callback", topic, logger);
+  warn_of(events.message_lost_callback != nullptr, "message_lost_callback", topic, logger);
+  warn_of(!options.ros.content_filter_options.filter_expression.empty(), "content_filter_options",
+          topic, logger);
+  warn_of(options.ros.ignore_local_publications, "ignore_local_publications", topic, logger);
+  if (options.own.events().incompatible_qos != nullptr) return translated;
+  if (events.incompatible_qos_callback) {
+    translated.incompatible_qos_callback(
+        [call = events.incompatible_qos_callback](agnocast::IncompatibleQosInfo& info) {
+          auto status = to_rmw<rclcpp::QOSRequestedIncompatibleQoSInfo>(info);
+          call(status);
+        });
+  } else if (options.ros.use_default_callbacks) {
+    translated.incompatible_qos_callback([topic, logger](agnocast::IncompatibleQosInfo& info) {
+      RCLCPP_WARN(logger,
+                  "New publisher discovered on topic '%s', offering incompatible QoS. No messages "
+                  "will be received from it. Last incompatible policy: %s",
+                  topic.c_str(), name_of(info.last_policy_kind));
+    });
+  }
+  return translated;
+}
+
+agnocast::PublisherOptions translate(const PublisherOptions& options, const std::string& topic,
+                                     const rclcpp::Logger& logger) {
+  agnocast::PublisherOptions translated = options.own;
+  const rclcpp::PublisherEventCallbacks& events = options.ros.event_callbacks;
+  warn_of(events.deadline_callback != nullptr, "deadline_callback", topic, logger);
+  warn_of(events.liveliness_callback != nullptr, "liveliness_callback", topic, logger);
+  if (options.own.events().incompatible_qos != nullptr) return translated;
+  if (events.incompatible_qos_callback) {
+    translated.incompatible_qos_callback(
+        [call = events.incompatible_qos_callback](agnocast::IncompatibleQosInfo& info) {
+          auto status = to_rmw<rclcpp::QOSOfferedIncompatibleQoSInfo>(info);
+          call(status);
+        });
+  } else if (options.ros.use_default_callbacks) {
+    translated.incompatible_qos_callback([topic, logger](agnocast::IncompatibleQosInfo& info) {
+      RCLCPP_WARN(logger,
+                  "New subscription discovered on topic '%s', requesting incompatible QoS. No "
+                  "messages will be sent to it. Last incompatible policy: %s",
+                  topic.c_str(), name_of(info.last_policy_kind));
+    });
+  }
+  return translated;
+}
+
+}  // namespace agnocast_rclcpp

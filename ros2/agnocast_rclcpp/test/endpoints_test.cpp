@@ -1,0 +1,225 @@
+// SPDX-License-Identifier: Apache-2.0
+//
+// What an rclcpp node says when it creates an endpoint means here what it means there: QoS and its
+// overrides, options, events, names of sub-nodes and lifecycle nodes, types of callbacks.
+
+#include "test_node.hpp"
+
+#include <rclcpp_lifecycle/lifecycle_node.hpp>
+#include <std_srvs/srv/trigger.hpp>
+
+#include <gmock/gmock.h>
+
+#include <mutex>
+#include <stdexcept>
+#include <vector>
+
+namespace agnocast_rclcpp {
+namespace {
+
+using namespace std::chrono_literals;
+using Message = agnocast::ipc_shared_ptr<const String>;
+using Trigger = std_srvs::srv::Trigger;
+
+class EndpointsTest : public RclcppTest {
+ protected:
+  void SetUp() override {
+    RclcppTest::SetUp();
+    node_ = std::make_shared<rclcpp::Node>("node", "space");
+    executor_ = std::make_unique<rclcpp::executors::SingleThreadedExecutor>();
+    executor_->add_node(node_);
+  }
+  void TearDown() override {
+    executor_.reset();
+    node_.reset();
+    RclcppTest::TearDown();
+  }
+  template <class Condition>
+  [[nodiscard]] bool spin_until(Condition condition) {
+    for (int i = 0; i < 3000 && !condition(); ++i) executor_->spin_once(10ms);
+    return condition();
+  }
+
+  rclcpp::Node::SharedPtr node_;
+  std::unique_ptr<rclcpp::executors::SingleThreadedExecutor> executor_;
+};
+
+TEST_F(EndpointsTest, CallbacksTakeTheMessageInEveryForm) {
+  std::vector<std::string> heard;
+  std::shared_ptr<const String> kept;
+  std::vector<std::shared_ptr<void>> subscriptions;
+  const auto add = [&](auto callback) {
+    subscriptions.push_back(
+        agnocast::create_subscription<String>(node_, "topic", 10, std::move(callback)));
+  };
+  add([&](const Message& message) { heard.push_back("pointer " + message->data); });
+  add([&](const String& message) { heard.push_back("reference " + message.data); });
+  add([&](std::shared_ptr<const String> message) {
+    heard.push_back("shared " + message->data);
+    kept = std::move(message);
+  });
+  add([&](String::ConstSharedPtr message, const agnocast::MessageInfo& info) {
+    heard.push_back("shared with info " + message->data + std::to_string(info.sequence));
+  });
+  add([&](const String& message, const agnocast::MessageInfo& info) {
+    heard.push_back("reference with info " + message.data + std::to_string(info.sequence));
+  });
+  const auto publisher = agnocast::create_publisher<String>(node_, "topic", 10);
+  ASSERT_TRUE(spin_until([&] { return publisher->get_subscription_count() == 5; }));
+  auto loan = publisher->borrow_loaned_message();
+  loan->data = "1";
+  ASSERT_EQ(publisher->publish(std::move(loan)).code, agnocast::Errc::ok);
+  ASSERT_TRUE(spin_until([&] { return heard.size() == 5; }));
+  EXPECT_THAT(heard,
+              testing::UnorderedElementsAre("pointer 1", "reference 1", "shared 1",
+                                            "shared with info 11", "reference with info 11"));
+  EXPECT_EQ(kept->data, "1") << "the message is held";
+}
+
+TEST_F(EndpointsTest, SubNodesAndLifecycleNodesHaveTheNamesOfRclcpp) {
+  const auto sub_node = node_->create_sub_node("inner");
+  const auto of_sub_node = agnocast::create_publisher<String>(sub_node, "topic", 10);
+  EXPECT_STREQ(of_sub_node->get_topic_name(), "/space/inner/topic");
+  EXPECT_STREQ(sub_node->create_publisher<String>("topic", 10)->get_topic_name(),
+               "/space/inner/topic");
+  const auto absolute = agnocast::create_publisher<String>(sub_node, "/topic", 10);
+  EXPECT_STREQ(absolute->get_topic_name(), "/topic");
+  const auto client = agnocast::create_client<Trigger>(sub_node, "service");
+  EXPECT_STREQ(client->get_service_name(), "/space/inner/service");
+
+  const auto lifecycle = std::make_shared<rclcpp_lifecycle::LifecycleNode>("lifecycle", "space");
+  executor_->add_node(lifecycle->get_node_base_interface());
+  int heard = 0;
+  const auto subscription = agnocast::create_subscription<String>(lifecycle, "~/own", 10,
+                                                                  [&](const Message&) { ++heard; });
+  const auto publisher = agnocast::create_publisher<String>(lifecycle, "~/own", 10);
+  EXPECT_STREQ(publisher->get_topic_name(), "/space/lifecycle/own");
+  ASSERT_TRUE(spin_until([&] { return publisher->get_subscription_count() == 1; }));
+  (void)publisher->publish(String());
+  EXPECT_TRUE(spin_until([&] { return heard == 1; }));
+}
+
+TEST_F(EndpointsTest, QosIsOverriddenByParameters) {
+  const auto node = std::make_shared<rclcpp::Node>(
+      "overridden", rclcpp::NodeOptions().parameter_overrides(
+                        {{"qos_overrides./latched.publisher.durability", "transient_local"},
+                         {"qos_overrides./latched.publisher.depth", 3}}));
+  rclcpp::PublisherOptions options;
+  options.qos_overriding_options = rclcpp::QosOverridingOptions::with_default_policies();
+  const auto without = agnocast::create_publisher<String>(node, "plain", 10, options);
+  options.qos_overriding_options =
+      rclcpp::QosOverridingOptions{rclcpp::QosPolicyKind::Durability, rclcpp::QosPolicyKind::Depth};
+  const auto latched = agnocast::create_publisher<String>(node, "latched", 10, options);
+  EXPECT_TRUE(node->has_parameter("qos_overrides./plain.publisher.reliability"));
+  for (const char* text : {"1", "2", "3", "4"}) {
+    String message;
+    message.data = text;
+    ASSERT_EQ(latched->publish(message).code, agnocast::Errc::ok);
+  }
+  std::string late;
+  const auto subscription =
+      agnocast::create_subscription<String>(node_, "/latched", rclcpp::QoS(10).transient_local(),
+                                            [&](const String& message) { late += message.data; });
+  EXPECT_TRUE(spin_until([&] { return late == "234"; })) << late;
+}
+
+TEST_F(EndpointsTest, IncompatibleQosIsToldAsRclcppTellsIt) {
+  std::vector<std::string> lines;
+  static std::vector<std::string>* static_lines;
+  static_lines = &lines;
+  const auto before = rcutils_logging_get_output_handler();
+  rcutils_logging_set_output_handler([](const rcutils_log_location_t*, int severity, const char*,
+                                        rcutils_time_point_value_t, const char* format,
+                                        va_list* arguments) {
+    char text[512];
+    std::vsnprintf(text, sizeof text, format, *arguments);
+    if (severity >= RCUTILS_LOG_SEVERITY_WARN) static_lines->push_back(text);
+  });
+  int reported = 0;
+  rclcpp::QOSRequestedIncompatibleQoSInfo last{};
+  rclcpp::SubscriptionOptions options;
+  options.event_callbacks.incompatible_qos_callback =
+      [&](rclcpp::QOSRequestedIncompatibleQoSInfo& info) {
+        ++reported;
+        last = info;
+      };
+  const auto wanting = agnocast::create_subscription<String>(
+      node_, "topic", rclcpp::QoS(10).reliable(), [](const Message&) {}, options);
+  const auto warning = agnocast::create_subscription<String>(
+      node_, "topic", rclcpp::QoS(10).reliable(), [](const Message&) {});
+  const auto publisher =
+      agnocast::create_publisher<String>(node_, "topic", rclcpp::QoS(10).best_effort());
+  const auto has_line = [&](const char* wanted) {
+    return std::any_of(lines.begin(), lines.end(),
+                       [&](const auto& line) { return line.find(wanted) != std::string::npos; });
+  };
+  EXPECT_TRUE(spin_until([&] {
+    return reported == 1 && has_line("New publisher discovered on topic '/space/topic'") &&
+           has_line("New subscription discovered on topic '/space/topic'");
+  }));
+  rcutils_logging_set_output_handler(before);
+  EXPECT_EQ(last.last_policy_kind, RMW_QOS_POLICY_RELIABILITY);
+  EXPECT_EQ(last.total_count, 1);
+}
+
+TEST_F(EndpointsTest, GroupsOfOthersAreRefused) {
+  const auto other = std::make_shared<rclcpp::Node>("other");
+  rclcpp::SubscriptionOptions options;
+  options.callback_group =
+      other->create_callback_group(rclcpp::CallbackGroupType::MutuallyExclusive);
+  EXPECT_THROW(agnocast::create_subscription<String>(
+                   node_, "topic", 10, [](const Message&) {}, options),
+               std::exception);
+}
+
+TEST_F(EndpointsTest, ServicesAndClientsRunInTheNodesGroups) {
+  const auto group = node_->create_callback_group(rclcpp::CallbackGroupType::Reentrant);
+  const auto service = agnocast::create_service<Trigger>(
+      node_, "service",
+      [](const agnocast::ipc_shared_ptr<const Trigger::Request>&,
+         agnocast::ipc_shared_ptr<Trigger::Response>& response) { response->message = "done"; },
+      rclcpp::ServicesQoS(), group);
+  const auto client = agnocast::create_client<Trigger>(node_, "service");
+  ASSERT_TRUE(client->wait_for_service(30s));
+  std::string answer;
+  (void)client->async_send_request(client->borrow_loaned_request(),
+                                   [&](auto future) { answer = future.get()->message; });
+  EXPECT_TRUE(spin_until([&] { return answer == "done"; }));
+}
+
+TEST_F(EndpointsTest, GenericEndpointsFindTypesByName) {
+  std::string heard;
+  const auto subscription = agnocast::create_generic_subscription(
+      node_, "topic", "std_msgs/msg/String", rclcpp::QoS(10),
+      [&](agnocast::GenericMessage message) {
+        heard = static_cast<const String*>(message.get())->data;
+      });
+  const auto publisher = agnocast::create_publisher<String>(node_, "topic", 10);
+  ASSERT_TRUE(spin_until([&] { return publisher->get_subscription_count() == 1; }));
+  String message;
+  message.data = "words";
+  (void)publisher->publish(message);
+  EXPECT_TRUE(spin_until([&] { return !heard.empty(); }));
+}
+
+TEST_F(EndpointsTest, OptionsOfAgnocastAreTakenAsWell) {
+  int heard = 0;
+  const auto subscription = agnocast::create_subscription<String>(
+      node_, "topic", 10, [&](const Message&) { ++heard; },
+      agnocast::SubscriptionOptions().hold_quota(3).depth_per_publisher());
+  const auto publisher = agnocast::create_publisher<String>(node_, "topic", 10);
+  ASSERT_TRUE(spin_until([&] { return publisher->get_subscription_count() == 1; }));
+  (void)publisher->publish(String());
+  EXPECT_TRUE(spin_until([&] { return heard == 1; }));
+}
+
+TEST_F(EndpointsTest, PollingSubscriptionsNeedNoSpin) {
+  const auto subscription = agnocast::create_subscription<String>(node_, "topic", rclcpp::QoS(1));
+  const auto publisher = agnocast::create_publisher<String>(node_, "topic", 10);
+  ASSERT_TRUE(eventually([&] { return publisher->get_subscription_count() == 1; }));
+  (void)publisher->publish(String());
+  EXPECT_TRUE(eventually([&] { return subscription->take_data() != nullptr; }));
+}
+
+}  // namespace
+}  // namespace agnocast_rclcpp
