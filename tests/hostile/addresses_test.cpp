@@ -66,7 +66,9 @@ void claims_every_window(Stage& stage, Attack& attack) {
 void a_real_collision_is_served_beside(Stage& stage, std::uint64_t moves_for_strangers) {
   Attacker attacker([&](Attack& attack) { claims_every_window(stage, attack); });
   ASSERT_TRUE(attacker.wait_until_ready());
-  EXPECT_EQ(attacker.word(moves), moves_for_strangers);
+  // A window may also be announced because the heap grows between two claims.
+  const std::uint64_t announced = attacker.word(moves);
+  EXPECT_GE(announced, moves_for_strangers);
   stage.honest_goes_on();
 
   const auto collider = stage.another_honest_process();
@@ -83,7 +85,7 @@ void a_real_collision_is_served_beside(Stage& stage, std::uint64_t moves_for_str
       << state[2] << " messages\n"
       << stage.daemon().log();
   EXPECT_EQ(state[3], 0u);
-  EXPECT_TRUE(eventually([&] { return attacker.word(claims) == moves_for_strangers + 2; }))
+  EXPECT_TRUE(eventually([&] { return attacker.word(claims) >= announced + 2; }))
       << "the publisher moved to another window and the attacker could not claim it";
   stage.honest_goes_on();
   stage.honest_is_served();
@@ -95,6 +97,9 @@ TEST(HostileAddresses, FalseClaimsLeaveAMoveForACollisionWithinTheUser) {
   AGNOCAST_NEEDS_TWO_USERS();
   Stage stage({.quota = "held_messages = 600\n"});
   a_real_collision_is_served_beside(stage, abi::heap_move_max - 1);
+  EXPECT_NE(stage.daemon().log().find("it stays: it has moved " +
+                                      std::to_string(abi::heap_move_max - 1) + " times"),
+            std::string::npos);
 }
 
 TEST(HostileAddresses, FalseClaimsLeaveAWindowOfTheUsersQuotaForARealCollision) {
