@@ -154,12 +154,14 @@ Result<CallbackGroup::SharedPtr> of_endpoint(const std::string& node,
   if (state.callbacks->wait_set() != nullptr) return group;
   auto wait_set = all.wait_set();
   if (!wait_set) return tl::unexpected<Failure>(wait_set.error());
-  if (state.executor != nullptr) {
-    if (Result<void> listening = state.executor->listen(*state.callbacks, *wait_set); !listening)
-      return tl::unexpected<Failure>(listening.error());
-  }
-  state.callbacks->set_wait_set(std::move(*wait_set));
-  return group;
+  // First, because an executor that takes the group meanwhile (a core of CallbackIsolatedExecutor)
+  // listens to what the group has.
+  state.callbacks->set_wait_set(*wait_set);
+  if (state.executor == nullptr) return group;
+  Result<void> listening = state.executor->listen(*state.callbacks, std::move(*wait_set));
+  if (listening) return group;
+  state.callbacks->set_wait_set(nullptr);
+  return tl::unexpected<Failure>(listening.error());
 }
 
 Result<void> claim_node(const std::string& node, GroupExecutor& executor) {

@@ -19,9 +19,11 @@ namespace {
 
 /// A group and, while the executor spins, its core and thread.
 struct Isolated {
+  explicit Isolated(std::shared_ptr<GroupCallbacks> whose) noexcept : group(std::move(whose)) {}
+
   std::shared_ptr<GroupCallbacks> group;  // null: it has left, and the thread ends
-  std::shared_ptr<ExecutorCore> core = {};
-  std::thread thread = {};
+  std::shared_ptr<ExecutorCore> core;
+  std::thread thread;
   std::atomic<bool> has_ended{false};  // the thread, but for its last instructions
 };
 
