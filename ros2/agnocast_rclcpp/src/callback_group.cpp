@@ -3,6 +3,7 @@
 #include <agnocast_rclcpp/callback_group.hpp>
 
 #include "group_waitable.hpp"
+#include "guard_thread.hpp"
 
 #include <map>
 #include <memory>
@@ -21,6 +22,7 @@ struct AdaptedGroup {
 
   agnocast::CallbackGroup::SharedPtr group;
   std::shared_ptr<GroupWaitable> waitable;
+  std::weak_ptr<NodeBase> node;  // NodeWaitables refers to it
   std::weak_ptr<NodeWaitables> waitables;
   std::weak_ptr<rclcpp::CallbackGroup> rclcpp_group;
 };
@@ -38,6 +40,7 @@ Groups& groups() {
 }
 
 AdaptedGroup::~AdaptedGroup() {
+  if (!GuardThread::instance().is_here()) return;  // the locks may be the parent's
   {
     Groups& all = groups();
     const std::lock_guard lock(all.mutex);
@@ -47,17 +50,20 @@ AdaptedGroup::~AdaptedGroup() {
   }
   if (waitable == nullptr) return;
   waitable->leave();
-  const auto node = waitables.lock();
+  const auto base = node.lock();
+  const auto from = waitables.lock();
   const auto in = rclcpp_group.lock();
-  if (node != nullptr && in != nullptr) node->remove_waitable(waitable, in);
+  if (base != nullptr && from != nullptr && in != nullptr) from->remove_waitable(waitable, in);
 }
 
 }  // namespace
 
-agnocast::CallbackGroup::SharedPtr adapt_group(NodeBase& node,
+agnocast::CallbackGroup::SharedPtr adapt_group(const NodeBase::SharedPtr& node,
                                                const NodeWaitables::SharedPtr& waitables,
                                                rclcpp::CallbackGroup::SharedPtr group) {
-  if (group == nullptr) group = node.get_default_callback_group();
+  if (!GuardThread::instance().is_here())
+    throw agnocast::Error({agnocast::Errc::shut_down, 0, "this is a forked child"});
+  if (group == nullptr) group = node->get_default_callback_group();
   std::shared_ptr<AdaptedGroup> adapted;  // outside the lock: its destructor takes it
   Groups& all = groups();
   const std::lock_guard lock(all.mutex);
@@ -69,14 +75,15 @@ agnocast::CallbackGroup::SharedPtr adapt_group(NodeBase& node,
                           ? agnocast::CallbackGroupType::Reentrant
                           : agnocast::CallbackGroupType::MutuallyExclusive;
     adapted->group =
-        agnocast::detail::make_callback_group(node.get_fully_qualified_name(), type, false);
-    adapted->waitable = GroupWaitable::make(node.get_context(), *adapted->group);
+        agnocast::detail::make_callback_group(node->get_fully_qualified_name(), type, false);
+    adapted->waitable = GroupWaitable::make(node->get_context(), *adapted->group);
+    adapted->node = node;
     adapted->waitables = waitables;
     adapted->rclcpp_group = group;
     waitables->add_waitable(adapted->waitable, group);  // refuses a group of another node
     // An executor that already spins watches the groups that it has, and finds new ones when it is
     // woken: Humble's does not watch the condition of the node.
-    node.get_default_callback_group()->trigger_notify_guard_condition();
+    node->get_default_callback_group()->trigger_notify_guard_condition();
     all.adapted[group] = adapted;
   }
   return {adapted, adapted->group.get()};

@@ -76,11 +76,13 @@ std::uint64_t GuardThread::add(const std::shared_ptr<GroupWaitable>& waitable, i
 }
 
 void GuardThread::arm(std::uint64_t number, int fd) noexcept {
+  if (!is_here()) return;
   epoll_event event = event_of(number, once);
   ::epoll_ctl(epoll_, EPOLL_CTL_MOD, fd, &event);
 }
 
 void GuardThread::remove(std::uint64_t number, int fd) noexcept {
+  if (!is_here()) return;
   epoll_event event{};
   ::epoll_ctl(epoll_, EPOLL_CTL_DEL, fd, &event);
   const std::lock_guard lock(mutex_);
@@ -88,9 +90,11 @@ void GuardThread::remove(std::uint64_t number, int fd) noexcept {
 }
 
 void GuardThread::run() noexcept {
-  for (;;) {
+  while (!is_over_.load(std::memory_order_acquire)) {
     epoll_event events[16];
     const int count = ::epoll_wait(epoll_, events, 16, -1);
+    // The program has closed descriptors that are not its own: nothing can ring any more.
+    if (count < 0 && errno != EINTR) ::usleep(10'000);
     for (int i = 0; i < count; ++i) {
       if (events[i].data.u64 == end_number) return;
       std::shared_ptr<GroupWaitable> waitable;
@@ -105,6 +109,8 @@ void GuardThread::run() noexcept {
 }
 
 void GuardThread::end() noexcept {
+  if (!is_here()) return;
+  is_over_.store(true, std::memory_order_release);
   ::eventfd_write(ended_, 1);
   if (thread_.get_id() != std::this_thread::get_id()) thread_.join();
 }

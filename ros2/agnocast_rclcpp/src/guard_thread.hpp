@@ -5,6 +5,10 @@
 // do. It runs no callback.
 #pragma once
 
+#include <sys/types.h>
+#include <unistd.h>
+
+#include <atomic>
 #include <cstdint>
 #include <map>
 #include <memory>
@@ -17,8 +21,11 @@ class GroupWaitable;
 
 class GuardThread {
  public:
-  /// The only one. It is never destroyed; its thread ends with exit().
+  /// The only one. It is never destroyed; its thread ends with exit(). In a forked child, whose
+  /// descriptors are the parent's, the functions below do nothing.
   static GuardThread& instance();
+  /// Returns whether this process made it; otherwise it is a forked child.
+  bool is_here() const noexcept { return ::getpid() == owner_; }
 
   /// From the next arm() on, calls ring() of the waitable once when `fd` is readable. Returns the
   /// number for the other functions. Throws std::system_error.
@@ -31,7 +38,9 @@ class GuardThread {
   void run() noexcept;
   void end() noexcept;
 
+  const pid_t owner_ = ::getpid();
   int epoll_, ended_;
+  std::atomic<bool> is_over_{false};
   std::mutex mutex_;
   std::map<std::uint64_t, std::weak_ptr<GroupWaitable>> waitables_;
   std::uint64_t last_ = 0;

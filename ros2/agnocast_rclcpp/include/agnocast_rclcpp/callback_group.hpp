@@ -14,7 +14,7 @@ namespace agnocast_rclcpp {
 /// endpoint that has it. Any thread. Throws std::runtime_error (a group of another node) and
 /// agnocast::Error (shut_down, os_failure).
 agnocast::CallbackGroup::SharedPtr adapt_group(
-    rclcpp::node_interfaces::NodeBaseInterface& node,
+    const rclcpp::node_interfaces::NodeBaseInterface::SharedPtr& node,
     const rclcpp::node_interfaces::NodeWaitablesInterface::SharedPtr& waitables,
     rclcpp::CallbackGroup::SharedPtr group);
 

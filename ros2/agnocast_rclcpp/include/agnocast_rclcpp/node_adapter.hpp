@@ -40,7 +40,7 @@ struct NodeAdapter<Node, std::enable_if_t<is_rclcpp_node<Node>>> {
   using SubscriptionOptions = agnocast_rclcpp::SubscriptionOptions;
 
   static CallbackGroup::SharedPtr group(Node& node, const Group& named) {
-    return agnocast_rclcpp::adapt_group(*node.get_node_base_interface(),
+    return agnocast_rclcpp::adapt_group(node.get_node_base_interface(),
                                         node.get_node_waitables_interface(), named);
   }
   static agnocast::SubscriptionOptions options(Node& node, const EndpointName& name, QoS& qos,
