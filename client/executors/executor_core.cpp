@@ -159,15 +159,16 @@ ExecutorCore::Claim ExecutorCore::next() {
 }
 
 bool ExecutorCore::run_next() {
-  do {
+  // Twice with several threads: what came for the busy group meanwhile, no other has seen. Not for
+  // ever: while there is no memory for a message, there is work that nobody can do.
+  for (int attempts = is_shared() ? 2 : 1; attempts > 0; --attempts) {
     const Claim claim = next();
     if (!claim) return false;
     if (!claim.source().run_one()) continue;
     // The callback may have forked, and returned in the child.
     if (Result<void> refused = refuse_forked_child(); !refused) throw Error(refused.error());
     return true;
-    // What came for the busy group meanwhile, no other thread has seen.
-  } while (is_shared() && !is_cancelled());
+  }
   return false;
 }
 

@@ -519,5 +519,21 @@ TEST(ExecutorThreads, ASerialSourceRunsInOneThreadAtATimeInAReentrantGroup) {
   several.core->drop(*group.callbacks);
 }
 
+/// Has work that it cannot do, as a subscription for whose message there is no memory.
+struct Unable final : CallbackSource {
+  bool has_work() const noexcept override { return true; }
+  bool run_one() override { return false; }
+};
+
+TEST(ExecutorThreads, WorkThatNobodyCanDoKeepsNoThread) {
+  Group group;
+  group.callbacks->add(std::make_shared<Unable>());
+  const auto core = std::move(*ExecutorCore::make());
+  core->share(true);
+  ASSERT_TRUE(core->adopt(group.callbacks));
+  EXPECT_FALSE(core->run_next());
+  core->drop(*group.callbacks);
+}
+
 }  // namespace
 }  // namespace agnocast
