@@ -58,7 +58,7 @@ std::optional<std::chrono::milliseconds> time_until(Clock::time_point deadline) 
 
 }  // namespace
 
-Executor::Executor(std::unique_ptr<State> state) noexcept : state_(std::move(state)) {}
+Executor::Executor(std::unique_ptr<State> state) noexcept : state_(state.release()) {}
 
 Executor::Executor(std::chrono::nanoseconds spin_budget)
     : Executor(std::make_unique<State>(State::make_core(), spin_budget)) {}
@@ -67,8 +67,7 @@ Executor::~Executor() {
   callback_groups::release_all(state_->groups());
   // exit() in a callback destroys an executor with static storage while its threads are in there,
   // and a forked child has copies of what its parent's threads use.
-  if (is_forked_child() || state_->is_spinning.load(std::memory_order_acquire))
-    (void)state_.release();
+  if (!is_forked_child() && !state_->is_spinning.load(std::memory_order_acquire)) delete state_;
 }
 
 void Executor::add_node_of_name(const std::string& node) {

@@ -9,6 +9,7 @@
 #include <client/executors/executor_core.hpp>
 #include <client/process/forked_child.hpp>
 #include <client/process/preparation.hpp>
+#include <client/process/user_code.hpp>
 
 #include <atomic>
 #include <chrono>
@@ -37,6 +38,7 @@ struct Executor::State {
   /// Throws Error: shut_down (in a forked child), os_failure.
   static std::shared_ptr<ExecutorCore> make_core() {
     if (Result<void> refused = refuse_forked_child(); !refused) throw Error(refused.error());
+    if (Result<void> refused = refuse_after_exit(); !refused) throw Error(refused.error());
     if (Result<void> prepared = prepare_process(); !prepared) throw Error(prepared.error());
     const LoanPause pause;  // it outlives any loan of this thread
     auto core = ExecutorCore::make();

@@ -123,7 +123,7 @@ class AGNOCAST_PUBLIC Executor {
                               std::chrono::nanoseconds timeout);
   bool wait_for_work(std::chrono::steady_clock::time_point deadline);
 
-  std::unique_ptr<State> state_;
+  State* const state_;  // owned; left alone where its threads may still be in there
 };
 
 /// Sleeps when there is nothing to do. Waking it costs one system call; none while it is awake.
