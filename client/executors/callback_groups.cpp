@@ -4,10 +4,13 @@
 
 #include <agnocast/heap.hpp>
 #include <client/process/forked_child.hpp>
+#include <client/process/user_code.hpp>
 #include <client/session/context.hpp>
 
+#include <cerrno>
 #include <map>
 #include <mutex>
+#include <new>
 #include <utility>
 #include <vector>
 
@@ -42,12 +45,16 @@ struct Places {
       by_node.erase(found);
   }
 
-  /// Returns a wait set for a group: a new one, or the one that the fewest share.
+  /// Returns a wait set for a group: a new one, or the one that the fewest share. Without the
+  /// mutex, because it may wait for the daemon. Threads that call it at once may make some more
+  /// than own_wait_sets_max.
   Result<std::shared_ptr<WaitSet>> wait_set() {
+    std::unique_lock lock(mutex);
     std::erase_if(wait_sets, [](const auto& set) { return set.expired(); });
     if (wait_sets.size() < own_wait_sets_max) {
-      wait_sets.reserve(wait_sets.size() + 1);
+      lock.unlock();
       auto made = Context::instance().create_wait_set();
+      lock.lock();
       if (made) wait_sets.push_back(*made);
       if (made || made.error().code != Errc::limit_reached || wait_sets.empty()) return made;
     }
@@ -57,8 +64,9 @@ struct Places {
       if (set != nullptr && (least_used == nullptr || set.use_count() < least_used.use_count()))
         least_used = std::move(set);
     }
-    if (least_used == nullptr) return Context::instance().create_wait_set();
-    return least_used;
+    if (least_used != nullptr) return least_used;
+    lock.unlock();
+    return Context::instance().create_wait_set();
   }
 };
 Places& places() {
@@ -67,9 +75,19 @@ Places& places() {
 }
 
 Result<void> assign(CallbackGroup::State& group, GroupExecutor& executor) {
-  if (Result<void> adopted = executor.adopt(group.callbacks); !adopted) return adopted;
+  try {
+    if (Result<void> adopted = executor.adopt(group.callbacks); !adopted) return adopted;
+  } catch (const std::bad_alloc&) {
+    return fail(Errc::os_failure, "adding a callback group to an executor", ENOMEM);
+  }
   group.executor = &executor;
   return {};
+}
+
+/// Also after exit handlers have begun, like every creation.
+Result<void> refuse_creation() noexcept {
+  if (Result<void> refused = refuse_forked_child(); !refused) return refused;
+  return refuse_after_exit();
 }
 
 void unassign(CallbackGroup::State& group) noexcept {
@@ -112,7 +130,7 @@ bool CallbackGroup::automatically_add_to_executor_with_node() const noexcept {
 
 CallbackGroup::SharedPtr detail::make_callback_group(const std::string& node,
                                                      CallbackGroupType type, bool with_node) {
-  if (Result<void> refused = refuse_forked_child(); !refused) throw Error(refused.error());
+  if (Result<void> refused = refuse_creation(); !refused) throw Error(refused.error());
   const LoanPause pause;
   CallbackGroup::SharedPtr group;
   Places& all = places();
@@ -125,7 +143,7 @@ namespace callback_groups {
 
 Result<CallbackGroup::SharedPtr> of_callback(const std::string& node,
                                              const CallbackGroup::SharedPtr& named) {
-  if (Result<void> refused = refuse_forked_child(); !refused)
+  if (Result<void> refused = refuse_creation(); !refused)
     return tl::unexpected<Failure>(refused.error());
   if (named != nullptr && named->state().node_name != node)
     return fail(Errc::invalid_argument, "the callback group belongs to another node");
@@ -149,11 +167,12 @@ Result<CallbackGroup::SharedPtr> of_endpoint(const std::string& node,
   auto group = of_callback(node, named);
   if (!group) return group;
   CallbackGroup::State& state = (*group)->state();
-  Places& all = places();
-  const std::lock_guard lock(all.mutex);
   if (state.callbacks->wait_set() != nullptr) return group;
+  Places& all = places();
   auto wait_set = all.wait_set();
   if (!wait_set) return tl::unexpected<Failure>(wait_set.error());
+  const std::lock_guard lock(all.mutex);
+  if (state.callbacks->wait_set() != nullptr) return group;  // another thread was faster
   // First, because an executor that takes the group meanwhile (a core of CallbackIsolatedExecutor)
   // listens to what the group has.
   state.callbacks->set_wait_set(*wait_set);

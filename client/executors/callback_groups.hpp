@@ -4,7 +4,8 @@
 //
 // Groups and the claims of executors are found by the node's fully qualified name: a node may be
 // added to an executor before or after its first endpoint, and any type of node fits. All changes
-// of executor go through here, under one mutex, so that a group has one executor at any time.
+// of executor go through here, under one mutex, so that a group has one executor at any time. (A
+// CallbackIsolatedExecutor moves its groups between cores of its own, which is not seen here.)
 //
 // A group that no executor has is run by nobody; its messages stay unread.
 //
