@@ -141,12 +141,12 @@ UntypedSubscription::Callback erase(Callback&& callback) {
                 "const agnocast::MessageInfo& if it wants one");
   return [function = std::forward<Callback>(callback)](Block* block) mutable {
     using Function = decltype(function);
-    const MessageInfo info = block->info;  // the callback may release the message first
     const auto call = [&](auto&& message) {
       using Message = decltype(message);
       if constexpr (std::is_invocable_v<Function&, Message>) {
         function(std::forward<Message>(message));
       } else {
+        const MessageInfo info = block->info;  // the callback may release the message first
         function(std::forward<Message>(message), info);
       }
     };
@@ -299,8 +299,8 @@ Result<std::shared_ptr<Made>> make_subscription(Node& node, const std::string& t
 }  // namespace detail
 
 /// Creates a subscription that calls `callback` for each message, in the executor of its callback
-/// group. `callback` takes ipc_shared_ptr<const T> (or of T), by value, const reference
-/// or rvalue, and optionally a const MessageInfo&.
+/// group. `callback` takes ipc_shared_ptr<const T> (or of T), by value, const reference or rvalue,
+/// or const T&, or std::shared_ptr<const T>, and optionally a const MessageInfo&.
 template <class T, class Node, class Callback,
           class = std::enable_if_t<
               !std::is_convertible_v<Callback, const detail::SubscriptionOptionsOf<Node>&>>>
