@@ -6,6 +6,7 @@
 #include <agnocast/callback_group_waitable.hpp>
 #include <agnocast/executor.hpp>
 #include <agnocast/timer.hpp>
+#include <tests/support/processes/plain_node.hpp>
 
 #include <gtest/gtest.h>
 
@@ -24,10 +25,7 @@ namespace {
 
 using namespace std::chrono_literals;
 
-struct TestNode {
-  std::string get_fully_qualified_name() const { return "/waitables"; }
-};
-const TestNode node;
+const test::PlainNode node;
 
 CallbackGroup::SharedPtr make_group(CallbackGroupType type) {
   return create_callback_group(node, type, false);

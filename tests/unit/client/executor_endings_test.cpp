@@ -5,17 +5,15 @@
 
 #include <agnocast/executor.hpp>
 #include <agnocast/timer.hpp>
+#include <tests/support/processes/child.hpp>
+#include <tests/support/processes/plain_node.hpp>
 
 #include <gtest/gtest.h>
 
-#include <poll.h>
-#include <sys/syscall.h>
-#include <sys/wait.h>
 #include <unistd.h>
 
 #include <atomic>
 #include <chrono>
-#include <csignal>
 #include <stdexcept>
 #include <string>
 #include <thread>
@@ -28,32 +26,18 @@ namespace {
 
 using namespace std::chrono_literals;
 
-struct TestNode {
-  std::string get_fully_qualified_name() const { return "/endings"; }
-};
-const TestNode node;
+const test::PlainNode node;
 
 #ifdef AGNOCAST_EXECUTOR_PROGRAM
 
-/// Returns the exit status of the program; -1 if it does not end.
+/// Returns the exit status of the program.
 int run_program(const std::string& mode, const std::string& kind) {
-  const pid_t child = ::fork();
-  if (child == 0) {
+  test::Child child([&]() noexcept {
     ::execl(AGNOCAST_EXECUTOR_PROGRAM, AGNOCAST_EXECUTOR_PROGRAM, mode.c_str(), kind.c_str(),
             nullptr);
-    ::_exit(127);
-  }
-  constexpr int patience_ms = 60'000;
-  const int process = static_cast<int>(::syscall(SYS_pidfd_open, child, 0));
-  pollfd entry{process, POLLIN, 0};
-  if (::poll(&entry, 1, patience_ms) == 0) {
-    ::kill(child, SIGKILL);
-    ADD_FAILURE() << mode << " " << kind << " does not end";
-  }
-  ::close(process);
-  int status = 0;
-  ::waitpid(child, &status, 0);
-  return WIFEXITED(status) ? WEXITSTATUS(status) : -1;
+    return 127;
+  });
+  return child.wait();
 }
 
 class ExecutorEndings : public testing::TestWithParam<const char*> {};

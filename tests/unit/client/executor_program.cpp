@@ -10,6 +10,7 @@
 
 #include <agnocast/executor.hpp>
 #include <agnocast/timer.hpp>
+#include <tests/support/processes/plain_node.hpp>
 
 #include <pthread.h>
 #include <sys/wait.h>
@@ -28,10 +29,7 @@ namespace {
 
 using namespace std::chrono_literals;
 
-struct TestNode {
-  std::string get_fully_qualified_name() const { return "/program"; }
-};
-const TestNode node;
+const test::PlainNode node;
 
 std::unique_ptr<Executor> make_executor(const std::string& kind) {
   if (kind == "multi") return std::make_unique<MultiThreadedExecutor>(4);

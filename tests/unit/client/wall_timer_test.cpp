@@ -5,6 +5,9 @@
 
 #include <agnocast/executor.hpp>
 #include <agnocast/timer.hpp>
+#include <tests/support/memory/descriptors.hpp>
+#include <tests/support/processes/actor.hpp>
+#include <tests/support/processes/plain_node.hpp>
 
 #include <gmock/gmock.h>
 #include <gtest/gtest.h>
@@ -13,10 +16,8 @@
 #include <chrono>
 #include <cmath>
 #include <cstddef>
-#include <filesystem>
 #include <memory>
 #include <stdexcept>
-#include <string>
 #include <thread>
 #include <vector>
 
@@ -26,18 +27,7 @@ namespace {
 using namespace std::chrono_literals;
 using Clock = std::chrono::steady_clock;
 
-struct TestNode {
-  std::string name = "/timers";
-  std::string get_fully_qualified_name() const { return name; }
-};
-const TestNode node;
-
-std::size_t open_descriptors() {
-  std::size_t count = 0;
-  for ([[maybe_unused]] const auto& entry : std::filesystem::directory_iterator("/proc/self/fd"))
-    ++count;
-  return count;
-}
+const test::PlainNode node;
 
 template <class Condition>
 void spin_until(Executor& executor, Condition condition) {
@@ -115,7 +105,7 @@ TEST(WallTimer, ResetWakesASleepingExecutor) {
 TEST(WallTimer, SharesOneDescriptorWithAllTimersOfTheExecutor) {
   SingleThreadedExecutor executor;
   executor.add_node(node);
-  const std::size_t before = open_descriptors();
+  const std::size_t before = test::open_descriptor_count();
   std::vector<WallTimer::SharedPtr> timers;
   std::vector<int> calls(2000);
   for (std::size_t i = 0; i < calls.size(); ++i) {
@@ -123,7 +113,7 @@ TEST(WallTimer, SharesOneDescriptorWithAllTimersOfTheExecutor) {
     timers.push_back(create_wall_timer(
         node, 1ms + i * 1us, [&calls, i] { ++calls[i]; }, group));
   }
-  EXPECT_EQ(open_descriptors(), before);
+  EXPECT_EQ(test::open_descriptor_count(), before);
   spin_until(executor, [&] { return testing::Value(calls, testing::Each(testing::Gt(1))); });
 }
 
@@ -223,7 +213,7 @@ TEST(WallTimer, RefusesWhatIsNoPeriodAndGroupsOfOthers) {
   EXPECT_EQ(refusal(std::chrono::hours::max()), Errc::invalid_argument);
   EXPECT_EQ(refusal(std::chrono::duration<double>(std::nan(""))), Errc::invalid_argument);
   const auto other =
-      create_callback_group(TestNode{"/other"}, CallbackGroupType::MutuallyExclusive);
+      create_callback_group(test::ActorNode("other"), CallbackGroupType::MutuallyExclusive);
   EXPECT_THROW(create_wall_timer(
                    node, 1s, [] {}, other),
                Error);
