@@ -64,7 +64,8 @@ class PublisherCore {
     abi::Qos qos;
     std::uint64_t slot_count;
     std::uint64_t
-        deferred_limit;  // consecutive publishes that may omit the look at links; 0 = none
+        deferred_limit;        // consecutive publishes that may omit the look at links; 0 = none
+    std::uint64_t client = 0;  // index of its process
   };
 
   explicit PublisherCore(const Identity& identity) noexcept
@@ -365,7 +366,11 @@ class PublisherCore {
       const abi::Qos qos =
           abi::unpack_qos(self_.topic.subscription(index, offsetof(abi::SubscriptionEntry, qos))
                               .load(std::memory_order_relaxed));
-      if (!M::holds(steps::P7_match, abi::qos_match(self_.qos, qos)))
+      const std::uint64_t client =
+          self_.topic.subscription(index, offsetof(abi::SubscriptionEntry, client))
+              .load(std::memory_order_relaxed);
+      if (!M::holds(steps::P7_match,
+                    abi::endpoints_match({self_.qos, self_.client}, {qos, client})))
         word = abi::pack_board_word(abi::generation_of(word), abi::BoardState::free);
       AGNOCAST_STEP(P7_window) endpoint.window = abi::window_of(qos);
       endpoint.bound = qos.keep_all && qos.reliable ? qos.depth : 0;

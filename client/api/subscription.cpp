@@ -177,6 +177,7 @@ Result<std::shared_ptr<UntypedSubscription>> UntypedSubscription::create(
   request.type = type.name();
   request.layout_hash = type.layout_hash();
   request.qos = to_abi_of_subscription(qos);
+  request.qos.ignore_local = options.ignores_local_publications();
   request.quota = options.hold_quota();
   request.quota_or_less = !options.is_hold_quota_set();
   request.depth_per_publisher = options.is_depth_per_publisher();

@@ -72,7 +72,8 @@ Result<std::shared_ptr<PublisherEndpoint>> Creations::make_publisher(
             made.first_sequence,
             request.qos,
             made.slot_count,
-            PublisherEndpoint::deferred_limit};
+            PublisherEndpoint::deferred_limit,
+            registration_.client().first};
         publisher = std::make_shared<PublisherEndpoint>(PublisherEndpoint::Identity{
             core, made.topic, end_message, registration_.waker(), continued.events, session_,
             persistent_id_of(continued, made, Kind::publisher),

@@ -49,6 +49,12 @@ Pair pair_of(const System& system, const Topic& topic, const Endpoint& publisher
     pair.why = mismatch_of(offered, requested);
     return pair;
   }
+  if (!abi::endpoints_match({offered, publisher.facts.client},
+                            {requested, subscription.facts.client})) {
+    pair.state = PairState::ignored;
+    pair.why = "the subscription ignores publishers of its own process";
+    return pair;
+  }
   if (const char* const end = end_of(publisher, subscription); end != nullptr) {
     pair.state = PairState::ending;
     pair.why = end;
@@ -117,6 +123,8 @@ const char* word_of(PairState state) noexcept {
       return "joining";
     case PairState::incompatible:
       return "incompatible_qos";
+    case PairState::ignored:
+      return "ignored_local";
     case PairState::ending:
       return "ending";
     case PairState::unknown:

@@ -19,6 +19,7 @@ enum class PairState : std::uint8_t {
   unreachable,   // linked; the subscriber uses the messages' addresses and loses them
   joining,       // not linked yet
   incompatible,  // not matched: the requested quality of service is not offered
+  ignored,       // not matched: the subscription ignores publishers of its own process
   ending,        // one of them has left or died; unread or held messages remain
   unknown,       // a region cannot be read
 };

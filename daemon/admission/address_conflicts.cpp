@@ -45,7 +45,7 @@ void AddressConflicts::for_each_match(ClientIndex client, Kind kind, Function fu
     const PublisherRecord& publisher = registry_.publisher(topic, p);
     const SubscriptionRecord& subscription = registry_.subscription(topic, s);
     if (publisher.state == EndpointState::active && subscription.state == EndpointState::active &&
-        abi::qos_match(abi::unpack_qos(publisher.qos), abi::unpack_qos(subscription.qos)))
+        matches(publisher, subscription))
       function(EndpointRef{Kind::publisher, topic, p}, EndpointRef{Kind::subscription, topic, s});
   };
   for (const EndpointRef& own : registry_.endpoints_of(client)) {

@@ -32,11 +32,6 @@ inline EndpointRef ref_of(const wire::Reference& reference) noexcept {
           static_cast<std::uint32_t>(reference.index)};
 }
 
-inline bool matches(const PublisherRecord& publisher,
-                    const SubscriptionRecord& subscription) noexcept {
-  return abi::qos_match(abi::unpack_qos(publisher.qos), abi::unpack_qos(subscription.qos));
-}
-
 inline EndpointState state_of(const Registry& registry, const EndpointRef& ref) noexcept {
   return ref.kind == Kind::publisher ? registry.publisher(ref.topic, ref.index).state
                                      : registry.subscription(ref.topic, ref.index).state;

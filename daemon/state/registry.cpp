@@ -362,13 +362,11 @@ void Registry::free_topic(TopicIndex index) {
 // whole words of hold bits.
 std::uint64_t Registry::slots_needed(TopicIndex topic, const PublisherRecord& publisher,
                                      const SubscriptionRecord* joining) const {
-  const abi::Qos offered = abi::unpack_qos(publisher.qos);
-  std::uint64_t window = offered.depth;
+  std::uint64_t window = abi::unpack_qos(publisher.qos).depth;
   std::uint64_t quotas = 0;
   const auto count = [&](const SubscriptionRecord& record) {
-    const abi::Qos requested = abi::unpack_qos(record.qos);
-    if (!abi::qos_match(offered, requested)) return;
-    window = std::max<std::uint64_t>(window, abi::window_of(requested));
+    if (!matches(publisher, record)) return;
+    window = std::max<std::uint64_t>(window, abi::window_of(abi::unpack_qos(record.qos)));
     quotas += hold_quota(record, publisher);
   };
   for_each_subscription(topic, [&](std::uint32_t, const SubscriptionRecord& record) {

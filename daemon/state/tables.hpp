@@ -119,6 +119,12 @@ struct SubscriptionRecord {
   AnnounceSet notified;
   char node[abi::wire::name_bytes];
 };
+inline bool matches(const PublisherRecord& publisher,
+                    const SubscriptionRecord& subscription) noexcept {
+  return abi::endpoints_match(
+      {abi::unpack_qos(publisher.qos), static_cast<std::uint64_t>(publisher.client)},
+      {abi::unpack_qos(subscription.qos), static_cast<std::uint64_t>(subscription.client)});
+}
 static_assert(std::is_trivially_copyable_v<ClientRecord> &&
               std::is_trivially_copyable_v<PublisherRecord> &&
               std::is_trivially_copyable_v<SubscriptionRecord> &&

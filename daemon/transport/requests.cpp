@@ -19,7 +19,7 @@ namespace {
 using Packet = std::span<const std::byte>;
 
 constexpr std::uint64_t generation_max = (std::uint64_t{1} << 48) - 1;
-constexpr std::uint64_t qos_bits = 0x7ffff;
+constexpr std::uint64_t qos_bits = 0xfffff;
 
 template <class Body>
 Body raw_body_of(Packet packet) noexcept {
@@ -139,6 +139,9 @@ Request decode_create(Packet packet) {
     return refuse(body.header, Errc::depth_refused,
                   "depth " + std::to_string(request.qos.depth) + " is outside 1 to " +
                       std::to_string(abi::depth_max));
+  if (request.kind == wire::Kind::publisher && request.qos.ignore_local)
+    return refuse(body.header, Errc::invalid_argument,
+                  "only a subscription can ignore publishers of its process");
   if (request.kind == wire::Kind::subscription) {
     if (body.executor >= abi::executor_count_max)
       return refuse(body.header, Errc::protocol_violation, "an executor's index is out of range");

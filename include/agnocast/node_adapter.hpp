@@ -1,10 +1,11 @@
 // SPDX-License-Identifier: Apache-2.0
 //
-// What the create_… functions take with a node, besides names: options and callback groups of this
-// library, or those of the node's own.
+// What the create_… functions take with a node, besides names: options, callback groups and message
+// info of this library, or those of the node's own.
 #pragma once
 
 #include <agnocast/callback_group.hpp>
+#include <agnocast/ipc_shared_ptr.hpp>
 #include <agnocast/node_like.hpp>
 
 #include <type_traits>
@@ -26,6 +27,9 @@ struct NodeAdapter {
   using Group = CallbackGroup::SharedPtr;
   using PublisherOptions = agnocast::PublisherOptions;
   using SubscriptionOptions = agnocast::SubscriptionOptions;
+  /// What callbacks may take besides agnocast::MessageInfo.
+  using Info = MessageInfo;
+  static const Info& info(const MessageInfo& info) noexcept { return info; }
   static const Group& group(const Node&, const Group& named) noexcept { return named; }
   /// May change the QoS.
   template <class Options, class Qos>

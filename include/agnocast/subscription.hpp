@@ -55,6 +55,11 @@ class SubscriptionOptions : public detail::EventOptions<SubscriptionOptions>,
     return depth_per_publisher_ = wanted, *this;
   }
   bool is_depth_per_publisher() const noexcept { return depth_per_publisher_; }
+  /// Matches no publisher of this process, as rclcpp's option of the same name does.
+  SubscriptionOptions& ignore_local_publications(bool wanted = true) noexcept {
+    return ignore_local_publications_ = wanted, *this;
+  }
+  bool ignores_local_publications() const noexcept { return ignore_local_publications_; }
   bool is_serial() const noexcept { return is_serial_; }
 
  protected:
@@ -64,6 +69,7 @@ class SubscriptionOptions : public detail::EventOptions<SubscriptionOptions>,
   std::size_t hold_quota_ = 64;
   bool is_hold_quota_set_ = false;
   bool depth_per_publisher_ = false;
+  bool ignore_local_publications_ = false;
 };
 
 namespace detail {
@@ -120,22 +126,28 @@ class AGNOCAST_PUBLIC UntypedSubscription {
   bool has_ended_ = false;
 };
 
-template <class Function, class Argument>
+// `NodesInfo`: the message info that callbacks of the node's own library take.
+template <class Function, class NodesInfo, class Argument>
 struct Takes : std::bool_constant<std::is_invocable_v<Function&, Argument> ||
-                                  std::is_invocable_v<Function&, Argument, const MessageInfo&>> {};
+                                  std::is_invocable_v<Function&, Argument, const MessageInfo&> ||
+                                  std::is_invocable_v<Function&, Argument, const NodesInfo&>> {};
 
 /// The accepted callbacks of create_subscription for messages of type T. A form is tried only if
 /// none before it fits, because that instantiates a generic lambda.
-template <class T, class Callback, class Function = std::remove_reference_t<Callback>>
+template <class T, class NodesInfo, class Callback,
+          class Function = std::remove_reference_t<Callback>>
 inline constexpr bool is_callback =
-    std::disjunction_v<Takes<Function, ipc_shared_ptr<const T>>, Takes<Function, ipc_shared_ptr<T>>,
-                       Takes<Function, const T&>, Takes<Function, std::shared_ptr<const T>>>;
+    std::disjunction_v<Takes<Function, NodesInfo, ipc_shared_ptr<const T>>,
+                       Takes<Function, NodesInfo, ipc_shared_ptr<T>>,
+                       Takes<Function, NodesInfo, const T&>,
+                       Takes<Function, NodesInfo, std::shared_ptr<const T>>>;
 
 /// Wraps a user's callback: passes the first of ipc_shared_ptr<const T>, ipc_shared_ptr<T> (the
 /// memory is read-only all the same), const T& and std::shared_ptr<const T> that it accepts.
-template <class T, class Callback>
+template <class T, class Adapter, class Callback>
 UntypedSubscription::Callback erase(Callback&& callback) {
-  static_assert(is_callback<T, Callback>,
+  using NodesInfo = typename Adapter::Info;
+  static_assert(is_callback<T, NodesInfo, Callback>,
                 "a subscription's callback takes agnocast::ipc_shared_ptr<const T>, "
                 "agnocast::ipc_shared_ptr<T>, const T& or std::shared_ptr<const T>, and after it a "
                 "const agnocast::MessageInfo& if it wants one");
@@ -145,18 +157,21 @@ UntypedSubscription::Callback erase(Callback&& callback) {
       using Message = decltype(message);
       if constexpr (std::is_invocable_v<Function&, Message>) {
         function(std::forward<Message>(message));
-      } else {
+      } else if constexpr (std::is_invocable_v<Function&, Message, const MessageInfo&>) {
         const MessageInfo info = block->info;  // the callback may release the message first
+        function(std::forward<Message>(message), info);
+      } else {
+        const NodesInfo info = Adapter::info(block->info);
         function(std::forward<Message>(message), info);
       }
     };
-    if constexpr (Takes<Function, ipc_shared_ptr<const T>>::value) {
+    if constexpr (Takes<Function, NodesInfo, ipc_shared_ptr<const T>>::value) {
       call(ipc_shared_ptr<const T>(block));
-    } else if constexpr (Takes<Function, ipc_shared_ptr<T>>::value) {
+    } else if constexpr (Takes<Function, NodesInfo, ipc_shared_ptr<T>>::value) {
       call(ipc_shared_ptr<T>(block));
     } else {
       ipc_shared_ptr<const T> message(block);
-      if constexpr (Takes<Function, const T&>::value) {
+      if constexpr (Takes<Function, NodesInfo, const T&>::value) {
         call(*message);
       } else {
         call(to_shared_ptr(std::move(message)));
@@ -308,7 +323,8 @@ template <class T, class Node, class Callback,
     Node&& node, const std::string& topic, const QoS& qos, Callback&& callback,
     const detail::SubscriptionOptionsOf<Node>& options = {}) {
   return detail::make_subscription<Subscription<T>, T>(
-      node, topic, qos, detail::erase<T>(std::forward<Callback>(callback)), options);
+      node, topic, qos, detail::erase<T, detail::AdapterOf<Node>>(std::forward<Callback>(callback)),
+      options);
 }
 /// The same without a callback: for take().
 template <class T, class Node>

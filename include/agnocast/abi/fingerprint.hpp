@@ -56,10 +56,10 @@ constexpr std::uint64_t fingerprint() noexcept {
           slot_of(0xfedcba9876543210), retired_mark, first_sequence_of(0x12345),
           pack_board_word(0x123456789abc, BoardState::leaving), generation_of(0xfedcba9876543210),
           pack_qos({0x1234, true, false, false, false}), pack_qos({0, false, true, false, false}),
-          pack_qos({0, false, false, true, false}), window_of({7, false, true, true, false}),
-          intent_idle, intent_publish, intent_moved, cursor_aside,
-          pack_withdrawal(35, Withdrawal::not_attached), Withdrawal::none, Withdrawal::over_quota,
-          Withdrawal::over_share);
+          pack_qos({0, false, false, true, false}), pack_qos({0, false, false, false, true}),
+          window_of({7, false, true, true, false}), intent_idle, intent_publish, intent_moved,
+          cursor_aside, pack_withdrawal(35, Withdrawal::not_attached), Withdrawal::none,
+          Withdrawal::over_quota, Withdrawal::over_share);
   sum.add(QosPolicy::none, QosPolicy::durability, QosPolicy::reliability);
   sum.add(BoardState::free, BoardState::active, BoardState::leaving, BoardState::orphan,
           BoardState::revoked, BoardState::dead);

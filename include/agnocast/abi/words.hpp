@@ -59,22 +59,23 @@ constexpr BoardState state_of(std::uint64_t board_word) noexcept {
 
 // --- quality of service word, evaluated by both sides of a match
 //
-//   bits 0-15 depth · bit 16 transient_local · bit 17 reliable · bit 18 keep_all
+//   bits 0-15 depth · bit 16 transient_local · bit 17 reliable · bit 18 keep_all ·
+//   bit 19 ignore_local, of subscriptions
 struct Qos {
   std::uint32_t depth = 1;
   bool transient_local = false;
   bool reliable = true;
   bool keep_all = false;
-  bool reserved =
-      false;  // no hidden padding: private state that holds one is compared as bytes by the tests
+  bool ignore_local = false;  // matches no publisher of its own process
 };
 constexpr std::uint64_t pack_qos(const Qos& qos) noexcept {
   return (qos.depth & 0xffff) | std::uint64_t{qos.transient_local} << 16 |
-         std::uint64_t{qos.reliable} << 17 | std::uint64_t{qos.keep_all} << 18;
+         std::uint64_t{qos.reliable} << 17 | std::uint64_t{qos.keep_all} << 18 |
+         std::uint64_t{qos.ignore_local} << 19;
 }
 constexpr Qos unpack_qos(std::uint64_t word) noexcept {
   return {static_cast<std::uint32_t>(word & 0xffff), (word >> 16 & 1) != 0, (word >> 17 & 1) != 0,
-          (word >> 18 & 1) != 0, false};
+          (word >> 18 & 1) != 0, (word >> 19 & 1) != 0};
 }
 // The policy that prevents a match, numbered as in rmw_qos_policy_kind_t.
 enum class QosPolicy : std::uint32_t { none = 0, durability = 1 << 1, reliability = 1 << 4 };
@@ -87,6 +88,15 @@ constexpr QosPolicy qos_mismatch(const Qos& offered, const Qos& requested) noexc
 }
 constexpr bool qos_match(const Qos& offered, const Qos& requested) noexcept {
   return qos_mismatch(offered, requested) == QosPolicy::none;
+}
+// Whether two endpoints match, each with the index of its process.
+struct QosOf {
+  Qos qos;
+  std::uint64_t client;
+};
+constexpr bool endpoints_match(const QosOf& offered, const QosOf& requested) noexcept {
+  return qos_match(offered.qos, requested.qos) &&
+         !(requested.qos.ignore_local && offered.client == requested.client);
 }
 // Returns how many of the newest messages a subscription can still take. A keep-all one has one
 // more than its bound: while it joins, the publisher may commit one message before it learns

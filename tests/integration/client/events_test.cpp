@@ -241,5 +241,31 @@ TEST_F(Events, AnExceptionOfAnEventCallbackIsHandledLikeAnyOther) {
   EXPECT_THROW(executor.spin(), int);
 }
 
+TEST_F(Events, ASubscriptionMayIgnoreThePublishersOfItsProcess) {
+  Node node(own("node"));
+  const QoS qos = qos_of("10rv");
+  const auto all = node.create_subscription<Number>(own("topic"), qos);
+  const auto remote = node.create_subscription<Number>(
+      own("topic"), qos, SubscriptionOptions().ignore_local_publications());
+  const auto publisher = node.create_publisher<Number>(own("topic"), qos);
+  ASSERT_TRUE(eventually([&] { return publisher->get_subscription_count() == 1; }));
+  SecondProcess other({"publish", own("topic"), "10rv", "3"});
+  ASSERT_TRUE(eventually([&] { return remote->get_publisher_count() == 1; }));
+  EXPECT_EQ(all->get_publisher_count(), 2u);
+  auto loan = publisher->borrow_loaned_message();
+  loan->value = 99;
+  ASSERT_TRUE(publisher->publish(std::move(loan)));
+  std::vector<std::uint64_t> by_all, by_remote;
+  ASSERT_TRUE(eventually([&] {
+    while (const auto message = all->take()) by_all.push_back(message->value);
+    while (const auto message = remote->take()) by_remote.push_back(message->value);
+    return by_all.size() == 4 && by_remote.size() == 3;
+  }));
+  EXPECT_THAT(by_all, testing::UnorderedElementsAre(1, 2, 3, 99));
+  EXPECT_THAT(by_remote, testing::ElementsAre(1, 2, 3));
+  EXPECT_EQ(publisher->get_subscription_count(), 1u);
+  EXPECT_EQ(publisher->get_incompatible_qos_status().total_count, 0);
+}
+
 }  // namespace
 }  // namespace agnocast

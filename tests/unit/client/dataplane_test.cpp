@@ -357,6 +357,23 @@ TEST(Dataplane, TakesAfterOneLookBehaveLikeSlowTakes) {
   }
 }
 
+TEST(Dataplane, APublisherDoesNotWaitForASubscriptionThatIgnoresItsProcess) {
+  const abi::Qos offered{2, false, true, true, false}, requested{2, false, true, true, true};
+  for (const std::uint64_t client : {0, 1}) {
+    Pair pair;
+    journal::BoardSteps<M>(pair.topic()).add_subscription(0, 1, {requested, client, extent, 8, 0});
+    auto publisher = std::make_unique<PublisherCore<M>>(PublisherCore<M>::Identity{
+        pair.topic(), pair.words(), 0, generation, Pair::first(), offered, 64, 0, 0});
+    Freed environment;
+    PublishOutcome outcome = PublishOutcome::published;
+    for (std::uint64_t i = 1; i <= 10 && outcome == PublishOutcome::published; ++i) {
+      environment.live.insert(i * 16);
+      outcome = publisher->publish({i * 16, 16, i}, environment);
+    }
+    EXPECT_EQ(outcome, client == 0 ? PublishOutcome::published : PublishOutcome::would_block);
+  }
+}
+
 TEST(Dataplane, EverySlotOfAFullQueueCanBeHeldThenPublishFails) {
   // Publisher index 7: its link line and its far hold words are not the first ones.
   constexpr std::uint64_t index = 7;

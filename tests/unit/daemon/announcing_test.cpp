@@ -70,6 +70,20 @@ TEST_F(AnnouncingTest, RecordsReceiversThenAnswersThenNotifiesReadersThenThePubl
   EXPECT_EQ(notified[2].receiver, publisher);
 }
 
+TEST_F(AnnouncingTest, NotifiesNoSubscriptionThatIgnoresItsProcess) {
+  const ClientIndex owner = scene.process(), other = scene.process();
+  const TopicIndex at = scene.topic("/topic");
+  const abi::Qos qos{1, false, true, false, true};
+  for (const ClientIndex client : {owner, other}) {
+    const auto plan = registry.plan_subscription(client, at, qos, {1, 1}).value();
+    registry.add_subscription(client, at, qos, {1, 1}, 0, plan, "node");
+  }
+  const auto notified = all<effect::Announce>(announcing.created(scene.publisher(owner), 1));
+  ASSERT_EQ(notified.size(), 2u) << "the other process and the publisher, of each other";
+  EXPECT_EQ(registry.owner_of(notified[0].receiver), other);
+  EXPECT_EQ(registry.owner_of(notified[1].subject), other);
+}
+
 TEST_F(AnnouncingTest, NotifiesNoEndpointThatLeavesOrIsOver) {
   const EndpointRef leaving = scene.subscription(scene.process());
   const EndpointRef orphan = scene.publisher(scene.process());

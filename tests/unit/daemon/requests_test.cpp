@@ -174,6 +174,16 @@ TEST(Requests, RefusesUnterminatedNames) {
   }
 }
 
+TEST(Requests, OnlySubscriptionsIgnoreTheirProcess) {
+  auto create = honest_create(wire::Opcode::create_publisher);
+  abi::Qos qos = abi::unpack_qos(create.qos);
+  qos.ignore_local = true;
+  create.qos = abi::pack_qos(qos);
+  EXPECT_EQ(rejected(decoded(create)).code, Errc::invalid_argument);
+  create.header.opcode = wire::Opcode::create_subscription;
+  EXPECT_TRUE(std::get<CreateRequest>(decoded(create)).qos.ignore_local);
+}
+
 TEST(Requests, RefusesImpossibleEndpoints) {
   const auto with = [](auto change) {
     auto create = honest_create(wire::Opcode::create_subscription);
@@ -182,7 +192,7 @@ TEST(Requests, RefusesImpossibleEndpoints) {
   };
   EXPECT_EQ(with([](auto& c) { c.qos = 0; }), Errc::depth_refused);
   EXPECT_EQ(with([](auto& c) { c.qos = abi::depth_max + 1; }), Errc::depth_refused);
-  EXPECT_EQ(with([](auto& c) { c.qos |= 1 << 19; }), Errc::invalid_argument);
+  EXPECT_EQ(with([](auto& c) { c.qos |= 1 << 20; }), Errc::invalid_argument);
   EXPECT_EQ(with([](auto& c) { c.qos |= std::uint64_t{1} << 63; }), Errc::invalid_argument);
   EXPECT_EQ(with([](auto& c) { c.quota = 0; }), Errc::invalid_argument);
   EXPECT_EQ(with([](auto& c) { c.quota = abi::slot_count_max + 1; }), Errc::quota_exceeded);
