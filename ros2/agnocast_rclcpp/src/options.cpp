@@ -55,7 +55,7 @@ agnocast::SubscriptionOptions translate(const SubscriptionOptions& options,
   warn_of(events.message_lost_callback != nullptr, "message_lost_callback", topic, logger);
   warn_of(!options.ros.content_filter_options.filter_expression.empty(), "content_filter_options",
           topic, logger);
-  warn_of(options.ros.ignore_local_publications, "ignore_local_publications", topic, logger);
+  if (options.ros.ignore_local_publications) translated.ignore_local_publications();
   if (options.own.events().incompatible_qos != nullptr) return translated;
   if (events.incompatible_qos_callback) {
     translated.incompatible_qos_callback(

@@ -64,15 +64,26 @@ TEST_F(EndpointsTest, CallbacksTakeTheMessageInEveryForm) {
   add([&](const String& message, const agnocast::MessageInfo& info) {
     heard.push_back("reference with info " + message.data + std::to_string(info.sequence));
   });
+  rclcpp::MessageInfo of_ros;
+  add([&](const Message& message, const rclcpp::MessageInfo& info) {
+    heard.push_back("pointer with rclcpp's info " + message->data);
+    of_ros = info;
+  });
   const auto publisher = agnocast::create_publisher<String>(node_, "topic", 10);
-  ASSERT_TRUE(spin_until([&] { return publisher->get_subscription_count() == 5; }));
+  ASSERT_TRUE(spin_until([&] { return publisher->get_subscription_count() == 6; }));
+  const auto before = rclcpp::Clock(RCL_SYSTEM_TIME).now().nanoseconds();
   auto loan = publisher->borrow_loaned_message();
   loan->data = "1";
   ASSERT_EQ(publisher->publish(std::move(loan)).code, agnocast::Errc::ok);
-  ASSERT_TRUE(spin_until([&] { return heard.size() == 5; }));
-  EXPECT_THAT(heard,
-              testing::UnorderedElementsAre("pointer 1", "reference 1", "shared 1",
-                                            "shared with info 11", "reference with info 11"));
+  ASSERT_TRUE(spin_until([&] { return heard.size() == 6; }));
+  EXPECT_THAT(heard, testing::UnorderedElementsAre("pointer 1", "reference 1", "shared 1",
+                                                   "shared with info 11", "reference with info 11",
+                                                   "pointer with rclcpp's info 1"));
+  const rmw_message_info_t& info = of_ros.get_rmw_message_info();
+  EXPECT_EQ(info.publication_sequence_number, 1u);
+  EXPECT_LE(before, info.source_timestamp);
+  EXPECT_LE(info.source_timestamp, info.received_timestamp);
+  EXPECT_FALSE(info.from_intra_process);
   EXPECT_EQ(kept->data, "1") << "the message is held";
 }
 
@@ -211,6 +222,22 @@ TEST_F(EndpointsTest, OptionsOfAgnocastAreTakenAsWell) {
   ASSERT_TRUE(spin_until([&] { return publisher->get_subscription_count() == 1; }));
   (void)publisher->publish(String());
   EXPECT_TRUE(spin_until([&] { return heard == 1; }));
+}
+
+TEST_F(EndpointsTest, PublicationsOfTheProcessAreIgnoredOnRequest) {
+  rclcpp::SubscriptionOptions options;
+  options.ignore_local_publications = true;
+  int heard = 0, ignored = 0;
+  const auto hears =
+      agnocast::create_subscription<String>(node_, "topic", 10, [&](const Message&) { ++heard; });
+  const auto ignores = agnocast::create_subscription<String>(
+      node_, "topic", 10, [&](const Message&) { ++ignored; }, options);
+  const auto publisher = agnocast::create_publisher<String>(node_, "topic", 10);
+  ASSERT_TRUE(spin_until([&] { return publisher->get_subscription_count() == 1; }));
+  (void)publisher->publish(String());
+  EXPECT_TRUE(spin_until([&] { return heard == 1; }));
+  EXPECT_EQ(ignored, 0);
+  EXPECT_EQ(ignores->get_publisher_count(), 0u);
 }
 
 TEST_F(EndpointsTest, PollingSubscriptionsNeedNoSpin) {

@@ -9,12 +9,17 @@
 #include <agnocast_rclcpp/options.hpp>
 
 #include <rclcpp/detail/qos_parameters.hpp>
+#include <rclcpp/message_info.hpp>
 #include <rclcpp/qos.hpp>
 
 #include <string>
 #include <type_traits>
 
 namespace agnocast_rclcpp {
+
+/// Returns rclcpp's form. The publisher's GID identifies it on this host while the daemon lives;
+/// the time of receipt is the present one. Costs four clock reads.
+rclcpp::MessageInfo to_ros(const agnocast::MessageInfo& info);
 
 /// Applies overrides by parameters, which it declares, as rclcpp does: qos_overrides.<topic>.….
 template <class Node, class EntityTraits>
@@ -38,7 +43,9 @@ struct NodeAdapter<Node, std::enable_if_t<is_rclcpp_node<Node>>> {
   using Group = rclcpp::CallbackGroup::SharedPtr;
   using PublisherOptions = agnocast_rclcpp::PublisherOptions;
   using SubscriptionOptions = agnocast_rclcpp::SubscriptionOptions;
+  using Info = rclcpp::MessageInfo;
 
+  static Info info(const MessageInfo& info) { return agnocast_rclcpp::to_ros(info); }
   static CallbackGroup::SharedPtr group(Node& node, const Group& named) {
     return agnocast_rclcpp::adapt_group(node.get_node_base_interface(),
                                         node.get_node_waitables_interface(), named);
