@@ -1,7 +1,7 @@
 // SPDX-License-Identifier: Apache-2.0
 //
 // Explorer: depth-first search over every interleaving of a scenario, with hash compaction (64-bit
-// fingerprints of whole states).
+// fingerprints of whole states, by XXH3).
 //
 // A scenario S gives
 //   S::State                     everything but memory and threads: private states, messages in
@@ -17,6 +17,8 @@
 #pragma once
 
 #include <tests/model/machine.hpp>
+
+#include <xxhash.h>
 
 #include <cstddef>
 #include <cstdint>
@@ -85,33 +87,6 @@ class Fingerprints {
   std::uint64_t count_ = 0;
 };
 
-class Hasher {
- public:
-  void add(std::uint64_t value) {
-    value *= 0x9e3779b97f4a7c15;
-    value ^= value >> 32;
-    hash_ = (hash_ ^ value) * 0xd6e8feb86659fd93;
-    hash_ ^= hash_ >> 29;
-  }
-  void add(const void* data, std::size_t bytes) {
-    const auto* at = static_cast<const unsigned char*>(data);
-    for (; bytes >= 8; bytes -= 8, at += 8) {
-      std::uint64_t word;
-      std::memcpy(&word, at, 8);
-      add(word);
-    }
-    if (bytes != 0) {
-      std::uint64_t word = 0;
-      std::memcpy(&word, at, bytes);
-      add(word);
-    }
-  }
-  std::uint64_t value() const { return hash_; }
-
- private:
-  std::uint64_t hash_ = 0x2545f4914f6cdd1d;
-};
-
 template <class S>
 class Explorer {
  public:
@@ -143,6 +118,7 @@ class Explorer {
   // The deepest plan needs 300 steps from start to end.
   static constexpr std::size_t depth_limit = 2000;
   struct Frame {
+    explicit Frame(const World<S>& at) : world(at) {}
     World<S> world;
     Move moves[move_capacity];
     std::size_t move_count = 0;
@@ -158,16 +134,19 @@ class Explorer {
   };
 
   static std::uint64_t fingerprint(const World<S>& world) {
-    Hasher hasher;
-    hasher.add(world.memory, sizeof world.memory);
+    std::uint64_t parts[2 + 2 * S::thread_count];
+    std::size_t count = 0;
+    const auto add = [&](const void* data, std::size_t bytes) {
+      parts[count++] = XXH3_64bits(data, bytes);
+    };
+    add(world.memory, sizeof world.memory);
     for (const Thread& thread : world.threads) {
-      hasher.add(thread.pc);
-      hasher.add(thread.log_count << 32 | thread.buffer_count);
-      hasher.add(thread.log, thread.log_count * sizeof thread.log[0]);
-      hasher.add(thread.buffer, thread.buffer_count * sizeof thread.buffer[0]);
+      // Its counters and the part of its log that is in use, which follows them.
+      add(&thread, offsetof(Thread, log) + thread.log_count * sizeof thread.log[0]);
+      add(thread.buffer, thread.buffer_count * sizeof thread.buffer[0]);
     }
-    hasher.add(&world.state, sizeof world.state);
-    return hasher.value();
+    add(&world.state, sizeof world.state);
+    return XXH3_64bits(parts, sizeof parts);
   }
 
   void push(const World<S>& world) {
@@ -176,9 +155,7 @@ class Explorer {
       report_.complete = false;
       return;
     }
-    stack_.emplace_back();
-    Frame& frame = stack_.back();
-    frame.world = world;
+    Frame& frame = stack_.emplace_back(world);
     for (std::uint8_t t = 0; t < S::thread_count; ++t) {
       const Thread& thread = frame.world.threads[t];
       if (thread.log_count != 0 || scenario_.runnable(frame.world, t))
@@ -229,7 +206,6 @@ class Explorer {
     if (_setjmp(machine.stop) != 0) return;
     scenario_.run(next_, t);
     next_.threads[t].log_count = 0;  // the operation is complete: its reads no longer matter
-    std::memset(next_.threads[t].log, 0, sizeof next_.threads[t].log);
   }
 
   void end(const World<S>& world) {

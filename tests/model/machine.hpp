@@ -20,6 +20,7 @@
 
 #include <setjmp.h>
 
+#include <algorithm>
 #include <array>
 #include <atomic>
 #include <cstdint>
@@ -37,13 +38,25 @@ struct BufferedStore {
   std::uint64_t value;
 };
 
-/// One thread of one process. Plain data: states are copied and hashed as bytes.
+/// One thread of one process.
 struct Thread {
   std::uint64_t pc = 0;
   std::uint64_t log_count = 0;
   std::uint64_t buffer_count = 0;
-  std::uint64_t log[log_capacity] = {};
-  BufferedStore buffer[buffer_capacity] = {};
+  std::uint64_t log[log_capacity];  // the rest of both arrays means nothing
+  BufferedStore buffer[buffer_capacity];
+
+  Thread() noexcept {}
+  Thread(const Thread& other) noexcept { *this = other; }
+  // A tenth of the bytes of a whole state are in use.
+  Thread& operator=(const Thread& other) noexcept {
+    pc = other.pc;
+    log_count = other.log_count;
+    buffer_count = other.buffer_count;
+    std::copy_n(other.log, log_count, log);
+    std::copy_n(other.buffer, buffer_count, buffer);
+    return *this;
+  }
 };
 
 /// A change to the shipped statements, to see whether the explorer notices it.

@@ -68,7 +68,6 @@ inline bool QueueScenario::perform(W& world, std::uint8_t t, std::uint16_t argum
   Machine::clear_buffer(thread, argument);
   auto stop = [&](std::uint8_t which) {
     world.threads[which].log_count = 0;
-    std::memset(world.threads[which].log, 0, sizeof thread.log);
     world.threads[which].pc = down;
   };
   stop(t);

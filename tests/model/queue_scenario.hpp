@@ -375,14 +375,15 @@ class QueueScenario {
   }
 
   std::uint64_t room_digest(const W& world) const {
-    Hasher hasher;
+    std::uint64_t parts[8];
+    std::size_t count = 0;
     for (std::uint32_t s = 0; s < 2; ++s) {
-      for (std::uint64_t f = 0; f < 3; ++f) hasher.add(peek_line(world, s, f));
+      for (std::uint64_t f = 0; f < 3; ++f) parts[count++] = peek_line(world, s, f);
     }
-    hasher.add(peek(world, board, offsetof(abi::TopicHeader, epoch)));
-    hasher.add(world.state.publisher,
-               sizeof world.state.publisher);  // the control thread may have learned something
-    return hasher.value();
+    parts[count++] = peek(world, board, offsetof(abi::TopicHeader, epoch));
+    // The control thread may have learned something.
+    parts[count++] = XXH3_64bits(world.state.publisher, sizeof world.state.publisher);
+    return XXH3_64bits(parts, sizeof parts);
   }
 
   static bool dead_and_drained(const W& world, std::uint8_t t) {
