@@ -325,6 +325,14 @@ Result<MessageType> make_plain_type(const PlainType& type, std::uint64_t build) 
   });
 }
 
+const void* found_or_null(const void* (*find)(const void*), const void* argument) noexcept {
+  try {
+    return find(argument);
+  } catch (...) {
+    return nullptr;
+  }
+}
+
 }  // namespace agnocast::detail
 
 namespace agnocast {

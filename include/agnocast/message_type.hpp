@@ -141,6 +141,10 @@ namespace detail {
                                                                       std::uint64_t build) noexcept;
 [[nodiscard]] AGNOCAST_PUBLIC Result<MessageType> make_plain_type(const PlainType& type,
                                                                   std::uint64_t build) noexcept;
+// Returns what `find` returns, or null if it throws: code that is compiled without exceptions
+// cannot catch those of the libraries that it calls.
+[[nodiscard]] AGNOCAST_PUBLIC const void* found_or_null(const void* (*find)(const void*),
+                                                        const void* argument) noexcept;
 
 template <class T>
 void visit_message(const void* message, PointerVisitor& visitor) {

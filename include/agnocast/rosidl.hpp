@@ -10,13 +10,27 @@
 #include <agnocast/message_type.hpp>
 #include <agnocast/rosidl_tables.hpp>
 
+#include <rosidl_runtime_c/message_type_support_struct.h>
 #include <rosidl_runtime_cpp/traits.hpp>
-#include <rosidl_typesupport_introspection_cpp/message_type_support_decl.hpp>
+#include <rosidl_typesupport_cpp/message_type_support.hpp>
 
 #include <cstddef>
 #include <type_traits>
 
 namespace agnocast {
+
+namespace detail {
+
+/// Returns the introspection table behind the type support that every message package offers.
+/// The first call for a package may load its introspection library. Throws what that throws.
+inline const void* introspection_table(const void* type_support) {
+  const auto* support = static_cast<const rosidl_message_type_support_t*>(type_support);
+  if (support == nullptr) return nullptr;
+  support = support->func(support, "rosidl_typesupport_introspection_cpp");
+  return support != nullptr ? support->data : nullptr;
+}
+
+}  // namespace detail
 
 template <class T>
 struct MessageTraits<T, std::enable_if_t<rosidl_generator_traits::is_message<T>::value>> {
@@ -25,11 +39,11 @@ struct MessageTraits<T, std::enable_if_t<rosidl_generator_traits::is_message<T>:
             &detail::destroy_ros_message};
   }
   /// Returns the introspection table from the type support linked with the message package; null
-  /// if there is none.
+  /// if there is none. Found once.
   static const void* table() noexcept {
-    const rosidl_message_type_support_t* support =
-        rosidl_typesupport_introspection_cpp::get_message_type_support_handle<T>();
-    return support != nullptr ? support->data : nullptr;
+    static const void* const found = detail::found_or_null(
+        &detail::introspection_table, rosidl_typesupport_cpp::get_message_type_support_handle<T>());
+    return found;
   }
   /// Copies a message of an untrusted publisher; returns false if it refers to memory outside
   /// `windows`. `to` is a constructed message. Throws std::bad_alloc.

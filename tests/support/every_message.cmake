@@ -23,7 +23,7 @@ foreach(package builtin_interfaces std_msgs geometry_msgs sensor_msgs unique_ide
   if(package IN_LIST every_kind)
     set(part every_kind)
   endif()
-  list(APPEND every_message_libraries ${package}::${package}__rosidl_typesupport_introspection_cpp)
+  list(APPEND every_message_libraries ${${package}_TARGETS})
   file(GLOB files CONFIGURE_DEPENDS RELATIVE ${PROJECT_SOURCE_DIR}/interfaces/${package}
     ${PROJECT_SOURCE_DIR}/interfaces/${package}/msg/*.msg ${PROJECT_SOURCE_DIR}/interfaces/${package}/srv/*.srv
     ${PROJECT_SOURCE_DIR}/interfaces/${package}/action/*.action)

@@ -137,12 +137,13 @@ rosidl_message_type_support_t support_of_image() {
   table.fini_function = [](void* memory) { static_cast<Image*>(memory)->~Image(); };
   rosidl_message_type_support_t support{};
   support.data = &table;
+  support.func = [](const rosidl_message_type_support_t* of, const char*) { return of; };
   return support;
 }
 
 }  // namespace
 
-namespace rosidl_typesupport_introspection_cpp {
+namespace rosidl_typesupport_cpp {
 template <>
 const rosidl_message_type_support_t* get_message_type_support_handle<buffer_test::PimplImage>() {
   static const rosidl_message_type_support_t support = support_of_image<buffer_test::PimplImage>();
@@ -157,7 +158,7 @@ template <>
 const rosidl_message_type_support_t* get_message_type_support_handle<buffer_test::Unsupported>() {
   return nullptr;
 }
-}  // namespace rosidl_typesupport_introspection_cpp
+}  // namespace rosidl_typesupport_cpp
 
 namespace {
 

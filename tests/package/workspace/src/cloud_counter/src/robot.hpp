@@ -2,14 +2,14 @@
 #pragma once
 
 #include <agnocast/agnocast.hpp>
+#include <cloud_counter/msg/name.hpp>
 #include <sensor_msgs/msg/point_cloud2.hpp>
-#include <std_msgs/msg/string.hpp>
 
 #include <cstdint>
 #include <string>
 
 using Cloud = sensor_msgs::msg::PointCloud2;
-using Name = std_msgs::msg::String;
+using Name = cloud_counter::msg::Name;
 
 inline std::uint8_t byte_of(std::uint32_t cloud, std::size_t place) {
   return static_cast<std::uint8_t>(cloud * 31 + place * 7);
