@@ -10,6 +10,7 @@
 #include <base/text/log.hpp>
 #include <base/text/standard_error.hpp>
 #include <base/text/text.hpp>
+#include <bridge/dds/discovery_range.hpp>
 #include <bridge/program/bridge.hpp>
 #include <bridge/program/config.hpp>
 #include <bridge/program/options.hpp>
@@ -128,6 +129,23 @@ tl::expected<Config, std::vector<ConfigError>> configuration(const Options& opti
   return config;
 }
 
+/// Puts what ROS 2's variables say about discovery before the user's CYCLONEDDS_URI, which wins.
+/// Returns the variable that limits it, if any.
+tl::expected<std::string, DiscoveryRangeError> limit_discovery() {
+  const auto variable = [](const char* name) {
+    const char* const value = ::secure_getenv(name);
+    return std::string(value != nullptr ? value : "");
+  };
+  const auto range = discovery_range(variable);
+  if (!range) return tl::unexpected(range.error());
+  if (!range->configuration.empty()) {
+    const std::string own = variable("CYCLONEDDS_URI");
+    ::setenv("CYCLONEDDS_URI",
+             (own.empty() ? range->configuration : range->configuration + ',' + own).c_str(), 1);
+  }
+  return range->reason;
+}
+
 void read_again(const Options& options, const BridgeOptions& before, Bridge& bridge,
                 SharedLog& shared, const Log& log) {
   auto config = configuration(options);
@@ -208,6 +226,9 @@ int run(const Options& options) {
       complain(error.where() + ": " + error.what, error.remedy);
     return 1;
   }
+  const auto limited = limit_discovery();
+  if (!limited)
+    return complain(limited.error().variable + ": " + limited.error().what, limited.error().remedy);
   if (options.check_config) {
     const auto checked = check_dds_configuration(config->bridge.domain);
     return checked ? 0 : complain(checked.error().text(), "correct it, or: unset CYCLONEDDS_URI");
@@ -223,6 +244,7 @@ int run(const Options& options) {
   const Log log([&shared](LogLevel level, std::string_view event, const Log::Fields& fields) {
     shared.write(level, event, fields);
   });
+  if (!limited->empty()) log.write(LogLevel::info, "discovery is limited", {{"by", *limited}});
   tell_watchdog(config->bridge);
   const BridgeOptions in_force = config->bridge;
   const char* const variable = ::secure_getenv("AGNOCAST_BRIDGE_SOCKET");

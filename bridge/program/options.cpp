@@ -86,6 +86,8 @@ std::vector<HelpText> environment_texts() {
       {"AGNOCAST_SOCKET", "", "the socket of agnocastd"},
       {"AGNOCAST_BRIDGE_SOCKET", "", "the status socket for agnocast-ctl bridge"},
       {"ROS_DOMAIN_ID", "", "the domain"},
+      {"ROS_LOCALHOST_ONLY, ROS_AUTOMATIC_DISCOVERY_RANGE, ROS_STATIC_PEERS", "",
+       "how far the bridge looks for others, as nodes of ROS 2 do"},
       {"CYCLONEDDS_URI", "", "configuration of Cyclone DDS: interfaces, peers, multicast"},
       {"AMENT_PREFIX_PATH", "",
        "directories with libraries of message packages, besides type_paths"},

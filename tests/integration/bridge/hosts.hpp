@@ -57,6 +57,13 @@ class Host {
                 "ms</SPDPInterval><LeaseDuration>" +
                 lease_ + "</LeaseDuration></Discovery></Domain></CycloneDDS>"});
   }
+  /// Starts one that finds its device by itself, or as `variables` say.
+  void start_plain_bridge(std::vector<std::string> variables) {
+    variables.push_back("AGNOCAST_SOCKET=" + daemon_->socket_path());
+    bridges_[0] = std::make_unique<SteeredProcess>(
+        std::vector<std::string>{"/usr/bin/nsenter", "--net=" + network_.path(), AGNOCAST_BRIDGE},
+        variables);
+  }
   SteeredProcess& bridge(std::uint32_t domain = 0) { return *bridges_.at(domain); }
   /// Starts a process with agnocast endpoints.
   std::unique_ptr<SteeredProcess> process(std::uint32_t domain = 0) const {

@@ -100,6 +100,35 @@ TEST_F(Hosts, ExchangeOneTopicBothWaysOnceEachAndPublishersKeepTheirIdentity) {
   expect_sound(hosts.right);
 }
 
+TEST_F(Hosts, KeepToThemselvesWhatRosLocalhostOnlySays) {
+  for (const bool is_localhost_only : {false, true}) {
+    TwoHosts hosts;
+    hosts.left.start_plain_bridge(
+        {std::string("ROS_LOCALHOST_ONLY=") + (is_localhost_only ? "1" : "0"), "ROS_DISTRO=humble",
+         "CYCLONEDDS_URI="});
+    hosts.right.start_plain_bridge({"ROS_LOCALHOST_ONLY=0", "CYCLONEDDS_URI="});
+    const auto from = hosts.left.process(), right = hosts.right.process();
+    // As rmw_cyclonedds_cpp of Humble sets up a node with ROS_LOCALHOST_ONLY=1.
+    SteeredProcess node(
+        {"/usr/bin/nsenter", "--net=" + hosts.left.network().path(), AGNOCAST_TEST_PLAIN_PEER, "0"},
+        {"CYCLONEDDS_URI=<CycloneDDS><Domain><General><Interfaces><NetworkInterface "
+         "address='127.0.0.1'/></Interfaces></General></Domain></CycloneDDS>"});
+    ASSERT_EQ(node.ask("reader s rt/local String reliable 1000"), "made");
+    ASSERT_EQ(right->ask("sub s /local 1000"), "made");
+    ASSERT_EQ(from->ask("pub p /local 1000"), "made");
+    Heard on_right;
+    std::size_t by_node = 0;
+    ASSERT_TRUE(eventually_s([&] {
+      EXPECT_EQ(from->ask("publish p 1"), "published");
+      if (node.ask("take s") != "none") ++by_node;
+      on_right.take(*right, "s");
+      return is_localhost_only ? by_node > 50 : on_right.has("p", 50);
+    }));
+    EXPECT_EQ(on_right.numbers.empty(), is_localhost_only);
+    EXPECT_EQ(by_node == 0, !is_localhost_only);
+  }
+}
+
 TEST_F(Hosts, KeepDomainsApart) {
   TwoHosts hosts;
   std::vector<std::unique_ptr<SteeredProcess>> from, to;
