@@ -11,7 +11,7 @@
 #   - the functions that read outside configuration, and those of libm and libgcc_s that only its
 #     profiler uses, are renamed too: jemalloc_inert.cpp replaces them,
 #   - its constructor is dropped: it starts with the first call, at attach.
-cmake_minimum_required(VERSION 3.25)
+cmake_minimum_required(VERSION 3.22)
 
 macro(run)
   execute_process(COMMAND ${ARGN} COMMAND_ERROR_IS_FATAL ANY)
