@@ -158,12 +158,12 @@ std::size_t memory_of(const RosEntities& entities) {
   return bytes;
 }
 
+}  // namespace
+
 bool is_of_bridge(const RosEntities& entities) {
   return std::any_of(entities.nodes.begin(), entities.nodes.end(),
                      [](const RosNode& node) { return node.name.starts_with(bridge_node); });
 }
-
-}  // namespace
 
 std::vector<std::byte> write_entities(const RosEntities& entities) {
   Output output(entities.layout);

@@ -36,7 +36,12 @@ struct RosNode {
   bool operator==(const RosNode&) const = default;
 };
 
-/// Nodes of this host, by their full names.
+/// Returns "/a/b/talker".
+inline std::string full_name_of(const RosNode& node) {
+  return (node.name_space == "/" ? "" : node.name_space) + '/' + node.name;
+}
+
+/// The entries for nodes of this host, by the nodes' full names. Nodes may share one.
 using NodesByName = std::map<std::string, RosNode*>;
 
 /// The entities of one participant, as one message.
@@ -47,6 +52,9 @@ struct RosEntities {
 
   bool operator==(const RosEntities&) const = default;
 };
+
+/// Returns whether the participant is a bridge (bridge_node).
+bool is_of_bridge(const RosEntities& entities);
 
 /// Returns the message with its encapsulation; a multiple of 4 bytes.
 std::vector<std::byte> write_entities(const RosEntities& entities);

@@ -276,8 +276,7 @@ void InwardRoutes::look(BridgeStatus& now, const RosGraph::Others& others) const
   for (const auto& [participant, entities] : others) {
     for (const RosNode& node : entities.nodes) {
       for (const Guid& writer : node.writers) {
-        if (has_remote_publisher(writer))
-          node_of[writer] = (node.name_space == "/" ? "" : node.name_space) + '/' + node.name;
+        if (has_remote_publisher(writer)) node_of[writer] = full_name_of(node);
       }
     }
   }

@@ -92,9 +92,10 @@ DdsResult<void> Bridge::run() {
 void Bridge::move(const DdsParticipant::Ready& ready) {
   // Discovery first: a writer must be known before its samples are taken.
   if (ready.discovery) planner_.note(participant_->discovered());
-  if (ready.discovery || std::find(ready.readers.begin(), ready.readers.end(),
-                                   discovery_info_.reader()) != ready.readers.end())
-    discovery_info_.hear();
+  const bool may_hear =
+      ready.discovery || std::find(ready.readers.begin(), ready.readers.end(),
+                                   discovery_info_.reader()) != ready.readers.end();
+  if (may_hear && discovery_info_.hear()) planner_.note_change();
   // Both calls renew something, so neither may be skipped because the other one found a change.
   const bool is_local_new = renew_local();
   const bool are_rules_new = planner_.renew_rules();

@@ -67,6 +67,8 @@ class Planner {
   bool renew_local(GraphSnapshot local);
   /// Remembers changes in DDS for the next plan.
   void note(const std::vector<RemoteChange>& changes);
+  /// Other participants changed something else that a plan carries out.
+  void note_change() noexcept { pace_.changed(); }
 
   /// Returns whether to plan although nothing changes on this host.
   bool is_due(Time now) const;

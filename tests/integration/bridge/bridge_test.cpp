@@ -420,6 +420,36 @@ TEST_F(BridgeTest, HasAWriterOnlyWhileItIsReadIfAnnouncementsAreOff) {
   }
 }
 
+// As a node of rclcpp that also uses agnocast does.
+TEST_F(BridgeTest, DoesNotAnnounceNodesThatAnnounceThemselves) {
+  auto graph = RosGraph::create(other_.participant(), RosGraph::Speak::humble).value();
+  auto publisher = create_publisher<String>(PlainNode(), topic(), 5);
+  /// The node to which the bridge's writer of the topic belongs; and whether "/ns/node" is there.
+  const auto owner = [&](bool& is_announced) {
+    EXPECT_TRUE(graph->update());
+    std::string found;
+    is_announced = false;
+    for (const auto& [participant, entities] : graph->others()) {
+      for (const RosNode& node : entities.nodes) {
+        is_announced |= full_name_of(node) == "/ns/node";
+        for (const Guid& writer : node.writers) {
+          const auto remote = other_.participant().remotes().find(writer);
+          if (remote != other_.participant().remotes().end() && remote->second.topic == dds_topic())
+            found = full_name_of(node);
+        }
+      }
+    }
+    return found;
+  };
+  bool is_announced = false;
+  ASSERT_TRUE(other_.eventually([&] { return owner(is_announced) == "/ns/node"; }));
+  ASSERT_TRUE(graph->set_nodes({{"/ns", "node", {}, {}}, {"/ns", "another", {}, {}}}));
+  ASSERT_TRUE(other_.eventually(
+      [&] { return owner(is_announced) == "/_agnocast_bridge" && !is_announced; }));
+  ASSERT_TRUE(graph->set_nodes({{"/ns", "another", {}, {}}}));
+  ASSERT_TRUE(other_.eventually([&] { return owner(is_announced) == "/ns/node"; }));
+}
+
 TEST_F(BridgeTest, ShowsNodesWithTheirEndpoints) {
   auto graph = RosGraph::create(other_.participant(), RosGraph::Speak::humble).value();
   auto publisher = create_publisher<String>(PlainNode(), topic(), 5);
