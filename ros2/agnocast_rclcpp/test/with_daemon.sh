@@ -9,6 +9,7 @@ trap 'test -z "$daemon" || kill "$daemon" 2>/dev/null; wait; rm -rf "$directory"
 export AGNOCAST_SOCKET=$directory/agnocastd.sock
 agnocastd --foreground --socket "$AGNOCAST_SOCKET" >"$directory/log" 2>&1 &
 daemon=$!
+export AGNOCAST_TEST_DAEMON=$daemon  # its supervisor
 for ((i = 0; i < 100; ++i)); do
   if [ -S "$AGNOCAST_SOCKET" ]; then break; fi
   sleep 0.1

@@ -1,0 +1,35 @@
+// SPDX-License-Identifier: Apache-2.0
+//
+// A component for components_test: publishes on "out" what it hears on "in".
+
+#include <agnocast_rclcpp/agnocast_rclcpp.hpp>
+
+#include <rclcpp/rclcpp.hpp>
+#include <rclcpp_components/register_node_macro.hpp>
+#include <std_msgs/msg/string.hpp>
+
+#include <utility>
+
+namespace agnocast_rclcpp {
+
+class Relay : public rclcpp::Node {
+ public:
+  explicit Relay(const rclcpp::NodeOptions& options) : Node("relay", options) {
+    using std_msgs::msg::String;
+    publisher_ = agnocast::create_publisher<String>(this, "/out", 10);
+    subscription_ = agnocast::create_subscription<String>(
+        this, "/in", 10, [this](const agnocast::ipc_shared_ptr<const String>& heard) {
+          auto loan = publisher_->borrow_loaned_message();
+          loan->data = heard->data;
+          (void)publisher_->publish(std::move(loan));
+        });
+  }
+
+ private:
+  agnocast::Publisher<std_msgs::msg::String>::SharedPtr publisher_;
+  agnocast::Subscription<std_msgs::msg::String>::SharedPtr subscription_;
+};
+
+}  // namespace agnocast_rclcpp
+
+RCLCPP_COMPONENTS_REGISTER_NODE(agnocast_rclcpp::Relay)
