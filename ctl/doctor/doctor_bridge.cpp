@@ -81,6 +81,42 @@ Ailments elsewhere(const Facts& facts) {
   return found;
 }
 
+/// Returns the command that starts a bridge of this shell again, with this shell's variables.
+std::string start_again(const BridgeState& bridge, const std::string& command) {
+  return "kill " + std::to_string(bridge.pid) + " && flock " + shell_word(bridge.path + ".lock") +
+         " true && " + command + " &";
+}
+
+Ailments other_range(const Facts& facts) {
+  Ailments found;
+  if (!facts.shell_range) return found;
+  for (const BridgeState& bridge : facts.bridges) {
+    const auto range = facts.bridge_ranges.find(bridge.pid);
+    if (range == facts.bridge_ranges.end() || range->second == *facts.shell_range) continue;
+    const auto words_of = [](const std::string& variable) {
+      return variable.empty() ? "no limit" : variable;
+    };
+    std::string wanted = *facts.shell_range;
+    if (wanted.empty())
+      wanted = range->second.substr(0, range->second.find('=')) +
+               (range->second.starts_with("ROS_LOCALHOST_ONLY") ? "=0" : "=SUBNET");
+    const auto command = facts.bridge_commands.find(bridge.pid);
+    const auto unit = facts.bridge_units.find(bridge.pid);
+    found.push_back(
+        {"the bridge of domain " + std::to_string(bridge.domain) + " looks for others with " +
+             escaped(words_of(range->second)) + ", this shell's nodes with " +
+             escaped(words_of(*facts.shell_range)),
+         {{"RANGE", command != facts.bridge_commands.end()
+                        ? start_again(bridge, command->second)
+                        : "echo " + shell_word(wanted) +
+                              " | sudo tee -a /etc/default/agnocast-bridge && sudo systemctl "
+                              "restart " +
+                              (unit == facts.bridge_units.end() ? "'agnocast-bridge*'"
+                                                                : shell_word(unit->second))}}});
+  }
+  return found;
+}
+
 std::vector<std::string> prefixes_in(const std::string& path) {
   std::vector<std::string> prefixes;
   std::istringstream in(path);
@@ -120,8 +156,7 @@ Ailment with_remedy(const Facts& facts, const BridgeState& bridge, const std::st
   const auto command = facts.bridge_commands.find(bridge.pid);
   if (command != facts.bridge_commands.end()) {
     ailment.cause += "; this shell has it in " + escaped(where);
-    remedy = "kill " + std::to_string(bridge.pid) + " && flock " +
-             shell_word(bridge.path + ".lock") + " true && " + command->second + " &";
+    remedy = start_again(bridge, command->second);
     return ailment;
   }
   for (const std::string& old : prefixes_in(facts.units_prefix_path))
@@ -225,6 +260,9 @@ constexpr Check table[] = {
     {"bridge-elsewhere", "a bridge serves a domain that nodes of this host use", warning, daemon,
      "a bridge connects its DDS domain only with nodes of the same domain on this host",
      "BRIDGE", elsewhere},
+    {"bridge-range", "bridges look for others as far as the nodes of this shell do", warning, always,
+     "one of them uses the loopback device or this host only: the bridge and these nodes do not find each other in DDS",
+     "RANGE", other_range},
     {"bridge-type", "bridges find the types of the topics and services on both sides", failed, always,
      "the library of the message package is neither below AMENT_PREFIX_PATH nor in type_paths of the bridge",
      "PATHS", type_not_found},

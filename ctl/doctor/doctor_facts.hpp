@@ -103,6 +103,10 @@ struct Facts {
   std::string rival_bridge_unit;  // an enabled instance of the same domain
   /// For each bridge, by its pid: its unit, or its command line if it has none.
   std::map<std::uint64_t, std::string> bridge_units, bridge_commands;
+  /// How far bridges look for others, by their pids, and nodes of this shell: the variable with its
+  /// value. Empty: as by default. Nothing: unknown, or not said.
+  std::map<std::uint64_t, std::string> bridge_ranges;
+  std::optional<std::string> shell_range;
   std::vector<std::pair<std::string, std::string>> bridge_faults;  // files and their mistakes
   std::string cyclonedds_fault;                // in CYCLONEDDS_URI of this shell or of the units
   std::string hidden_cyclonedds_file;          // a file that the units name and cannot see

@@ -9,6 +9,7 @@
 #include <unistd.h>
 
 #include <algorithm>
+#include <cstdlib>
 #include <string_view>
 
 namespace agnocast::ctl {
@@ -49,13 +50,39 @@ std::string unit_of(pid_t pid) {
   return unit.starts_with("agnocast-bridge") && unit.ends_with(".service") ? unit : std::string();
 }
 
+/// Returns the variable that limits how far ROS 2 looks for others, "NAME=value"; empty: none does.
+template <class Variable>
+std::string discovery_range(const Variable& variable) {
+  const std::string range = variable("ROS_AUTOMATIC_DISCOVERY_RANGE");
+  if (variable("ROS_LOCALHOST_ONLY") == "1") return "ROS_LOCALHOST_ONLY=1";
+  return range.empty() || range == "SUBNET" ? "" : "ROS_AUTOMATIC_DISCOVERY_RANGE=" + range;
+}
+std::string shells_variable(const char* name) {
+  const char* const value = std::getenv(name);
+  return value != nullptr ? value : "";
+}
+/// Returns a variable with which the process was started.
+std::string variable_of(const std::string& environment, const char* name) {
+  const std::string key = std::string(name) + '=';
+  for (const std::string& one : split(environment, '\0'))
+    if (one.starts_with(key)) return one.substr(key.size());
+  return {};
+}
+
 void collect_running_bridges(Facts& facts) {
+  for (const char* const name : {"ROS_LOCALHOST_ONLY", "ROS_AUTOMATIC_DISCOVERY_RANGE"})
+    if (!shells_variable(name).empty()) facts.shell_range = discovery_range(shells_variable);
   for (const BridgeState& bridge : facts.bridges) {
     const auto pid = static_cast<pid_t>(bridge.pid);
     if (command_name(pid) != "agnocast-bridge") continue;
     if (std::string unit = unit_of(pid); !unit.empty()) {
       facts.bridge_units[bridge.pid] = std::move(unit);
+      facts.bridge_ranges[bridge.pid] = discovery_range(default_of);
     } else {
+      // Readable for its own user.
+      if (const std::string all = contents_of(of_process(pid, "environ")); !all.empty())
+        facts.bridge_ranges[bridge.pid] =
+            discovery_range([&](const char* name) { return variable_of(all, name); });
       facts.bridge_commands[bridge.pid] = look_at_process(pid).command;
     }
   }

@@ -245,6 +245,19 @@ TEST_F(DoctorBridge, NamesAFileOfCycloneDdsThatTheUnitsDoNotSeeAndItsRemedyMoves
   std::filesystem::remove(file);
 }
 
+TEST_F(DoctorBridge, NamesABridgeThatLooksForOthersFartherThanTheNodes) {
+  auto publisher = create_publisher<String>(PlainNode(), topic(), 5);
+  const auto running = bridge(domain->id());
+  EXPECT_THAT(found({"ROS_LOCALHOST_ONLY=0"}), IsEmpty());
+  EXPECT_THAT(found({"ROS_AUTOMATIC_DISCOVERY_RANGE=SUBNET"}), IsEmpty());
+  EXPECT_THAT(
+      found({"ROS_LOCALHOST_ONLY=1"}),
+      testing::ElementsAre("bridge-range: the bridge of domain " + std::to_string(domain->id()) +
+                           " looks for others with no limit, this shell's nodes with "
+                           "ROS_LOCALHOST_ONLY=1"));
+  EXPECT_THAT(remedy_, StartsWith("kill " + std::to_string(running->pid()) + " && flock "));
+}
+
 TEST_F(DoctorBridge, NamesSettingsThatCycloneDdsRefuses) {
   const auto with = [&](const std::string& uri) { return found({"CYCLONEDDS_URI=" + uri}); };
   EXPECT_THAT(with(std::getenv("CYCLONEDDS_URI")), IsEmpty());

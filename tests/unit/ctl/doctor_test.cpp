@@ -210,6 +210,30 @@ TEST(DoctorBridge, AddsTheLibrariesOfThisShellToThoseOfTheUnits) {
   std::filesystem::remove_all(prefix);
 }
 
+TEST(DoctorBridge, GivesUnitsTheRangeOfTheShell) {
+  Facts facts;
+  facts.bridges.emplace_back();
+  facts.bridges[0].pid = 5;
+  facts.bridges[0].domain = 7;
+  facts.bridge_units[5] = "agnocast-bridge@7.service";
+  const auto remedy = [&](std::optional<std::string> shell, const std::string& bridge) {
+    facts.shell_range = std::move(shell);
+    facts.bridge_ranges[5] = bridge;
+    const auto found = bridge_check("bridge-range").find(facts);
+    return found.empty() ? std::string() : found[0].words.at("RANGE");
+  };
+  const std::string restart =
+      " | sudo tee -a /etc/default/agnocast-bridge && sudo systemctl restart "
+      "agnocast-bridge@7.service";
+  EXPECT_EQ(remedy({}, "ROS_LOCALHOST_ONLY=1"), "") << "sudo removes a shell's variables";
+  EXPECT_EQ(remedy("", ""), "");
+  EXPECT_EQ(remedy("ROS_LOCALHOST_ONLY=1", "ROS_LOCALHOST_ONLY=1"), "");
+  EXPECT_EQ(remedy("ROS_LOCALHOST_ONLY=1", ""), "echo ROS_LOCALHOST_ONLY=1" + restart);
+  EXPECT_EQ(remedy("", "ROS_LOCALHOST_ONLY=1"), "echo ROS_LOCALHOST_ONLY=0" + restart);
+  EXPECT_EQ(remedy("", "ROS_AUTOMATIC_DISCOVERY_RANGE=OFF"),
+            "echo ROS_AUTOMATIC_DISCOVERY_RANGE=SUBNET" + restart);
+}
+
 TEST(DoctorBridge, MovesAFileThatUnitsCannotSeeToWhereTheyCan) {
   Facts facts;
   facts.hidden_cyclonedds_file = "/tmp/c.xml";
