@@ -47,6 +47,7 @@ class Counter {
 
 class CounterTest : public RclcppTest, public testing::WithParamInterface<const ExecutorKind*> {};
 
+// Long because five kinds of callbacks and who causes them make one scene.
 TEST_P(CounterTest, IsExactInOneExclusiveGroup) {
   const auto node = std::make_shared<rclcpp::Node>("counted");
   Counter counter;
