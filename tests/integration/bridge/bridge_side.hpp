@@ -46,10 +46,7 @@ std::string dds_type_name() {
 template <class T>
 const CdrType& cdr_type() {
   static const CdrType type =
-      CdrType::of(
-          *static_cast<const MessageMembers*>(
-              rosidl_typesupport_introspection_cpp::get_message_type_support_handle<T>()->data))
-          .value();
+      CdrType::of(*static_cast<const MessageMembers*>(MessageTraits<T>::table())).value();
   return type;
 }
 

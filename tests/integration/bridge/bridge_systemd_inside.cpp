@@ -72,9 +72,7 @@ void configure(const std::string& more) {
 }
 
 CdrType string_type() {
-  const auto* const support =
-      rosidl_typesupport_introspection_cpp::get_message_type_support_handle<String>();
-  return CdrType::of(*static_cast<const MessageMembers*>(support->data)).value();
+  return CdrType::of(*static_cast<const MessageMembers*>(MessageTraits<String>::table())).value();
 }
 
 /// A publisher and a subscription of this host, a reader and a writer in DDS.

@@ -359,7 +359,7 @@ TEST(Dataplane, TakesAfterOneLookBehaveLikeSlowTakes) {
 
 TEST(Dataplane, APublisherDoesNotWaitForASubscriptionThatIgnoresItsProcess) {
   const abi::Qos offered{2, false, true, true, false}, requested{2, false, true, true, true};
-  for (const std::uint64_t client : {0, 1}) {
+  for (const std::uint64_t client : {0u, 1u}) {
     Pair pair;
     journal::BoardSteps<M>(pair.topic()).add_subscription(0, 1, {requested, client, extent, 8, 0});
     auto publisher = std::make_unique<PublisherCore<M>>(PublisherCore<M>::Identity{
