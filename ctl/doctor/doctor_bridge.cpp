@@ -89,14 +89,14 @@ std::string start_again(const BridgeState& bridge, const std::string& command) {
 
 Ailments other_range(const Facts& facts) {
   Ailments found;
-  if (!facts.shell_range) return found;
+  if (!facts.shell_has_range) return found;
   for (const BridgeState& bridge : facts.bridges) {
     const auto range = facts.bridge_ranges.find(bridge.pid);
-    if (range == facts.bridge_ranges.end() || range->second == *facts.shell_range) continue;
+    if (range == facts.bridge_ranges.end() || range->second == facts.shell_range) continue;
     const auto words_of = [](const std::string& variable) {
       return variable.empty() ? "no limit" : variable;
     };
-    std::string wanted = *facts.shell_range;
+    std::string wanted = facts.shell_range;
     if (wanted.empty())
       wanted = range->second.substr(0, range->second.find('=')) +
                (range->second.starts_with("ROS_LOCALHOST_ONLY") ? "=0" : "=SUBNET");
@@ -105,7 +105,7 @@ Ailments other_range(const Facts& facts) {
     found.push_back(
         {"the bridge of domain " + std::to_string(bridge.domain) + " looks for others with " +
              escaped(words_of(range->second)) + ", this shell's nodes with " +
-             escaped(words_of(*facts.shell_range)),
+             escaped(words_of(facts.shell_range)),
          {{"RANGE", command != facts.bridge_commands.end()
                         ? start_again(bridge, command->second)
                         : "echo " + shell_word(wanted) +

@@ -104,9 +104,10 @@ struct Facts {
   /// For each bridge, by its pid: its unit, or its command line if it has none.
   std::map<std::uint64_t, std::string> bridge_units, bridge_commands;
   /// How far bridges look for others, by their pids, and nodes of this shell: the variable with its
-  /// value. Empty: as by default. Nothing: unknown, or not said.
+  /// value. Empty: as by default.
   std::map<std::uint64_t, std::string> bridge_ranges;
-  std::optional<std::string> shell_range;
+  std::string shell_range;
+  bool shell_has_range = false;                                    // it sets one of the variables
   std::vector<std::pair<std::string, std::string>> bridge_faults;  // files and their mistakes
   std::string cyclonedds_fault;                // in CYCLONEDDS_URI of this shell or of the units
   std::string hidden_cyclonedds_file;          // a file that the units name and cannot see

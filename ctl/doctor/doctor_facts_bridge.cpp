@@ -71,7 +71,8 @@ std::string variable_of(const std::string& environment, const char* name) {
 
 void collect_running_bridges(Facts& facts) {
   for (const char* const name : {"ROS_LOCALHOST_ONLY", "ROS_AUTOMATIC_DISCOVERY_RANGE"})
-    if (!shells_variable(name).empty()) facts.shell_range = discovery_range(shells_variable);
+    facts.shell_has_range |= !shells_variable(name).empty();
+  facts.shell_range = discovery_range(shells_variable);
   for (const BridgeState& bridge : facts.bridges) {
     const auto pid = static_cast<pid_t>(bridge.pid);
     if (command_name(pid) != "agnocast-bridge") continue;

@@ -31,7 +31,7 @@ using test::Number;
 using Const = ipc_shared_ptr<const Number>;
 using Mutable = ipc_shared_ptr<Number>;
 template <class Function>
-inline constexpr bool is_taken = detail::is_callback<Number, std::function<Function>>;
+inline constexpr bool is_taken = detail::is_callback<Number, MessageInfo, std::function<Function>>;
 static_assert(is_taken<void(Const)> && is_taken<void(const Const&)> && is_taken<void(Const&&)>);
 static_assert(is_taken<void(Mutable)> && is_taken<void(const Mutable&)> &&
               is_taken<void(Mutable&&)>);
