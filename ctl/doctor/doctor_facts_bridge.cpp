@@ -58,7 +58,7 @@ std::string discovery_range(const Variable& variable) {
   return range.empty() || range == "SUBNET" ? "" : "ROS_AUTOMATIC_DISCOVERY_RANGE=" + range;
 }
 std::string shells_variable(const char* name) {
-  const char* const value = std::getenv(name);
+  const char* const value = ::secure_getenv(name);
   return value != nullptr ? value : "";
 }
 /// Returns a variable with which the process was started.
