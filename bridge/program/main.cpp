@@ -129,7 +129,7 @@ tl::expected<Config, std::vector<ConfigError>> configuration(const Options& opti
   return config;
 }
 
-/// Puts what ROS 2's variables say about discovery before the user's CYCLONEDDS_URI, which wins.
+/// Puts what ROS 2's variables say about discovery before the user's CYCLONEDDS_URI.
 /// Returns the variable that limits it, if any.
 tl::expected<std::string, DiscoveryRangeError> limit_discovery() {
   const auto variable = [](const char* name) {
