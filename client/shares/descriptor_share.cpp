@@ -3,6 +3,7 @@
 #include <client/shares/descriptor_share.hpp>
 
 #include <base/descriptors/unique_fd.hpp>
+#include <base/immortal.hpp>
 #include <base/memory/map_count.hpp>
 
 #include <fcntl.h>
@@ -22,15 +23,9 @@ bool can_open(unsigned count) noexcept {
   return static_cast<bool>(probes[std::clamp<std::size_t>(count, 1, probes.size()) - 1]);
 }
 
-DescriptorShare& DescriptorShare::instance() noexcept {
-  static auto* const share = new DescriptorShare;
-  return *share;
-}
+DescriptorShare& DescriptorShare::instance() noexcept { return immortal<DescriptorShare>(); }
 
-MappingShare& MappingShare::instance() noexcept {
-  static auto* const share = new MappingShare;
-  return *share;
-}
+MappingShare& MappingShare::instance() noexcept { return immortal<MappingShare>(); }
 
 std::uint64_t DescriptorShare::limit() const noexcept {
   rlimit soft{};
