@@ -120,6 +120,8 @@ cd /opt/agnocast/workspace
 as one colcon --log-base log build --event-handlers console_direct+ --cmake-args -DPython3_EXECUTABLE=/usr/bin/python3 >"$work/log" 2>&1 ||
   { cat "$work/log"; fail "colcon build"; }
 nodes=/opt/agnocast/workspace/install/cloud_counter/lib/cloud_counter
+# The package has messages of its own.
+LD_LIBRARY_PATH=${nodes%/*}:$LD_LIBRARY_PATH
 libraries=/usr/lib/$(dpkg-architecture -qDEB_HOST_MULTIARCH)
 as two "$nodes/counter" 25 >"$work/counter" 2>&1 &
 counter=$!
