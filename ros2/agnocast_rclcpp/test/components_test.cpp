@@ -102,16 +102,18 @@ class ComponentsTest : public RclcppTest, public testing::WithParamInterface<con
     load_ = node_->create_client<LoadNode>(container_->service("load_node"));
     unload_ = node_->create_client<UnloadNode>(container_->service("unload_node"));
     publisher_ = agnocast::create_publisher<String>(node_, "/in", 10);
-    subscription_ = agnocast::create_subscription<String>(
-        node_, "/out", rclcpp::QoS(1000),
-        [this](const agnocast::ipc_shared_ptr<const String>& message,
-               const agnocast::MessageInfo& info) {
-          if (message->data == wanted_) answered_.insert(info.publisher);
-        });
+    for (int topic = 0; topic < 10; ++topic) {
+      subscriptions_.push_back(agnocast::create_subscription<String>(
+          node_, "/out_" + std::to_string(topic), rclcpp::QoS(1000),
+          [this](const agnocast::ipc_shared_ptr<const String>& message,
+                 const agnocast::MessageInfo& info) {
+            if (message->data == wanted_) answered_.insert(info.publisher);
+          }));
+    }
     ASSERT_TRUE(load_->wait_for_service(30s) && unload_->wait_for_service(30s));
   }
   void TearDown() override {
-    subscription_.reset();
+    subscriptions_.clear();
     publisher_.reset();
     load_.reset();
     unload_.reset();
@@ -152,7 +154,9 @@ class ComponentsTest : public RclcppTest, public testing::WithParamInterface<con
       String message;
       message.data = wanted_;
       (void)publisher_->publish(message);
-      for (int k = 0; k < 100 && answered_.size() < count; ++k) executor_->spin_once(1ms);
+      // One callback each.
+      for (std::size_t k = 0; k < 2 * count + 100 && answered_.size() < count; ++k)
+        executor_->spin_once(1ms);
       if (answered_.size() == count) return true;
     }
     return false;
@@ -164,7 +168,7 @@ class ComponentsTest : public RclcppTest, public testing::WithParamInterface<con
   rclcpp::Client<LoadNode>::SharedPtr load_;
   rclcpp::Client<UnloadNode>::SharedPtr unload_;
   agnocast::Publisher<String>::SharedPtr publisher_;
-  agnocast::Subscription<String>::SharedPtr subscription_;
+  std::vector<agnocast::Subscription<String>::SharedPtr> subscriptions_;
   std::string wanted_;
   std::set<std::uint64_t> answered_;
   std::uint64_t number_ = 0;
@@ -210,22 +214,27 @@ TEST_P(ComponentsTest, LoadsAndUnloadsLeaveNothingBehind) {
 }
 
 TEST_P(ComponentsTest, TwoHundredNodesFitInOneContainer) {
-  std::vector<std::uint64_t> ids;
-  ids.push_back(load("first"));
-  ASSERT_TRUE(all_answer(1));
-  const std::size_t before = container_->descriptors();
-  while (ids.size() < 200) ids.push_back(load("relay_" + std::to_string(ids.size())));
-  EXPECT_TRUE(all_answer(200));
-  EXPECT_EQ(publisher_->get_subscription_count(), 200u);
-  while (ids.size() > 1) {
-    unload(ids.back());
-    ids.pop_back();
+  std::vector<std::uint64_t> ids{load("stays")};
+  std::vector<std::size_t> descriptors;
+  for (int round = 0; round < 2; ++round) {
+    while (ids.size() < 200) ids.push_back(load("relay_" + std::to_string(ids.size())));
+    EXPECT_TRUE(all_answer(200));
+    EXPECT_EQ(publisher_->get_subscription_count(), 200u);
+    while (ids.size() > 1) {
+      unload(ids.back());
+      ids.pop_back();
+    }
+    EXPECT_TRUE(eventually([&] { return publisher_->get_subscription_count() == 1; }));
+    EXPECT_TRUE(all_answer(1));
+    // The process keeps its wait sets, up to a limit, for the next groups.
+    EXPECT_TRUE(eventually(
+        [&] { return descriptors.empty() || container_->descriptors() <= descriptors[0]; }));
+    descriptors.push_back(container_->descriptors());
   }
-  EXPECT_TRUE(eventually([&] { return publisher_->get_subscription_count() == 1; }));
-  EXPECT_TRUE(all_answer(1));
-  EXPECT_TRUE(eventually([&] { return container_->descriptors() <= before + 2; }))
-      << before << " descriptors before, " << container_->descriptors() << " after";
-  unload(ids.back());
+  std::cout << "descriptors after 200 nodes in the container '" << GetParam()
+            << "': " << descriptors[0] << ", after 200 more: " << descriptors[1] << '\n';
+  EXPECT_LE(descriptors[1], descriptors[0]);
+  unload(ids[0]);
 }
 
 INSTANTIATE_TEST_SUITE_P(Containers, ComponentsTest, testing::Values("single", "multi", "isolated"),

@@ -1,6 +1,7 @@
 // SPDX-License-Identifier: Apache-2.0
 //
-// A component for components_test: publishes on "out" what it hears on "in".
+// A component for components_test: publishes on "/out_0" to "/out_9", by its name, what it hears on
+// "/in". One topic would be full: a user has at most 191 publishers on it.
 
 #include <agnocast_rclcpp/agnocast_rclcpp.hpp>
 
@@ -8,6 +9,9 @@
 #include <rclcpp_components/register_node_macro.hpp>
 #include <std_msgs/msg/string.hpp>
 
+#include <cstddef>
+#include <functional>
+#include <string>
 #include <utility>
 
 namespace agnocast_rclcpp {
@@ -16,7 +20,8 @@ class Relay : public rclcpp::Node {
  public:
   explicit Relay(const rclcpp::NodeOptions& options) : Node("relay", options) {
     using std_msgs::msg::String;
-    publisher_ = agnocast::create_publisher<String>(this, "/out", 10);
+    const std::size_t topic = std::hash<std::string>()(get_name()) % 10;
+    publisher_ = agnocast::create_publisher<String>(this, "/out_" + std::to_string(topic), 10);
     subscription_ = agnocast::create_subscription<String>(
         this, "/in", 10, [this](const agnocast::ipc_shared_ptr<const String>& heard) {
           auto loan = publisher_->borrow_loaned_message();

@@ -42,7 +42,7 @@ for _ in $(seq 100); do [ -S "$AGNOCAST_SOCKET" ] && break; sleep 0.1; done
 start bridge "$build/bridge/agnocast-bridge"
 
 # Ours → ROS 2.
-start talker "$build/heaphook/agnocast-run" "$build/examples/talker" --rate 10
+start talker env LD_PRELOAD="$build/heaphook/libagnocast_heaphook.so" "$build/examples/talker" --rate 10
 shows /talker ros2 node list --no-daemon
 # While nobody reads it: its writer is announced.
 shows "/chatter [std_msgs/msg/String]" ros2 topic list --no-daemon -t
