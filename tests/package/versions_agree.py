@@ -1,6 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
 #
-# Goal: the version number has one home. Method: package.xml must repeat the one of
+# Goal: the version number has one home. Method: each package.xml must repeat the one of
 # include/agnocast/version.hpp.
 import pathlib
 import re
@@ -11,7 +11,8 @@ root = pathlib.Path(sys.argv[1])
 header = (root / "include/agnocast/version.hpp").read_text()
 parts = [re.search(rf"AGNOCAST_VERSION_{part} (\d+)", header).group(1) for part in ("MAJOR", "MINOR", "PATCH")]
 expected = ".".join(parts)
-found = xml.parse(root / "package.xml").findtext("version")
-if found != expected:
-    sys.exit(f"package.xml says {found}, include/agnocast/version.hpp says {expected}")
+for manifest in (root / "package.xml", *sorted(root.glob("ros2/*/package.xml"))):
+    found = xml.parse(manifest).findtext("version")
+    if found != expected:
+        sys.exit(f"{manifest.relative_to(root)} says {found}, include/agnocast/version.hpp says {expected}")
 print("version", expected)
