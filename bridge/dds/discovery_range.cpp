@@ -69,7 +69,8 @@ tl::expected<DiscoveryRange, DiscoveryRangeError> discovery_range(
   std::string range = variable(range_variable);
   if (is_localhost_only) range = "LOCALHOST";
   const std::string reason = is_localhost_only ? set : std::string(range_variable) + '=' + range;
-  std::vector<std::string> peers = split(variable(peers_variable), ';');
+  std::vector<std::string> peers;
+  if (!is_localhost_only) peers = split(variable(peers_variable), ';');
   for (const std::string& peer : peers) {
     if (!is_address(peer))
       return tl::unexpected(DiscoveryRangeError{peers_variable, in_quotes(peer) + " is no address",

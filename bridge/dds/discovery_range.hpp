@@ -25,7 +25,8 @@ struct DiscoveryRangeError {
 ///
 /// ROS_LOCALHOST_ONLY=1 is Humble's: its nodes use the loopback device alone. Newer distributions
 /// (ROS_DISTRO) take it for ROS_AUTOMATIC_DISCOVERY_RANGE=LOCALHOST, where nodes use all devices
-/// but look for others on this host only. SYSTEM_DEFAULT and OFF ignore ROS_STATIC_PEERS.
+/// but look for others on this host only. With it, and with SYSTEM_DEFAULT and OFF,
+/// ROS_STATIC_PEERS does not count.
 [[nodiscard]] tl::expected<DiscoveryRange, DiscoveryRangeError> discovery_range(
     const std::function<std::string(const char*)>& variable);
 

@@ -21,7 +21,7 @@ bool DiscoveryInfo::hear() {
     log_.write(LogLevel::warning, "malformed ros_discovery_info",
                {{"refused", std::to_string(refused)}});
   }
-  return are_others_new && *are_others_new && announced_by_others() != theirs_;
+  return !are_others_new || *are_others_new;
 }
 
 std::set<std::string> DiscoveryInfo::announced_by_others() const {
@@ -42,7 +42,7 @@ void DiscoveryInfo::say(std::span<const EndpointInfo> local,
   for (const EndpointInfo& endpoint : local) {
     if (endpoint.domain == domain_ && !is_bridge(endpoint)) local_.insert(full_name_of(endpoint));
   }
-  theirs_ = announced_by_others();
+  const std::set<std::string> theirs = announced_by_others();
   std::map<std::pair<std::string, std::string>, RosNode> nodes;
   NodesByName by_name;
   // The node by which other bridges recognize this one.
@@ -51,7 +51,7 @@ void DiscoveryInfo::say(std::span<const EndpointInfo> local,
   for (const EndpointInfo& endpoint : local) {
     if (endpoint.domain != domain_ || is_bridge(endpoint)) continue;
     const std::string name = full_name_of(endpoint);
-    if (theirs_.contains(name)) {
+    if (theirs.contains(name)) {
       by_name[name] = &own;
       continue;
     }

@@ -27,7 +27,8 @@ class DiscoveryInfo {
       : domain_(domain), graph_(graph), log_(log), refusals_(refusals) {}
 
   const DdsReader* reader() const noexcept { return graph_.reader(); }
-  /// Takes the messages of other participants. Returns whether say() now has other nodes to say.
+  /// Takes the messages of other participants. Returns whether say() may now have other
+  /// nodes to say.
   bool hear();
   /// Publishes the nodes of this host in the domain, with the endpoints that `add` gives them.
   void say(std::span<const EndpointInfo> local, const std::function<void(const NodesByName&)>& add);
@@ -39,8 +40,7 @@ class DiscoveryInfo {
   RosGraph& graph_;
   const Log& log_;
   Refusals& refusals_;
-  std::set<std::string> local_;     // full names of the nodes at the last say(), and
-  std::set<std::string> theirs_;    // those of them that others announced
+  std::set<std::string> local_;     // full names of the nodes at the last say()
   std::uint64_t refused_told_ = 0;  // count in the last log line
   Seldom tells_refused_;
 };

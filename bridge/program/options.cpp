@@ -88,6 +88,9 @@ std::vector<HelpText> environment_texts() {
       {"ROS_DOMAIN_ID", "", "the domain"},
       {"ROS_LOCALHOST_ONLY, ROS_AUTOMATIC_DISCOVERY_RANGE, ROS_STATIC_PEERS", "",
        "how far the bridge looks for others, as nodes of ROS 2 do"},
+      {"ROS_DISTRO", "",
+       "what ROS_LOCALHOST_ONLY means: until Humble and if it is not set, the "
+       "loopback device; since Iron, this host"},
       {"CYCLONEDDS_URI", "", "configuration of Cyclone DDS: interfaces, peers, multicast"},
       {"AMENT_PREFIX_PATH", "",
        "directories with libraries of message packages, besides type_paths"},

@@ -63,11 +63,12 @@ TEST(DiscoveryRange, SearchesThisHostForNewerDistributions) {
                                // The older variable wins.
                                Variables{{"ROS_LOCALHOST_ONLY", "1"},
                                          {"ROS_DISTRO", "kilted"},
+                                         {"ROS_STATIC_PEERS", "10.0.0.9"},
                                          {"ROS_AUTOMATIC_DISCOVERY_RANGE", "OFF"}}}) {
     const auto range = range_of(set);
     ASSERT_TRUE(range);
     EXPECT_THAT(range->configuration, HasSubstr("<AllowMulticast>false</AllowMulticast>"));
-    EXPECT_THAT(range->configuration, HasSubstr("<Peer address=\"localhost\"/>"));
+    EXPECT_THAT(range->configuration, HasSubstr("<Peers><Peer address=\"localhost\"/></Peers>"));
     EXPECT_NE(range->reason, "");
     expect_accepted(range->configuration);
   }
