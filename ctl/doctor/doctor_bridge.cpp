@@ -96,10 +96,12 @@ Ailments other_range(const Facts& facts) {
     const auto words_of = [](const std::string& variable) {
       return variable.empty() ? "no limit" : variable;
     };
-    std::string wanted = facts.shell_range;
-    if (wanted.empty())
-      wanted = range->second.substr(0, range->second.find('=')) +
-               (range->second.starts_with("ROS_LOCALHOST_ONLY") ? "=0" : "=SUBNET");
+    // Both, because the older variable wins.
+    std::string wanted = "ROS_LOCALHOST_ONLY=1";
+    if (facts.shell_range != wanted)
+      wanted =
+          "ROS_LOCALHOST_ONLY=0 " +
+          (facts.shell_range.empty() ? "ROS_AUTOMATIC_DISCOVERY_RANGE=SUBNET" : facts.shell_range);
     const auto command = facts.bridge_commands.find(bridge.pid);
     const auto unit = facts.bridge_units.find(bridge.pid);
     found.push_back(
@@ -108,7 +110,7 @@ Ailments other_range(const Facts& facts) {
              escaped(words_of(facts.shell_range)),
          {{"RANGE", command != facts.bridge_commands.end()
                         ? start_again(bridge, command->second)
-                        : "echo " + shell_word(wanted) +
+                        : "printf '%s\\n' " + escaped(wanted) +
                               " | sudo tee -a /etc/default/agnocast-bridge && sudo systemctl "
                               "restart " +
                               (unit == facts.bridge_units.end() ? "'agnocast-bridge*'"

@@ -50,12 +50,18 @@ std::string unit_of(pid_t pid) {
   return unit.starts_with("agnocast-bridge") && unit.ends_with(".service") ? unit : std::string();
 }
 
-/// Returns the variable that limits how far ROS 2 looks for others, "NAME=value"; empty: none does.
+/// Returns the variable that limits how far ROS 2 looks for others, "NAME=value", in the form that
+/// means the same in every distribution (bridge/dds/discovery_range.hpp); empty: none does.
 template <class Variable>
 std::string discovery_range(const Variable& variable) {
-  const std::string range = variable("ROS_AUTOMATIC_DISCOVERY_RANGE");
-  if (variable("ROS_LOCALHOST_ONLY") == "1") return "ROS_LOCALHOST_ONLY=1";
-  return range.empty() || range == "SUBNET" ? "" : "ROS_AUTOMATIC_DISCOVERY_RANGE=" + range;
+  const std::string distribution = variable("ROS_DISTRO");
+  std::string range = variable("ROS_AUTOMATIC_DISCOVERY_RANGE");
+  if (variable("ROS_LOCALHOST_ONLY") == "1") {
+    if (distribution.empty() || distribution <= "humble") return "ROS_LOCALHOST_ONLY=1";
+    range = "LOCALHOST";
+  }
+  const bool is_limited = !range.empty() && range != "SUBNET" && range != "SYSTEM_DEFAULT";
+  return is_limited ? "ROS_AUTOMATIC_DISCOVERY_RANGE=" + range : "";
 }
 std::string shells_variable(const char* name) {
   const char* const value = ::secure_getenv(name);

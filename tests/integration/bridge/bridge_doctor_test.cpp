@@ -250,6 +250,7 @@ TEST_F(DoctorBridge, NamesABridgeThatLooksForOthersFartherThanTheNodes) {
   const auto running = bridge(domain->id());
   EXPECT_THAT(found({"ROS_LOCALHOST_ONLY=0"}), IsEmpty());
   EXPECT_THAT(found({"ROS_AUTOMATIC_DISCOVERY_RANGE=SUBNET"}), IsEmpty());
+  EXPECT_THAT(found({"ROS_AUTOMATIC_DISCOVERY_RANGE=SYSTEM_DEFAULT"}), IsEmpty());
   // Together with a device in CYCLONEDDS_URI it would be an error: Cyclone DDS takes each once.
   EXPECT_THAT(
       found({"ROS_LOCALHOST_ONLY=1", "CYCLONEDDS_URI="}),

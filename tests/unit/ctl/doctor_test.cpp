@@ -232,10 +232,13 @@ TEST(DoctorBridge, GivesUnitsTheRangeOfTheShell) {
   facts.shell_has_range = true;
   EXPECT_EQ(remedy("", ""), "");
   EXPECT_EQ(remedy("ROS_LOCALHOST_ONLY=1", "ROS_LOCALHOST_ONLY=1"), "");
-  EXPECT_EQ(remedy("ROS_LOCALHOST_ONLY=1", ""), "echo ROS_LOCALHOST_ONLY=1" + restart);
-  EXPECT_EQ(remedy("", "ROS_LOCALHOST_ONLY=1"), "echo ROS_LOCALHOST_ONLY=0" + restart);
-  EXPECT_EQ(remedy("", "ROS_AUTOMATIC_DISCOVERY_RANGE=OFF"),
-            "echo ROS_AUTOMATIC_DISCOVERY_RANGE=SUBNET" + restart);
+  const auto writes = [&](const std::string& words) { return "printf '%s\\n' " + words + restart; };
+  EXPECT_EQ(remedy("ROS_LOCALHOST_ONLY=1", ""), writes("ROS_LOCALHOST_ONLY=1"));
+  const std::string subnet = "ROS_LOCALHOST_ONLY=0 ROS_AUTOMATIC_DISCOVERY_RANGE=SUBNET";
+  EXPECT_EQ(remedy("", "ROS_LOCALHOST_ONLY=1"), writes(subnet));
+  EXPECT_EQ(remedy("", "ROS_AUTOMATIC_DISCOVERY_RANGE=OFF"), writes(subnet));
+  EXPECT_EQ(remedy("ROS_AUTOMATIC_DISCOVERY_RANGE=LOCALHOST", "ROS_LOCALHOST_ONLY=1"),
+            writes("ROS_LOCALHOST_ONLY=0 ROS_AUTOMATIC_DISCOVERY_RANGE=LOCALHOST"));
 }
 
 TEST(DoctorBridge, MovesAFileThatUnitsCannotSeeToWhereTheyCan) {
