@@ -100,10 +100,12 @@ void add_subscription(const System& system, const Topic& topic, const Endpoint& 
                         counted(reading.held, "message") + ", the oldest published " +
                         time_for_people(reading.oldest_held_ns) + " ago)");
   }
+  const abi::Qos requested = abi::unpack_qos(subscription.facts.qos);
   for (const Endpoint& publisher : topic.publishers) {
-    if (publisher.state() != abi::BoardState::active ||
-        abi::qos_match(abi::unpack_qos(publisher.facts.qos),
-                       abi::unpack_qos(subscription.facts.qos)))
+    const bool is_ignored =
+        requested.ignore_local && publisher.facts.client == subscription.facts.client;
+    if (publisher.state() != abi::BoardState::active || is_ignored ||
+        abi::qos_match(abi::unpack_qos(publisher.facts.qos), requested))
       continue;
     row.trouble = Trouble::refused;
     row.notes.push_back("not matched: " + who(system, publisher) + " and " +

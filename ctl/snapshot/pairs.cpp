@@ -44,15 +44,14 @@ Pair pair_of(const System& system, const Topic& topic, const Endpoint& publisher
   Pair pair{&publisher, &subscription, PairState::unknown, {}};
   const abi::Qos offered = abi::unpack_qos(publisher.facts.qos);
   const abi::Qos requested = abi::unpack_qos(subscription.facts.qos);
+  if (requested.ignore_local && publisher.facts.client == subscription.facts.client) {
+    pair.state = PairState::ignored;
+    pair.why = "the subscription ignores publishers of its own process";
+    return pair;
+  }
   if (!abi::qos_match(offered, requested)) {
     pair.state = PairState::incompatible;
     pair.why = mismatch_of(offered, requested);
-    return pair;
-  }
-  if (!abi::endpoints_match({offered, publisher.facts.client},
-                            {requested, subscription.facts.client})) {
-    pair.state = PairState::ignored;
-    pair.why = "the subscription ignores publishers of its own process";
     return pair;
   }
   if (const char* const end = end_of(publisher, subscription); end != nullptr) {

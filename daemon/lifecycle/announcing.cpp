@@ -178,8 +178,9 @@ Effects Announcing::mismatches(const EndpointRef& ref, bool to_both) const {
     const SubscriptionRecord& subscription = registry_.subscription(ref.topic, s);
     if (publisher.state != EndpointState::active || subscription.state != EndpointState::active)
       return;
-    const abi::QosPolicy policy =
-        abi::qos_mismatch(abi::unpack_qos(publisher.qos), abi::unpack_qos(subscription.qos));
+    const abi::Qos requested = abi::unpack_qos(subscription.qos);
+    if (requested.ignore_local && publisher.client == subscription.client) return;
+    const abi::QosPolicy policy = abi::qos_mismatch(abi::unpack_qos(publisher.qos), requested);
     if (policy == abi::QosPolicy::none) return;
     const std::string text = policy == abi::QosPolicy::reliability
                                  ? "reliable is requested, best effort is offered"

@@ -84,6 +84,18 @@ TEST_F(AnnouncingTest, NotifiesNoSubscriptionThatIgnoresItsProcess) {
   EXPECT_EQ(registry.owner_of(notified[1].subject), other);
 }
 
+TEST_F(AnnouncingTest, SaysNothingOfTheQosOfPairsThatAreIgnored) {
+  const ClientIndex owner = scene.process();
+  const TopicIndex at = scene.topic("/topic");
+  for (const bool ignores : {false, true}) {
+    const abi::Qos qos{1, true, true, false, ignores};  // asks for a history
+    const auto plan = registry.plan_subscription(owner, at, qos, {1, 1}).value();
+    registry.add_subscription(owner, at, qos, {1, 1}, 0, plan, "node");
+  }
+  const auto notices = all<effect::Notice>(announcing.created(scene.publisher(owner), 1));
+  EXPECT_EQ(notices.size(), 2u) << "the other subscription and the publisher";
+}
+
 TEST_F(AnnouncingTest, NotifiesNoEndpointThatLeavesOrIsOver) {
   const EndpointRef leaving = scene.subscription(scene.process());
   const EndpointRef orphan = scene.publisher(scene.process());
