@@ -8,6 +8,7 @@
 
 #include "client/api/message_plan.hpp"
 
+#include <agnocast/heap.hpp>
 #include <agnocast/message_type.hpp>
 
 #include <algorithm>
@@ -326,6 +327,7 @@ Result<MessageType> make_plain_type(const PlainType& type, std::uint64_t build) 
 }
 
 const void* found_or_null(const void* (*find)(const void*), const void* argument) noexcept {
+  const LoanPause pause;  // a library that it loads outlives any loan of this thread
   try {
     return find(argument);
   } catch (...) {

@@ -167,8 +167,11 @@ Result<CallbackGroup::SharedPtr> of_endpoint(const std::string& node,
   auto group = of_callback(node, named);
   if (!group) return group;
   CallbackGroup::State& state = (*group)->state();
-  if (state.callbacks->wait_set() != nullptr) return group;
   Places& all = places();
+  {
+    const std::lock_guard lock(all.mutex);
+    if (state.callbacks->wait_set() != nullptr) return group;
+  }
   auto wait_set = all.wait_set();
   if (!wait_set) return tl::unexpected<Failure>(wait_set.error());
   const std::lock_guard lock(all.mutex);
