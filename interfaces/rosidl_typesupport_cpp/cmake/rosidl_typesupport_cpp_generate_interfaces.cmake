@@ -26,6 +26,10 @@ configure_file(${rosidl_typesupport_cpp_DIR}/type_support.cpp.in ${type_support_
 add_library(${typesupport_target} SHARED ${type_support_source})
 add_library(${PROJECT_NAME}::${typesupport_target} ALIAS ${typesupport_target})
 set_target_properties(${typesupport_target} PROPERTIES CXX_STANDARD 17)
+if(rosidl_generate_interfaces_LIBRARY_NAME)
+  set_target_properties(${typesupport_target} PROPERTIES
+    OUTPUT_NAME ${rosidl_generate_interfaces_LIBRARY_NAME}__rosidl_typesupport_cpp)
+endif()
 target_link_libraries(${typesupport_target}
   PUBLIC ${rosidl_generate_interfaces_TARGET}__rosidl_generator_cpp PRIVATE ${introspection_target})
 foreach(package ${rosidl_generate_interfaces_DEPENDENCY_PACKAGE_NAMES})
