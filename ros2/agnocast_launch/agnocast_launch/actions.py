@@ -18,6 +18,11 @@ class HeapHook:
 
     def prepare(self, context):
         super().prepare(context)
+        if getattr(self, "shell", False):
+            # A shell would take the words in front for a part of its first command.
+            raise ValueError(
+                f"{self.process_description.final_name}: shell=True does not go with the heap hook\n"
+                "hint: use launch's own action, with agnocast-run in front of the program in cmd")
         # Here substitutions are performed and the environment is known. The name of the process,
         # in front of each line of its output, stays that of the program.
         description = self.process_description

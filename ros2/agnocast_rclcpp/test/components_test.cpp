@@ -197,7 +197,10 @@ TEST_P(ComponentsTest, LoadsAndUnloadsLeaveNothingBehind) {
   ASSERT_TRUE(all_answer(1));
   // Unloading ends after its answer.
   Figures after = look();
-  for (int i = 0; i < 500 && after.descriptors > before.descriptors; ++i) {
+  const auto is_settled = [&] {
+    return after.descriptors <= before.descriptors && after.threads <= before.threads;
+  };
+  for (int i = 0; i < 3000 && !is_settled(); ++i) {
     std::this_thread::sleep_for(10ms);
     after = look();
   }
@@ -209,7 +212,9 @@ TEST_P(ComponentsTest, LoadsAndUnloadsLeaveNothingBehind) {
   EXPECT_LE(after.descriptors, before.descriptors);
   EXPECT_LE(after.threads, before.threads);
   // A component has two endpoints, which would be two mappings and a descriptor each.
-  EXPECT_LT(after.mappings, before.mappings + static_cast<std::size_t>(loads) / 2);
+  EXPECT_LE(after.mappings, before.mappings + static_cast<std::size_t>(loads) / 2);
+  // What the allocator keeps, and the first use of heap pages; the nodes of rclcpp are far larger.
+  EXPECT_LT(after.kilobytes, before.kilobytes + 4096 + 64 * static_cast<std::size_t>(loads));
   unload(stays);
 }
 

@@ -18,7 +18,7 @@
 namespace agnocast_rclcpp {
 
 /// Returns rclcpp's form. The publisher's GID identifies it on this host while the daemon lives;
-/// the time of receipt is the present one. Costs four clock reads.
+/// the time of receipt is the present one. Costs three clock reads.
 rclcpp::MessageInfo to_ros(const agnocast::MessageInfo& info);
 
 /// Applies overrides by parameters, which it declares, as rclcpp does: qos_overrides.<topic>.….
