@@ -366,10 +366,8 @@ TEST(Dataplane, APublisherDoesNotWaitForASubscriptionThatIgnoresItsProcess) {
         pair.topic(), pair.words(), 0, generation, Pair::first(), offered, 64, 0, 0});
     Freed environment;
     PublishOutcome outcome = PublishOutcome::published;
-    for (std::uint64_t i = 1; i <= 10 && outcome == PublishOutcome::published; ++i) {
-      environment.live.insert(i * 16);
-      outcome = publisher->publish({i * 16, 16, i}, environment);
-    }
+    for (std::uint64_t at = 16; at <= 160 && outcome == PublishOutcome::published; at += 16)
+      outcome = publisher->publish({*environment.live.insert(at).first, 16, at}, environment);
     EXPECT_EQ(outcome, client == 0 ? PublishOutcome::published : PublishOutcome::would_block);
   }
 }
