@@ -57,6 +57,12 @@ set(AGNOCAST_SANITIZED_LEVEL 1)
 function(agnocast_target_defaults target)
   if(AGNOCAST_SANITIZE)
     target_compile_options(${target} PRIVATE -O${AGNOCAST_SANITIZED_LEVEL} -g1)
+    # Only what a test runs: programs for users, as far as tests depend on them.
+    get_target_property(type ${target} TYPE)
+    string(FIND "${CMAKE_CURRENT_SOURCE_DIR}" "${PROJECT_SOURCE_DIR}/tests" place)
+    if(type STREQUAL EXECUTABLE AND place EQUAL -1)
+      set_target_properties(${target} PROPERTIES EXCLUDE_FROM_ALL ON)
+    endif()
   elseif(AGNOCAST_BUILD_TESTS)
     # Line numbers only: three quarters of the compile time. The preset dev has full debug
     # information.
