@@ -14,11 +14,13 @@
 // In scripts that lose the daemon's store only a sample is tried, as each point starts two
 // daemons; AGNOCAST_SEED chooses another sample, AGNOCAST_SWEEP=all tries all points. Without a
 // death: processes and daemon are delayed at random points, and no process notices.
+// AGNOCAST_ROTATION: a part of the points (tests/support/rotation.hpp), but every named one.
 // AGNOCAST_SWEEP_JITTER=N: surviving processes are delayed as well, at N of a million points.
 // AGNOCAST_SWEEP_STRIDE=N tries every N-th point only, AGNOCAST_SWEEP_SCRIPT=I only script I.
 
 #include <tests/recovery/sweep_script.hpp>
 #include <tests/recovery/sweep_scripts.hpp>
+#include <tests/support/rotation.hpp>
 
 #include <gtest/gtest.h>
 
@@ -54,8 +56,8 @@ Totals sweep(const Script& script, SweepStage& stage, unsigned worker, std::uint
   std::string wrong = performance.rehearse();
   if (script.loses_store() && !runs_everything())
     stride *= 1 + performance.points() / tried_of_a_loss;
-  const std::uint64_t seed = number_of("AGNOCAST_SEED", 0), first = 1 + seed % stride,
-                      jitter = number_of("AGNOCAST_SWEEP_JITTER", 0);
+  const std::uint64_t seed = number_of("AGNOCAST_SEED", test::Rotation().part()),
+                      first = 1 + seed % stride, jitter = number_of("AGNOCAST_SWEEP_JITTER", 0);
   for (std::uint64_t n = first + worker * stride; wrong.empty(); n += worker_count * stride) {
     if (jitter != 0) performance.slow_down(1 + 10 * (seed + n), jitter);
     const Performance::Ended ended = performance.perform(n);
@@ -107,7 +109,9 @@ void sweep_names(std::set<Step>& left, Totals& sum) {
 }
 
 TEST(ClientSweep, AProcessKilledAtAnyPointDisturbsNoOtherAndLeavesNothing) {
-  const std::uint64_t stride = std::max<std::uint64_t>(1, number_of("AGNOCAST_SWEEP_STRIDE", 1));
+  const test::Rotation rotation;
+  const std::uint64_t given = number_of("AGNOCAST_SWEEP_STRIDE", 0),
+                      stride = given != 0 ? given : rotation.parts();
   const std::uint64_t only = number_of("AGNOCAST_SWEEP_SCRIPT", 0);
   Totals sum, losses;
   for (std::size_t i = 0; i < std::size(scripts); ++i) {
@@ -154,6 +158,7 @@ TEST(ClientSweep, AProcessKilledAtAnyPointDisturbsNoOtherAndLeavesNothing) {
       "%zu violations\n",
       std::uintmax_t{sum.points}, std::uintmax_t{stride}, std::uintmax_t{sum.deaths},
       std::uintmax_t{sum.survived}, sum.violations.size());
+  std::printf("rotation: %s\n", rotation.text().c_str());
   std::printf("where the store is lost: %ju of the points, %ju of the deaths%s\n",
               std::uintmax_t{losses.points}, std::uintmax_t{losses.deaths},
               runs_everything() ? "" : " (a sample; AGNOCAST_SWEEP=all: every point)");
@@ -162,11 +167,11 @@ TEST(ClientSweep, AProcessKilledAtAnyPointDisturbsNoOtherAndLeavesNothing) {
     if (sum.died_at.count(named.step) == 0) left.insert(named.step);
   }
   std::printf("fewest deaths at:%s\n", rarest_of(sum.died_at).c_str());
-  if (stride == 1 && only == 0 && sum.violations.empty()) sweep_names(left, sum);
+  if (given == 0 && only == 0 && sum.violations.empty()) sweep_names(left, sum);
   std::string missed;
   for (const Step step : left) missed += std::string(" ") + name_of(step);
   std::printf("nobody died at:%s\n", missed.empty() ? " (every C_ name was hit)" : missed.c_str());
-  if (stride == 1 && only == 0) {
+  if (given == 0 && only == 0) {
     EXPECT_EQ(missed, "") << "a named crash point that no script reaches";
   }
 }

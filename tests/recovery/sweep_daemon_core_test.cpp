@@ -9,12 +9,13 @@
 //     operation had without a death, and from there completes the rest of the script;
 //   - pairs: the same when the resuming daemon is first killed at its m-th crash point.
 // AGNOCAST_SWEEP=all: all pairs; single: none; otherwise all in which the second daemon dies while
-// it opens its tables, and about every 15th of the others.
-// it opens its tables, and every 31st or so of the others.
+// it opens its tables, and about every 15th of the others. AGNOCAST_ROTATION: pairs of a part of
+// the first deaths (tests/support/rotation.hpp).
 
 #include <tests/recovery/sweep_daemon_core.hpp>
 #include <tests/support/crash/step_names.hpp>
 #include <tests/support/machine/temporary_directory.hpp>
+#include <tests/support/rotation.hpp>
 
 #include <gtest/gtest.h>
 
@@ -219,6 +220,7 @@ TEST_F(CoreSweep, AfterADeathAtAnyStoreTheNextDaemonContinues) {
   const char* const extent = std::getenv("AGNOCAST_SWEEP");
   const std::uint64_t stride = extent != nullptr && std::string(extent) == "all" ? 1 : 29;
   const bool with_pairs = extent == nullptr || std::string(extent) != "single";
+  const test::Rotation rotation;
   rehearse();
   std::map<std::uint64_t, std::pair<std::string, std::string>> by_lsn;  // state, and its origin
   std::map<std::string, std::uint64_t> by_name, second_by_name;
@@ -276,7 +278,7 @@ TEST_F(CoreSweep, AfterADeathAtAnyStoreTheNextDaemonContinues) {
       if (first.step == steps::W1_record) untouched.insert(lsn);
     }
     complete(memory, true);
-    for (std::uint64_t m = 1; with_pairs && violations < 5;) {
+    for (std::uint64_t m = 1; with_pairs && rotation.takes(n) && violations < 5;) {
       KeptMemory again;
       (void)first_life(again, n);
       const std::string& directory = doorbells();
@@ -289,7 +291,8 @@ TEST_F(CoreSweep, AfterADeathAtAnyStoreTheNextDaemonContinues) {
       ++second_by_name[name_of(second.step)];
       opening += second.progress == 0;
       complete(again, false);
-      const bool every_one = second.progress == 0 || (repairing.count(at) != 0 && n % 8 == 0);
+      const bool every_one =
+          second.progress == 0 || (repairing.count(at) != 0 && n / rotation.parts() % 8 == 0);
       m += every_one ? 1 : 1 + (n + m) % stride;
     }
   }
@@ -300,7 +303,8 @@ TEST_F(CoreSweep, AfterADeathAtAnyStoreTheNextDaemonContinues) {
       "daemon core: %ju pairs, in %ju of them the second died while it opened its tables%s\n",
       std::uintmax_t{pairs}, std::uintmax_t{opening},
       stride == 1 ? "; all pairs" : "; of the others a sample");
-  std::printf("daemon core: %ju violations\n", std::uintmax_t{violations});
+  std::printf("daemon core: %ju violations; rotation: %s\n", std::uintmax_t{violations},
+              rotation.text().c_str());
   for (const auto& [name, count] : by_name)
     std::printf("  %-20s %5ju, in pairs %6ju\n", name.c_str(), std::uintmax_t{count},
                 std::uintmax_t{second_by_name[name]});

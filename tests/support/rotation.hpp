@@ -21,6 +21,8 @@ class Rotation {
     std::fprintf(stderr, "AGNOCAST_ROTATION is %s, not PART/PARTS with PART from 0\n", text);
     std::exit(2);
   }
+  std::size_t part() const noexcept { return part_; }
+  std::size_t parts() const noexcept { return parts_; }
   bool takes(std::size_t index) const noexcept { return index % parts_ == part_; }
   std::string text() const {
     if (parts_ == 1) return "all";
