@@ -122,6 +122,7 @@ bool BackgroundThread::run_next() {
 }
 
 void BackgroundThread::serve() {
+  ThreadRegister::note(core_->number());
   while (!core_->is_cancelled()) {
     bool had_one = false;
     try {

@@ -16,10 +16,9 @@
 
 namespace agnocast {
 
-CallbackGroup::State::State(std::string node, CallbackGroupType type, bool with_node)
-    : node_name(std::move(node)),
-      is_with_node(with_node),
-      callbacks(std::make_shared<GroupCallbacks>(type)) {}
+CallbackGroup::State::State(const std::string& node, CallbackGroupType type, bool with_node,
+                            const std::string& name)
+    : is_with_node(with_node), callbacks(std::make_shared<GroupCallbacks>(type, node, name)) {}
 
 namespace {
 
@@ -27,6 +26,7 @@ namespace {
 // without callbacks, and for wait sets that are about to come back.
 constexpr std::size_t own_wait_sets_max = 48;
 static_assert(own_wait_sets_max < abi::executor_count_max);
+constexpr const char* default_name = "default";
 
 struct NodePlace {
   std::weak_ptr<CallbackGroup> default_group;
@@ -99,9 +99,9 @@ void unassign(CallbackGroup::State& group) noexcept {
 /// Under the mutex of Places, which the destructor of `group` takes: also after a failure it must
 /// be destroyed later.
 Result<void> make(Places& all, const std::string& node, CallbackGroupType type, bool with_node,
-                  CallbackGroup::SharedPtr& group) {
+                  const std::string& name, CallbackGroup::SharedPtr& group) {
   group = std::make_shared<CallbackGroup>(
-      std::make_unique<CallbackGroup::State>(node, type, with_node));
+      std::make_unique<CallbackGroup::State>(node, type, with_node, name));
   NodePlace& place = all.by_node[node];
   place.groups.push_back(group.get());
   return with_node && place.executor != nullptr ? assign(group->state(), *place.executor)
@@ -117,10 +117,10 @@ CallbackGroup::~CallbackGroup() {
   Places& all = places();
   const std::lock_guard lock(all.mutex);
   unassign(*state_);
-  const auto place = all.by_node.find(state_->node_name);
+  const auto place = all.by_node.find(state_->callbacks->node());
   if (place == all.by_node.end()) return;
   std::erase(place->second.groups, this);
-  all.forget_if_unused(state_->node_name);
+  all.forget_if_unused(state_->callbacks->node());
 }
 
 CallbackGroupType CallbackGroup::type() const noexcept { return state_->callbacks->type(); }
@@ -128,14 +128,18 @@ bool CallbackGroup::automatically_add_to_executor_with_node() const noexcept {
   return state_->is_with_node;
 }
 
+const std::string& CallbackGroup::name() const noexcept { return state_->callbacks->name(); }
+
 CallbackGroup::SharedPtr detail::make_callback_group(const std::string& node,
-                                                     CallbackGroupType type, bool with_node) {
+                                                     CallbackGroupType type, bool with_node,
+                                                     const std::string& name) {
   if (Result<void> refused = refuse_creation(); !refused) throw Error(refused.error());
   const LoanPause pause;
   CallbackGroup::SharedPtr group;
   Places& all = places();
   const std::lock_guard lock(all.mutex);
-  if (Result<void> made = make(all, node, type, with_node, group); !made) throw Error(made.error());
+  if (Result<void> made = make(all, node, type, with_node, name, group); !made)
+    throw Error(made.error());
   return group;
 }
 
@@ -145,7 +149,7 @@ Result<CallbackGroup::SharedPtr> of_callback(const std::string& node,
                                              const CallbackGroup::SharedPtr& named) {
   if (Result<void> refused = refuse_creation(); !refused)
     return tl::unexpected<Failure>(refused.error());
-  if (named != nullptr && named->state().node_name != node)
+  if (named != nullptr && named->state().callbacks->node() != node)
     return fail(Errc::invalid_argument, "the callback group belongs to another node");
   const LoanPause pause;
   CallbackGroup::SharedPtr group = named;  // outside the lock: the destructor takes it
@@ -153,7 +157,8 @@ Result<CallbackGroup::SharedPtr> of_callback(const std::string& node,
   const std::lock_guard lock(all.mutex);
   if (group == nullptr) group = all.by_node[node].default_group.lock();
   if (group == nullptr) {
-    if (Result<void> made = make(all, node, CallbackGroupType::MutuallyExclusive, true, group);
+    if (Result<void> made =
+            make(all, node, CallbackGroupType::MutuallyExclusive, true, default_name, group);
         !made)
       return tl::unexpected<Failure>(made.error());
     all.by_node[node].default_group = group;

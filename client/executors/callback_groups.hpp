@@ -34,9 +34,8 @@ class GroupExecutor {
 };
 
 struct CallbackGroup::State {
-  State(std::string node, CallbackGroupType type, bool with_node);
+  State(const std::string& node, CallbackGroupType type, bool with_node, const std::string& name);
 
-  const std::string node_name;
   const bool is_with_node;
   const std::shared_ptr<GroupCallbacks> callbacks;  // running callbacks keep it as well
   // Under the mutex of CallbackGroups:

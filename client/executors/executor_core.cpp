@@ -53,7 +53,7 @@ Result<std::unique_ptr<ExecutorCore>> ExecutorCore::make() {
       new ExecutorCore(std::move(epoll), std::move(wake), std::move(*tick)));
 }
 
-ExecutorCore::~ExecutorCore() = default;
+ExecutorCore::~ExecutorCore() { ThreadRegister::instance().remove_executor(number_); }
 
 // --- groups and their doorbells
 
@@ -66,6 +66,8 @@ Result<void> ExecutorCore::adopt(std::shared_ptr<GroupCallbacks> group) {
   }
   assigned_.push_back({group, std::move(wait_set)});
   group->hand_to(this);
+  ThreadRegister::instance().add(
+      {number_, group->number(), group->type(), group->node(), group->name()});
   return {};
 }
 
@@ -87,6 +89,7 @@ void ExecutorCore::drop(GroupCallbacks& group) noexcept {
   });
   if (found == assigned_.end()) return;
   group.hand_to(nullptr);
+  ThreadRegister::instance().remove_group(number_, group.number());
   if (found->wait_set != nullptr) end_listening(found->wait_set);
   const auto index = static_cast<std::size_t>(found - assigned_.begin());
   if (index < next_) --next_;
@@ -159,6 +162,7 @@ ExecutorCore::Claim ExecutorCore::next() {
 }
 
 bool ExecutorCore::run_next() {
+  ThreadRegister::note(number_);
   // Twice with several threads: what came for the busy group meanwhile, no other has seen. Not for
   // ever: while there is no memory for a message, there is work that nobody can do.
   for (int attempts = is_shared() ? 2 : 1; attempts > 0; --attempts) {
@@ -173,6 +177,7 @@ bool ExecutorCore::run_next() {
 }
 
 std::size_t ExecutorCore::run_cycle(Clock::time_point deadline) {
+  ThreadRegister::note(number_);
   std::size_t count = 0;
   const auto is_over = [&] { return is_cancelled() || Clock::now() >= deadline; };
   // The rest of a cycle, then a new one.

@@ -23,6 +23,7 @@
 #include <base/undestroyed_condition.hpp>
 #include <client/executors/group_callbacks.hpp>
 #include <client/executors/sleep_tick.hpp>
+#include <client/process/thread_register.hpp>
 
 #include <atomic>
 #include <chrono>
@@ -87,6 +88,8 @@ class ExecutorCore {
   bool take_cancel() noexcept {
     return is_cancelled() && cancelled_.exchange(false, std::memory_order_acq_rel);
   }
+  /// Returns a number that no other executor of this process has.
+  std::uint64_t number() const noexcept { return number_; }
   /// Readable when a sleep of this executor would end.
   int fd() const noexcept { return epoll_.get(); }
 
@@ -152,6 +155,7 @@ class ExecutorCore {
   void note_events(const struct epoll_event* events, int count) noexcept;
   void drain_rung() noexcept;
 
+  const std::uint64_t number_ = ThreadRegister::next_number();
   UniqueFd epoll_, wake_;
   SleepTick tick_;
   std::atomic<bool> cancelled_{false};

@@ -15,6 +15,7 @@
 #include <agnocast/callback_group.hpp>
 #include <base/undestroyed_condition.hpp>
 #include <client/process/library_thread.hpp>
+#include <client/process/thread_register.hpp>
 #include <client/process/wait_set.hpp>
 
 #include <atomic>
@@ -23,6 +24,7 @@
 #include <cstdint>
 #include <memory>
 #include <mutex>
+#include <string>
 #include <thread>
 #include <utility>
 #include <vector>
@@ -61,11 +63,19 @@ class CallbackSource {
 
 class GroupCallbacks {
  public:
-  explicit GroupCallbacks(CallbackGroupType type) : type_(type) { running_.reserve(1); }
+  explicit GroupCallbacks(CallbackGroupType type, std::string node = {}, std::string name = {})
+      : type_(type), node_(std::move(node)), name_(std::move(name)) {
+    running_.reserve(1);
+  }
   GroupCallbacks(const GroupCallbacks&) = delete;
   GroupCallbacks& operator=(const GroupCallbacks&) = delete;
 
   CallbackGroupType type() const noexcept { return type_; }
+  /// Returns a number that no other group or executor of this process has.
+  std::uint64_t number() const noexcept { return number_; }
+  /// The fully qualified name of its node.
+  const std::string& node() const noexcept { return node_; }
+  const std::string& name() const noexcept { return name_; }
   void add(std::shared_ptr<CallbackSource> source);
   /// Ends the callbacks of a source; waits while another thread runs one. It does not wait if
   /// that wait would never end: the callback waits for this thread (callback_waits.hpp), or this
@@ -117,6 +127,8 @@ class GroupCallbacks {
   bool is_free(const CallbackSource& source) const noexcept;
 
   const CallbackGroupType type_;
+  const std::uint64_t number_ = ThreadRegister::next_number();
+  const std::string node_, name_;
   mutable std::mutex mutex_;  // taken after that of the executor
   UndestroyedCondition callback_ended_;
   std::vector<std::shared_ptr<CallbackSource>> sources_;

@@ -42,6 +42,7 @@ Result<void> ControlThread::prepare() {
   for (const int fd : {registration_.connection().fd(), registration_.wake()->fd()}) {
     if (Result<void> watched = watch(fd); !watched) return watched;
   }
+  ThreadRegister::instance().set_wake(registration_.wake());
   return {};
 }
 
@@ -221,6 +222,8 @@ void ControlThread::run_errands() {
   look_for_doorbells();
   departures_.say(registration_.connection(), registration_.wake());
   readers_.look(endpoints_, heap_, registration_.connection());
+  if (reconnection_.state() == Reconnection::State::connected)
+    threads_.tell(registration_.connection());
   collector_.collect(registration_.connection());
   departures_.end_unclaimed(registration_.connection(), registration_.wake(),
                             registration_.board());

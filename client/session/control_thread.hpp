@@ -27,6 +27,7 @@
 #include <client/session/registration.hpp>
 #include <client/session/scan_timer.hpp>
 #include <client/session/session_state.hpp>
+#include <client/session/thread_report.hpp>
 
 #include <chrono>
 
@@ -111,6 +112,7 @@ class ControlThread {
   Departures& departures_;
 
   ReaderLook readers_;
+  ThreadReport threads_;
   Announcements announcements_{endpoints_, peers_, readers_, heap_.growth()};
   Collector collector_{endpoints_, peers_};
   UniqueFd epoll_;

@@ -38,6 +38,7 @@ void ControlThread::lose_connection() noexcept {
   if (registration_.connection().fd() >= 0 && !has_lost_kept())
     ::epoll_ctl(epoll_.get(), EPOLL_CTL_DEL, registration_.connection().fd(), nullptr);
   registration_.connection().end();
+  threads_.forget();
   reconnection_.ended(Reconnection::Clock::now());
   tell_state(reconnection_.is_refused() ? ConnectionState::orphaned
                                         : ConnectionState::reconnecting);

@@ -115,6 +115,12 @@ constexpr Command table[] = {
      "For all other processes it has died then. The daemon notifies it, and it has to be restarted to take part again. Allowed to root, the "
      "daemon's user and the owner of the process.",
      "agnocast-ctl process revoke 4711\nagnocast-ctl process revoke 3.17 --json"},
+    {"thread", "list", "the threads that run callbacks, and their scheduling", {},
+     these<o::verbose, o::domain, o::all_domains>, list_threads,
+     "Each thread of an executor with the nodes and callback groups that it runs. Policy, priority or nice value, processors and time on "
+     "the processor are what the kernel says now; SET BY is the rule of the daemon's configuration, and its state unless it was applied. "
+     "With -v every callback group.",
+     "agnocast-ctl thread list\nagnocast-ctl threads -v --all-domains\nagnocast-ctl threads -j | jq '.threads[] | select(.rule)'"},
     {"heap", "list", "the shared heap windows and their use", {},
      these<o::domain, o::all_domains>, list_heaps,
      "For each heap window of each process: base, length, bytes in use, and the number of messages that begin in it.",

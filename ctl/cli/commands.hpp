@@ -42,6 +42,7 @@ Outcome<void> call_service(const Arguments& arguments, Console& console);
 Outcome<void> show_service_type(const Arguments& arguments, Console& console);
 Outcome<void> list_processes(const Arguments& arguments, Console& console);
 Outcome<void> revoke_process(const Arguments& arguments, Console& console);
+Outcome<void> list_threads(const Arguments& arguments, Console& console);
 Outcome<void> list_heaps(const Arguments& arguments, Console& console);
 Outcome<void> show_journal(const Arguments& arguments, Console& console);
 Outcome<void> run_doctor(const Arguments& arguments, Console& console);

@@ -36,6 +36,7 @@ Object object_of(const System& system, const Arguments& arguments) {
   }
   for (const wire::DumpRefusal& refusal : system.refusals)
     object["refusals"].push_back(refusal_object(refusal));
+  object["threads"] = threads_object(system, arguments);
   return object;
 }
 
@@ -45,6 +46,7 @@ Object without_time(Object object) {
   for (const char* const part : {"processes", "messages", "refusals"}) {
     for (Object& item : object[part]) item.erase("age_ns");
   }
+  for (Object& thread : object["threads"]) thread.erase("cpu_time_ns");
   return object;
 }
 
@@ -52,7 +54,7 @@ Object without_time(Object object) {
 
 Outcome<void> dump_all(const Arguments& arguments, Console& console) {
   const Waiting waiting;
-  auto watch = Watch::begin(arguments.socket);
+  auto watch = Watch::begin(arguments.socket, {.threads = true});
   if (!watch) return tl::unexpected(watch.error());
   const Json form = arguments.json == Json::pretty ? Json::pretty : Json::compact;
   Object last;

@@ -62,7 +62,8 @@ Object object_of(const Process& process, const KeptNumbers& kept) {
           {"kept_slots", kept.slots},
           {"kept_object_bytes", kept.object_bytes},
           {"blocked_bytes", facts.blocked_bytes},
-          {"blocked_by", process.blocked_by}};
+          {"blocked_by", process.blocked_by},
+          {"threads_left_out", facts.threads_left_out}};
 }
 
 }  // namespace
@@ -124,6 +125,10 @@ Outcome<void> show_process(const Arguments& arguments, Console& console) {
     if (facts.blocked_bytes != 0)
       console.line("  Blocked: " + bytes_for_people(facts.blocked_bytes) + " of the arena, by " +
                    escaped(process->blocked_by));
+    if (facts.threads_left_out != 0)
+      console.line("  Not known to the daemon: " + counted(facts.threads_left_out,
+                                                           "callback group or thread",
+                                                           "callback groups and threads"));
     console.line("  Publishers:" + publishers);
     console.line("  Subscribers:" + subscriptions);
     if (!refusals.empty()) console.line("  Refused recently:" + refusals);

@@ -53,7 +53,9 @@ Object share_object(const wire::UserShare& share) {
           {"queued_seconds", limit_or_null(share.queued_seconds)},
           {"dumps_per_second", limit_or_null(share.dumps_per_second)},
           {"publishers_per_topic", limit_or_null(share.publishers_per_topic)},
-          {"subscriptions_per_topic", limit_or_null(share.subscriptions_per_topic)}};
+          {"subscriptions_per_topic", limit_or_null(share.subscriptions_per_topic)},
+          {"callback_groups", limit_or_null(share.callback_groups)},
+          {"callback_threads", limit_or_null(share.callback_threads)}};
 }
 
 Object status_object(const System& system, const std::string& socket) {

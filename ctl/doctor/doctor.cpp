@@ -12,7 +12,8 @@ namespace agnocast::ctl {
 
 std::vector<const Check*> all_checks() {
   std::vector<const Check*> all;
-  for (const auto checks : {door_checks, host_checks, process_checks, bridge_checks}) {
+  for (const auto checks :
+       {door_checks, host_checks, process_checks, thread_checks, bridge_checks}) {
     for (const Check& check : checks) all.push_back(&check);
   }
   return all;

@@ -52,6 +52,8 @@ extern const std::span<const Check> door_checks;
 extern const std::span<const Check> host_checks;
 /// doctor_processes.cpp: the processes, and the messages between them.
 extern const std::span<const Check> process_checks;
+/// doctor_threads.cpp: the scheduling of the threads that run callbacks.
+extern const std::span<const Check> thread_checks;
 /// doctor_bridge.cpp: the bridges to DDS.
 extern const std::span<const Check> bridge_checks;
 /// Returns all checks, in the order in which they run.

@@ -20,7 +20,6 @@
 #include <array>
 #include <cerrno>
 #include <filesystem>
-#include <sstream>
 #include <string_view>
 #include <system_error>
 
@@ -28,7 +27,7 @@ namespace agnocast::ctl {
 namespace {
 
 constexpr const char* usual_configuration = "/etc/agnocast/agnocastd.toml";
-constexpr int cap_ipc_lock = 14;
+constexpr int cap_ipc_lock = 14, cap_sys_nice = 23;
 // Enough to include the restarts of the last minutes, unless much has happened since.
 constexpr std::uint64_t journal_records = 1024;
 
@@ -196,8 +195,9 @@ Running look_at_process(pid_t pid) {
   const std::string status = contents_of(of_process(pid, "status"));
   running.locked_bytes = number_in(line_after(status, "VmLck:")).value_or(0) * 1024;
   running.address_bytes = number_in(line_after(status, "VmSize:")).value_or(0) * 1024;
-  std::string_view effective = line_after(status, "CapEff:");
-  running.may_lock_all = (number_in(effective, 16).value_or(0) >> cap_ipc_lock & 1) != 0;
+  const std::uint64_t capabilities = number_in(line_after(status, "CapEff:"), 16).value_or(0);
+  running.may_lock_all = (capabilities >> cap_ipc_lock & 1) != 0;
+  running.may_schedule_all = (capabilities >> cap_sys_nice & 1) != 0;
   const std::string limits = contents_of(of_process(pid, "limits"));
   running.lock_limit = limit_in(limits, "Max locked memory");
   running.address_limit = limit_in(limits, "Max address space");
@@ -205,17 +205,6 @@ Running look_at_process(pid_t pid) {
 }
 
 namespace {
-
-/// Returns whether the pid names the daemon's process here: not if it is in another PID namespace.
-bool is_same_process(const wire::DumpProcess& facts) {
-  const std::string status = contents_of(of_process(static_cast<pid_t>(facts.pid), "status"));
-  // Real, effective, saved: the daemon received one of them when the process connected.
-  std::istringstream uids{std::string(line_after(status, "Uid:"))};
-  for (std::uint64_t uid = 0; facts.pid != 0 && uids >> uid;) {
-    if (uid == facts.uid) return true;
-  }
-  return false;
-}
 
 bool means(const Running& running, const Facts& facts, bool is_named) {
   const auto& of = running.environment;
@@ -230,7 +219,7 @@ bool means(const Running& running, const Facts& facts, bool is_named) {
 void collect_processes(Facts& facts, bool is_named) {
   for (const auto& [index, process] : facts.system().processes) {
     const pid_t pid = static_cast<pid_t>(process.facts.pid);
-    if (process.facts.state != wire::ProcessState::dead && is_same_process(process.facts))
+    if (process.facts.state != wire::ProcessState::dead && is_visible(process.facts))
       facts.processes.try_emplace(pid, look_at_process(pid));
   }
   for_each_entry("/proc", [&](const std::string& name) {
@@ -279,7 +268,7 @@ void collect_look(const Arguments& arguments, Facts& facts) {
     facts.away = Problem{Status::not_reachable, {}, {}, {}, Errc::daemon_not_running};
     return;
   }
-  auto look = look_at(arguments.socket);
+  auto look = look_at(arguments.socket, {.threads = true});
   if (!look) {
     facts.away = look.error();
     // It may have been stopped just now, and not answer for that reason.
@@ -290,6 +279,9 @@ void collect_look(const Arguments& arguments, Facts& facts) {
   const System& system = facts.system();
   facts.now_ns = monotonic_ns();
   for (const auto& [index, topic] : system.topics) facts.pairs[&topic] = pairs_of(system, topic);
+  Arguments everywhere;
+  everywhere.all_domains = true;
+  facts.threads = threads_of(system, everywhere);
   for (const wire::DumpRefusal& refusal : system.refusals) {
     std::optional<Rule>& rule = facts.rules.emplace_back();
     if (static_cast<Errc>(refusal.code) != Errc::access_denied) continue;

@@ -10,6 +10,7 @@
 #include <ctl/snapshot/bridges.hpp>
 #include <ctl/snapshot/pairs.hpp>
 #include <ctl/snapshot/system.hpp>
+#include <ctl/snapshot/threads.hpp>
 
 #include <sys/types.h>
 
@@ -62,7 +63,8 @@ struct Running {
   std::map<std::string, std::string, std::less<>> environment;  // variables of interest
   std::optional<std::uint64_t> lock_limit, address_limit;       // nothing: unlimited, or unknown
   std::uint64_t locked_bytes = 0, address_bytes = 0;
-  bool may_lock_all = false;
+  bool may_lock_all = false;      // it has CAP_IPC_LOCK
+  bool may_schedule_all = false;  // it has CAP_SYS_NICE
   std::string time_namespace;
 };
 
@@ -121,6 +123,7 @@ struct Facts {
   const System& system() const { return look->system; }
   /// The pairs of each topic.
   std::map<const Topic*, std::vector<Pair>> pairs;
+  std::vector<CallbackThread> threads;  // that run callbacks, of all domains
   std::uint64_t now_ns = 0;
 
   /// Returns the values of START, ANEW, RELOAD and FILE.

@@ -116,13 +116,20 @@ Ailments quota(const Facts& facts) {
         {"subscriptions_per_topic", use.subscriptions_per_topic, quota.subscriptions_per_topic},
         {"executors", use.executors, quota.executors},
         {"heap_bytes", use.heap_bytes, quota.heap_bytes},
-        {"held_messages", use.held_messages, quota.held_messages}};
+        {"held_messages", use.held_messages, quota.held_messages},
+        {"callback_groups", use.callback_groups, quota.callback_groups},
+        {"callback_threads", use.callback_threads, quota.callback_threads}};
     for (const auto& share : shares) {
       if (!is_near(share.used, share.limit)) continue;
+      // Nothing is refused for these two.
+      const bool is_of_threads = std::string_view(share.key).starts_with("callback_");
       keys.insert(share.key + std::to_string(user.uid));
       found.push_back({"uid " + std::to_string(user.uid) + " uses " + std::to_string(share.used) +
                            " of [quota] " + share.key + " = " + std::to_string(share.limit),
-                       {{"CONFIGURE", facts.configure("quota", share.key, doubled(share.limit))}}});
+                       {{"CONFIGURE", facts.configure("quota", share.key, doubled(share.limit))}},
+                       is_of_threads ? "further ones stay unknown to the daemon, and no rule for "
+                                       "threads reaches them"
+                                     : ""});
     }
   }
   add_refused(facts, Errc::quota_exceeded, keys, found);

@@ -4,26 +4,18 @@
 // cannot be read is empty.
 #pragma once
 
+#include <ctl/snapshot/proc_files.hpp>
+
 #include <dirent.h>
 #include <sys/types.h>
 
-#include <cstdint>
 #include <optional>
 #include <string>
-#include <string_view>
 #include <vector>
 
 namespace agnocast::ctl {
 
-/// Returns the file's text, of at most 4 MiB.
-std::string contents_of(const std::string& path);
 std::string target_of(const std::string& link);
-/// Returns the path of a file in the process's directory of /proc.
-std::string of_process(pid_t pid, const char* what);
-/// Returns the number that the text begins with, after blanks.
-std::optional<std::uint64_t> number_in(std::string_view text, int base = 10);
-/// Returns the rest of the first line that begins with `key`.
-std::string_view line_after(std::string_view text, std::string_view key);
 std::vector<std::string> split(const std::string& text, char mark);
 std::string command_name(pid_t pid);
 /// Returns a variable of the environment; none: it is unset or empty.

@@ -20,6 +20,8 @@ Object topic_object(const System& system, const Topic& topic);
 Object process_object(const System& system, const Process& process);
 Object refusal_object(const wire::DumpRefusal& refusal);
 std::string refusal_words(const wire::DumpRefusal& refusal);
+/// threads.cpp: of the domain or of all; the system must be a look with LookOptions::threads.
+Object threads_object(const System& system, const Arguments& arguments);
 /// heaps.cpp
 Object windows_object(const System& system, const Process& process);
 /// messages.cpp

@@ -6,6 +6,7 @@
 #include <agnocast/error.hpp>
 #include <base/sockets/daemon_socket.hpp>
 #include <base/text/text.hpp>
+#include <ctl/snapshot/proc_files.hpp>
 
 #include <fcntl.h>
 #include <poll.h>
@@ -17,9 +18,12 @@
 #include <cerrno>
 #include <cstdio>
 #include <cstring>
+#include <limits>
 #include <memory>
+#include <sstream>
 #include <string_view>
 #include <system_error>
+#include <tuple>
 
 namespace agnocast::ctl {
 namespace {
@@ -43,10 +47,48 @@ tl::unexpected<Problem> unreachable(const std::string& path, const char* why) {
   return problem(Status::not_reachable, path, why, remedy_of(Errc::daemon_not_running));
 }
 
-void split_node(const std::string& full, Endpoint& endpoint) {
+/// Splits the name of a node for its endpoint or callback group.
+template <class Part>
+void split_node(const std::string& full, Part& part) {
   const std::size_t slash = full.rfind('/');
-  endpoint.node_name = slash == std::string::npos ? full : full.substr(slash + 1);
-  endpoint.node_namespace = slash == std::string::npos || slash == 0 ? "/" : full.substr(0, slash);
+  part.node_name = slash == std::string::npos ? full : full.substr(slash + 1);
+  part.node_namespace = slash == std::string::npos || slash == 0 ? "/" : full.substr(0, slash);
+}
+
+/// Returns the process that the body names; nullptr if the dump has none.
+template <class Body>
+Process* owner_of(System& system, const Body& body) {
+  const auto found = system.processes.find(body.client);
+  return found == system.processes.end() || found->second.facts.generation != body.client_generation
+             ? nullptr
+             : &found->second;
+}
+
+bool is_valid(const wire::DumpCallbackThread& thread) noexcept {
+  // errno values are below 4096 in every kernel interface.
+  constexpr std::uint32_t errno_max = 4095;
+  const wire::ThreadScheduling& scheduling = thread.scheduling;
+  return thread.thread != 0 && thread.thread <= std::numeric_limits<pid_t>::max() &&
+         thread.setting <= wire::ThreadSetting::not_found &&
+         thread.call <= wire::ThreadCall::sched_setaffinity && thread.os_errno <= errno_max &&
+         scheduling.sets_policy <= 1 && scheduling.sets_nice <= 1 && scheduling.sets_cpus <= 1;
+}
+
+bool is_of_threads(Opcode opcode) noexcept {
+  return opcode == Opcode::dump_callback_group || opcode == Opcode::dump_callback_thread;
+}
+
+void sort_threads(System& system) {
+  std::sort(system.callback_groups.begin(), system.callback_groups.end(),
+            [](const CallbackGroup& a, const CallbackGroup& b) {
+              return std::tie(a.facts.client, a.facts.executor, a.facts.group) <
+                     std::tie(b.facts.client, b.facts.executor, b.facts.group);
+            });
+  std::sort(system.callback_threads.begin(), system.callback_threads.end(),
+            [](const wire::DumpCallbackThread& a, const wire::DumpCallbackThread& b) {
+              return std::tie(a.client, a.executor, a.thread) <
+                     std::tie(b.client, b.executor, b.thread);
+            });
 }
 
 std::uint64_t extent_bytes(const wire::DumpEndpoint& endpoint) noexcept {
@@ -68,6 +110,16 @@ bool is_stopped(const wire::DumpProcess& process) {
   const std::size_t end = text.rfind(')');
   return end != std::string::npos && end + 2 < text.size() &&
          (text[end + 2] == 'T' || text[end + 2] == 't');
+}
+
+bool is_visible(const wire::DumpProcess& process) {
+  const std::string status = contents_of(of_process(static_cast<pid_t>(process.pid), "status"));
+  // Real, effective, saved: the daemon received one of them when the process connected.
+  std::istringstream uids{std::string(line_after(status, "Uid:"))};
+  for (std::uint64_t uid = 0; process.pid != 0 && uids >> uid;) {
+    if (uid == process.uid) return true;
+  }
+  return false;
 }
 
 bool Process::owns(const Endpoint& endpoint) const noexcept {
@@ -267,8 +319,10 @@ Outcome<Observer::Access> Observer::access(std::uint64_t domain, const std::stri
   return access;
 }
 
-Outcome<System> Observer::look() {
-  if (auto sent = send(Opcode::dump, wire::Dump{}); !sent) return tl::unexpected(sent.error());
+Outcome<System> Observer::look(LookOptions options) {
+  wire::Dump request{};
+  request.with_threads = options.threads ? 1 : 0;
+  if (auto sent = send(Opcode::dump, request); !sent) return tl::unexpected(sent.error());
   System system;
   system.board = board_.base();
   wire::DumpEnd seen{};
@@ -279,13 +333,18 @@ Outcome<System> Observer::look() {
       wire::DumpEnd end{};
       if (!(*body)->read(end) || end.process_count != seen.process_count ||
           end.topic_count != seen.topic_count || end.endpoint_count != seen.endpoint_count ||
-          end.user_count != seen.user_count || end.refusal_count != seen.refusal_count)
+          end.user_count != seen.user_count || end.refusal_count != seen.refusal_count ||
+          end.callback_group_count != seen.callback_group_count ||
+          end.callback_thread_count != seen.callback_thread_count)
         return nonsense();
       break;
     }
-    if (auto accepted = accept(**body, system, seen); !accepted)
-      return tl::unexpected(accepted.error());
+    auto accepted = options.threads && is_of_threads((*body)->header().opcode)
+                        ? accept_threads(**body, system, seen)
+                        : accept(**body, system, seen);
+    if (!accepted) return tl::unexpected(accepted.error());
   }
+  sort_threads(system);
   map_regions(system);
   return system;
 }
@@ -379,6 +438,30 @@ Outcome<void> Observer::accept(AnswerPacket& body, System& system, wire::DumpEnd
   }
 }
 
+Outcome<void> Observer::accept_threads(AnswerPacket& body, System& system,
+                                       wire::DumpEnd& seen) const {
+  if (body.header().opcode == Opcode::dump_callback_group) {
+    CallbackGroup group;
+    if (!body.read(group.facts) || group.facts.reentrant > 1) return nonsense();
+    Process* const owner = owner_of(system, group.facts);
+    if (owner == nullptr || ++owner->callback_group_count > abi::callback_group_count_max)
+      return nonsense();
+    split_node(text_of(group.facts.node), group);
+    group.name = text_of(group.facts.name);
+    system.callback_groups.push_back(std::move(group));
+    ++seen.callback_group_count;
+    return {};
+  }
+  wire::DumpCallbackThread thread{};
+  if (!body.read(thread) || !is_valid(thread)) return nonsense();
+  Process* const owner = owner_of(system, thread);
+  if (owner == nullptr || ++owner->callback_thread_count > abi::callback_thread_count_max)
+    return nonsense();
+  system.callback_threads.push_back(thread);
+  ++seen.callback_thread_count;
+  return {};
+}
+
 // Maps each region only as far as its extents reach: a region is a gigabyte of addresses.
 void Observer::map_regions(System& system) const {
   std::map<std::uint64_t, std::uint64_t> end;
@@ -409,10 +492,10 @@ void Observer::map_regions(System& system) const {
   }
 }
 
-Outcome<Look> look_at(const std::string& socket) {
+Outcome<Look> look_at(const std::string& socket, LookOptions options) {
   auto observer = Observer::connect(socket);
   if (!observer) return tl::unexpected(observer.error());
-  auto system = observer->look();
+  auto system = observer->look(options);
   if (!system) return tl::unexpected(system.error());
   return Look{std::move(*observer), std::move(*system)};
 }

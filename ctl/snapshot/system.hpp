@@ -40,6 +40,7 @@ struct Process {
   Mapping region;
   std::string region_fault;
   std::uint64_t publisher_count = 0, subscription_count = 0;
+  std::uint64_t callback_group_count = 0, callback_thread_count = 0;  // of this dump
   std::vector<std::uint32_t> topics;  // the topics of its endpoints, each index once
 
   bool owns(const Endpoint& endpoint) const noexcept;
@@ -59,13 +60,24 @@ struct Topic {
   std::vector<Endpoint> publishers, subscriptions;
 };
 
+/// A callback group of an executor.
+struct CallbackGroup {
+  wire::DumpCallbackGroup facts{};
+  std::string node_name, node_namespace;
+  std::string name;  // empty: it has none
+};
+
 struct System {
   wire::DumpDaemon daemon{};
   std::map<std::uint64_t, Process> processes;  // by index
   std::map<std::uint32_t, Topic> topics;       // by index
   std::vector<wire::DumpUser> users;
   std::vector<wire::DumpRefusal> refusals;  // the oldest first
-  std::byte* board = nullptr;               // the observer's
+  // Empty unless the look asks for them. Their processes are in the dump. By process and executor,
+  // then by group or thread.
+  std::vector<CallbackGroup> callback_groups;
+  std::vector<wire::DumpCallbackThread> callback_threads;
+  std::byte* board = nullptr;  // the observer's
 
   /// Returns the process of an endpoint; nullptr if the dump names none.
   const Process* process_of(const Endpoint& endpoint) const;
@@ -91,12 +103,19 @@ std::string process_words_of(const System& system, const Endpoint& endpoint);
 /// Returns false if that cannot be known.
 bool is_stopped(const wire::DumpProcess& process);
 
+/// Returns whether its pid names the process in this pid namespace, as far as its user shows.
+bool is_visible(const wire::DumpProcess& process);
+
+struct LookOptions {
+  bool threads = false;  // also callback groups and the threads that run them
+};
+
 /// An observer's connection to the daemon. Problems: not_reachable, permission_denied, failed.
 class Observer {
  public:
   static Outcome<Observer> connect(const std::string& socket);
   /// Returns the system at one moment.
-  Outcome<System> look();
+  Outcome<System> look(LookOptions options = {});
   /// Ends the session of a process. Problems also: no_such_thing.
   Outcome<void> revoke(const wire::DumpProcess& process);
   /// Returns at most `count` newest records of the daemon's log, up to `last` (0: the newest).
@@ -121,6 +140,7 @@ class Observer {
   tl::unexpected<Problem> nonsense() const;
   tl::unexpected<Problem> without_descriptors() const;
   Outcome<void> accept(AnswerPacket& packet, System& system, wire::DumpEnd& seen) const;
+  Outcome<void> accept_threads(AnswerPacket& packet, System& system, wire::DumpEnd& seen) const;
   void map_regions(System& system) const;
 
   PacketSocket socket_;
@@ -135,6 +155,6 @@ struct Look {
   Observer observer;
   System system;
 };
-Outcome<Look> look_at(const std::string& socket);
+Outcome<Look> look_at(const std::string& socket, LookOptions options = {});
 
 }  // namespace agnocast::ctl

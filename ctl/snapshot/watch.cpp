@@ -15,10 +15,10 @@ constexpr std::uint64_t unlogged_ms = 2'000;
 
 }  // namespace
 
-Outcome<Watch> Watch::begin(const std::string& socket) {
+Outcome<Watch> Watch::begin(const std::string& socket, LookOptions options) {
   auto observer = Observer::connect(socket);
   if (!observer) return tl::unexpected(observer.error());
-  Watch watch(socket, std::move(*observer));
+  Watch watch(socket, options, std::move(*observer));
   if (auto seen = watch.look(); !seen) return tl::unexpected(seen.error());
   return watch;
 }
@@ -26,7 +26,7 @@ Outcome<Watch> Watch::begin(const std::string& socket) {
 Outcome<void> Watch::look() {
   auto log = observer_.read_journal(0, 0);
   if (!log) return tl::unexpected(log.error());
-  auto system = observer_.look();
+  auto system = observer_.look(options_);
   if (!system) return tl::unexpected(system.error());
   system_ = std::move(*system);
   newest_ = log->end.newest;
@@ -48,7 +48,7 @@ Outcome<void> Watch::renew() {
   if (!observer)
     return ++failures_ > failure_max ? tl::unexpected(observer.error()) : Outcome<void>();
   // The last system points into the former board until a newer system is there.
-  Watch again(socket_, std::move(*observer));
+  Watch again(socket_, options_, std::move(*observer));
   if (auto seen = again.look(); !seen) return ++failures_ > failure_max ? seen : Outcome<void>();
   *this = std::move(again);
   return {};

@@ -15,7 +15,7 @@ namespace agnocast::ctl {
 
 class Watch {
  public:
-  static Outcome<Watch> begin(const std::string& socket);
+  static Outcome<Watch> begin(const std::string& socket, LookOptions options = {});
 
   /// Returns the system of the last look.
   const System& system() const noexcept { return *system_; }
@@ -26,11 +26,12 @@ class Watch {
   Observer& observer() noexcept { return observer_; }
 
  private:
-  Watch(std::string socket, Observer observer)
-      : socket_(std::move(socket)), observer_(std::move(observer)) {}
+  Watch(std::string socket, LookOptions options, Observer observer)
+      : socket_(std::move(socket)), options_(options), observer_(std::move(observer)) {}
   Outcome<void> look();
 
   std::string socket_;
+  LookOptions options_;
   Observer observer_;
   std::optional<System> system_;
   std::uint64_t newest_ = 0;  // newest record of the log at the last look

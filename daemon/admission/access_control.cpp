@@ -18,13 +18,13 @@ std::string line_of(const AccessRule* rule) {
   return rule != nullptr ? "rule in line " + std::to_string(rule->line) : "no rule names it";
 }
 
+}  // namespace
+
 Subject subject_of(const PeerIdentity& identity) {
   Subject subject{identity.uid, identity.groups};
   subject.groups.push_back(identity.gid);
   return subject;
 }
-
-}  // namespace
 
 Result<void> AccessControl::check_endpoint(const PeerIdentity& who, ClientIndex client,
                                            const CreateRequest& request) const {

@@ -28,6 +28,8 @@
 
 namespace agnocast::daemon {
 
+Subject subject_of(const PeerIdentity& identity);
+
 class AccessControl {
  public:
   AccessControl(const std::vector<AccessRule>& rules, const Registry& registry, Log& log) noexcept

@@ -1,10 +1,10 @@
 // SPDX-License-Identifier: Apache-2.0
 
-#include <agnocast/topic_pattern.hpp>
 #include <base/text/text.hpp>
-#include <config/mistakes.hpp>
 #include <config/toml_file.hpp>
 #include <daemon/config/config_keys.hpp>
+#include <daemon/config/rule_reading.hpp>
+#include <daemon/config/toml_reading.hpp>
 #include <daemon/state/hold_pool.hpp>
 
 #include <grp.h>
@@ -22,85 +22,35 @@ namespace {
 using config_keys::Key;
 using config_keys::Kind;
 
-constexpr std::uint64_t domain_count = std::uint64_t{1} << 32;  // larger than any ROS_DOMAIN_ID
-
-constexpr std::string_view sections[] = {"daemon", "heap", "limits", "quota", "access"};
-constexpr std::string_view access_keys[] = {"topic", "domain", "publish", "subscribe"};
-
-std::string joined(std::span<const std::string_view> words) {
-  std::string text;
-  for (const std::string_view word : words) {
-    if (!text.empty()) text += ", ";
-    text += word;
-  }
-  return text;
-}
+constexpr std::string_view sections[] = {"daemon", "heap", "limits", "quota", "access", "thread"};
 
 std::string number_text(const Key& key, std::uint64_t value) {
   return key.kind == Kind::bytes ? bytes_text(value) : std::to_string(value);
 }
 
-std::string_view type_name(toml::node_type type) {
-  switch (type) {
-    case toml::node_type::table:
-      return "a table";
-    case toml::node_type::array:
-      return "a list";
-    case toml::node_type::string:
-      return "a string";
-    case toml::node_type::integer:
-      return "an integer";
-    case toml::node_type::floating_point:
-      return "a number with a fraction";
-    case toml::node_type::boolean:
-      return "true or false";
-    default:
-      return "a date or time";
-  }
-}
-
 class Reader {
  public:
-  Reader(const std::string& file, const NameLookup& names) : mistakes_(file), names_(names) {}
+  Reader(const std::string& file, const NameLookup& names) : toml_(file, names) {}
 
   ConfigResult read(const toml::table& root) {
     for (const auto& [key, node] : root) read_section(key, node);
-    if (mistakes_.count() == 0) check_together();
-    if (mistakes_.count() == 0) return std::move(config_);
-    return tl::unexpected(mistakes_.take());
+    if (toml_.mistake_count() == 0) check_together();
+    if (toml_.mistake_count() == 0) return std::move(config_);
+    return tl::unexpected(toml_.take_mistakes());
   }
 
  private:
-  using Place = toml::source_position;
-
-  void report(const Place& place, std::string key, std::string what, std::string remedy) {
-    mistakes_.report(place, std::move(key), std::move(what), std::move(remedy));
-  }
-  void wrong_type(const toml::node& node, const std::string& key, std::string_view expected) {
-    report(node.source().begin, key, std::string(type_name(node.type())) + " is not allowed here",
-           "write " + std::string(expected));
-  }
-  void unknown(const toml::key& key, const std::string& full,
-               std::span<const std::string_view> known) {
-    const std::string_view meant = nearest(key.str(), known);
-    report(key.source().begin, full, "unknown key",
-           meant.empty() ? "known here: " + joined(known)
-                         : "did you mean \"" + std::string(meant) + "\"?");
-  }
-
   void read_section(const toml::key& key, const toml::node& node) {
     const std::string_view name = key.str();
     if (std::find(std::begin(sections), std::end(sections), name) == std::end(sections)) {
       unknown_section(key);
       return;
     }
-    if (name == "access") {
-      read_access(node);
-      return;
-    }
+    if (name == "access") return read_access_rules(toml_, node, config_.access);
+    if (name == "thread") return read_thread_rules(toml_, node, config_.threads);
     const toml::table* const table = node.as_table();
     if (table == nullptr) {
-      wrong_type(node, std::string(name), "a section: [" + std::string(name) + "]");
+      toml_.wrong_type(node, std::string(name), "a section: [" + std::string(name) + "]");
       return;
     }
     for (const auto& [inner, value] : *table) read_key(name, inner, value);
@@ -110,11 +60,11 @@ class Reader {
     // Checks first for a key outside of its section, the likelier mistake.
     for (const Key& known : config_keys::all()) {
       if (known.name != key.str()) continue;
-      report(key.source().begin, escaped(key.str()), "is outside of its section",
-             "write it below [" + std::string(known.section) + "]");
+      toml_.report(key.source().begin, escaped(key.str()), "is outside of its section",
+                   "write it below [" + std::string(known.section) + "]");
       return;
     }
-    unknown(key, escaped(key.str()), sections);
+    toml_.unknown(key, escaped(key.str()), sections);
   }
 
   void read_key(std::string_view section, const toml::key& name, const toml::node& node) {
@@ -128,7 +78,8 @@ class Reader {
       }
       return;
     }
-    unknown(name, std::string(section) + '.' + escaped(name.str()), config_keys::names_in(section));
+    toml_.unknown(name, std::string(section) + '.' + escaped(name.str()),
+                  config_keys::names_in(section));
   }
 
   void read_number(const Key& key, const toml::node& node) {
@@ -136,12 +87,12 @@ class Reader {
     if (key.kind == Kind::level) {
       const auto* const text = node.as_string();
       if (text == nullptr) {
-        wrong_type(node, key.full(), "one of " + std::string(log_level_names));
+        toml_.wrong_type(node, key.full(), "one of " + std::string(log_level_names));
       } else if (const auto level = log_level_of(text->get())) {
         key.set_number(config_, static_cast<std::uint64_t>(*level));
       } else {
-        report(place, key.full(), in_quotes(text->get()) + " is not a log level",
-               "use " + std::string(log_level_names));
+        toml_.report(place, key.full(), in_quotes(text->get()) + " is not a log level",
+                     "use " + std::string(log_level_names));
       }
       return;
     }
@@ -152,8 +103,8 @@ class Reader {
       if (integer->get() < 0) return out_of_range(key, place, written);
       value = static_cast<std::uint64_t>(integer->get());
       if (key.kind == Kind::mode && (value < key.least || value > key.most)) {
-        report(place, key.full(), written + " is not a socket mode",
-               "write it octal, with the owner's rights in it: \"0660\" or 0o660");
+        toml_.report(place, key.full(), written + " is not a socket mode",
+                     "write it octal, with the owner's rights in it: \"0660\" or 0o660");
         return;
       }
     } else if (const auto* const text = node.as_string()) {
@@ -164,19 +115,20 @@ class Reader {
       }
       const auto parsed = number_in(key, text->get());
       if (!parsed) {
-        report(place, key.full(), written + " is not a " + noun_of(key), "write " + form_of(key));
+        toml_.report(place, key.full(), written + " is not a " + noun_of(key),
+                     "write " + form_of(key));
         return;
       }
       value = *parsed;
     } else {
-      wrong_type(node, key.full(), form_of(key));
+      toml_.wrong_type(node, key.full(), form_of(key));
       return;
     }
     if (value < key.least || value > key.most) return out_of_range(key, place, written);
     if (key.unit != 0 && value % key.unit != 0) {
-      report(place, key.full(), written + " is not a multiple of " + bytes_text(key.unit),
-             "the next ones are " + bytes_text(value / key.unit * key.unit) + " and " +
-                 bytes_text((value / key.unit + 1) * key.unit));
+      toml_.report(place, key.full(), written + " is not a multiple of " + bytes_text(key.unit),
+                   "the next ones are " + bytes_text(value / key.unit * key.unit) + " and " +
+                       bytes_text((value / key.unit + 1) * key.unit));
       return;
     }
     key.set_number(config_, value);
@@ -205,13 +157,13 @@ class Reader {
   void out_of_range(const Key& key, const Place& place, const std::string& written) {
     const std::string remedy =
         "use " + number_text(key, key.least) + " to " + number_text(key, key.most);
-    report(place, key.full(), written + " is out of range", remedy + key.or_words());
+    toml_.report(place, key.full(), written + " is out of range", remedy + key.or_words());
   }
 
   void read_text(const Key& key, const toml::node& node) {
     const auto* const value = node.as_string();
     if (value == nullptr) {
-      wrong_type(
+      toml_.wrong_type(
           node, key.full(),
           key.kind == Kind::path ? "a path, or \"auto\"" : "the name of a group, or \"auto\"");
       return;
@@ -223,9 +175,9 @@ class Reader {
       return;
     }
     if (key.kind == Kind::group) {
-      if (!names_.group(text)) {
-        report(place, key.full(), "there is no group " + in_quotes(text),
-               "create it (groupadd --system), or use another one");
+      if (!toml_.names().group(text)) {
+        toml_.report(place, key.full(), "there is no group " + in_quotes(text),
+                     "create it (groupadd --system), or use another one");
         return;
       }
     } else if (!check_path(key, place, text)) {
@@ -239,160 +191,17 @@ class Reader {
       return static_cast<unsigned char>(c) < ' ' || c == 0x7f;
     });
     if (text.empty() || text.front() != '/' || text.back() == '/' || !is_printable) {
-      report(place, key.full(), in_quotes(text) + " is not the absolute path of a file",
-             "start with a slash, end without one, and use no control characters");
+      toml_.report(place, key.full(), in_quotes(text) + " is not the absolute path of a file",
+                   "start with a slash, end without one, and use no control characters");
       return false;
     }
     if (text.size() > key.most) {
-      report(place, key.full(), "a path of " + std::to_string(text.size()) + " bytes is too long",
-             "use at most " + std::to_string(key.most) + " (the kernel's bound for sockets)");
+      toml_.report(place, key.full(),
+                   "a path of " + std::to_string(text.size()) + " bytes is too long",
+                   "use at most " + std::to_string(key.most) + " (the kernel's bound for sockets)");
       return false;
     }
     return true;
-  }
-
-  void read_access(const toml::node& node) {
-    const toml::array* const rules = node.as_array();
-    if (rules == nullptr) return wrong_type(node, "access", "each rule as a table: [[access]]");
-    for (const toml::node& rule : *rules) {
-      const toml::table* const table = rule.as_table();
-      if (table == nullptr) {
-        wrong_type(rule, "access", "each rule as a table: [[access]]");
-      } else {
-        read_rule(*table);
-      }
-    }
-  }
-
-  void read_rule(const toml::table& table) {
-    AccessRule rule;
-    const Place& place = table.source().begin;
-    rule.line = static_cast<std::uint32_t>(place.line);
-    const std::size_t mistakes_before = mistakes_.count();
-    for (const auto& [key, node] : table) {
-      if (key.str() == "topic") {
-        read_topic(node, rule);
-      } else if (key.str() == "domain") {
-        read_domain(node, rule);
-      } else if (key.str() == "publish") {
-        rule.publish = read_principals(node, "access.publish");
-      } else if (key.str() == "subscribe") {
-        rule.subscribe = read_principals(node, "access.subscribe");
-      } else {
-        unknown(key, "access." + escaped(key.str()), access_keys);
-      }
-    }
-    if (!table.contains("topic"))
-      report(place, "access.topic", "is missing", "name the topics: topic = \"/lidar/**\"");
-    if (!table.contains("publish") && !table.contains("subscribe"))
-      report(place, "access", "the rule has no effect", "add publish or subscribe with a list");
-    if (mistakes_.count() != mistakes_before) return;
-    check_shadowed(rule, place);
-    config_.access.push_back(std::move(rule));
-  }
-
-  void read_topic(const toml::node& node, AccessRule& rule) {
-    const auto* const text = node.as_string();
-    if (text == nullptr)
-      return wrong_type(node, "access.topic", "a pattern of topic names: \"/lidar/**\"");
-    rule.topic = text->get();
-    if (const auto problem = topic_pattern_problem(rule.topic)) {
-      report(node.source().begin, "access.topic", in_quotes(rule.topic) + ": " + *problem,
-             "write a pattern of topic names: \"/lidar/**\"");
-    }
-  }
-
-  void read_domain(const toml::node& node, AccessRule& rule) {
-    const auto* const number = node.as_integer();
-    if (number == nullptr) return wrong_type(node, "access.domain", "an integer, a ROS_DOMAIN_ID");
-    if (number->get() < 0 || number->get() >= static_cast<std::int64_t>(domain_count)) {
-      return report(node.source().begin, "access.domain",
-                    std::to_string(number->get()) + " is out of range",
-                    "use 0 to " + std::to_string(domain_count - 1));
-    }
-    rule.domain = static_cast<std::uint64_t>(number->get());
-  }
-
-  Principals read_principals(const toml::node& node, const std::string& key) {
-    Principals who;
-    const toml::array* const list = node.as_array();
-    if (list == nullptr) {
-      wrong_type(node, key, "a list: [" + std::string(principal_examples) + "]");
-      return who;
-    }
-    for (const toml::node& element : *list) {
-      const auto* const text = element.as_string();
-      if (text == nullptr) {
-        wrong_type(element, key, "strings: " + std::string(principal_examples));
-      } else if (read_principal(element.source().begin, key, text->get(), who)) {
-        who.written.push_back(text->get());
-      }
-    }
-    return who;
-  }
-
-  bool read_principal(const Place& place, const std::string& key, const std::string& text,
-                      Principals& who) {
-    if (text == "*") {
-      who.everybody = true;
-      return true;
-    }
-    const std::size_t colon = text.find(':');
-    const std::string kind = text.substr(0, colon == std::string::npos ? 0 : colon);
-    const std::string name = colon == std::string::npos ? text : text.substr(colon + 1);
-    if (kind == "uid" || kind == "gid") {
-      std::uint32_t number = 0;
-      const auto end = name.data() + name.size();
-      const auto parsed = std::from_chars(name.data(), end, number);
-      // The kernel's calls use the largest number for "no user".
-      if (parsed.ec == std::errc() && parsed.ptr == end && !name.empty() && number != UINT32_MAX) {
-        kind == "uid" ? who.uids.push_back(number) : who.gids.push_back(number);
-        return true;
-      }
-      report(place, key,
-             in_quotes(text) + " is not the id of a " + (kind == "uid" ? "user" : "group"),
-             "use 0 to 4294967294");
-      return false;
-    }
-    if (kind == "user") {
-      if (const auto uid = names_.user(name)) {
-        who.uids.push_back(*uid);
-        return true;
-      }
-      report(place, key, "there is no user " + in_quotes(name),
-             "correct the name, or use uid:NUMBER");
-      return false;
-    }
-    if (kind == "group") {
-      if (const auto gid = names_.group(name)) {
-        who.gids.push_back(*gid);
-        return true;
-      }
-      report(place, key, "there is no group " + in_quotes(name),
-             "correct the name, or use gid:NUMBER");
-      return false;
-    }
-    report(place, key, in_quotes(text) + " names no user or group",
-           "write " + std::string(principal_examples));
-    return false;
-  }
-
-  // A rule that never decides shows that the order is wrong.
-  void check_shadowed(const AccessRule& rule, const Place& place) {
-    for (const AccessRule& earlier : config_.access) {
-      const bool covers =
-          earlier.topic == rule.topic && (!earlier.domain || earlier.domain == rule.domain);
-      if (!covers) continue;
-      for (const auto& [is_given_twice, action] :
-           {std::pair(earlier.publish && rule.publish, "publish"),
-            std::pair(earlier.subscribe && rule.subscribe, "subscribe")}) {
-        if (!is_given_twice) continue;
-        report(place, std::string("access.") + action,
-               "never decides: line " + std::to_string(earlier.line) +
-                   " has the same topics and comes first",
-               "join both rules, or put the narrower one first");
-      }
-    }
   }
 
   // Conflicts between keys are reported at the place of the key that the file has.
@@ -411,7 +220,7 @@ class Reader {
       place = place_of(section, second);
       key = std::string(section) + '.' + std::string(second);
     }
-    report(place, std::move(key), std::move(what), std::move(remedy));
+    toml_.report(place, std::move(key), std::move(what), std::move(remedy));
   }
 
   void check_together() {
@@ -448,11 +257,7 @@ class Reader {
     }
   }
 
-  static constexpr std::string_view principal_examples =
-      "\"user:NAME\", \"group:NAME\", \"uid:1000\", \"gid:1000\" or \"*\"";
-
-  config::Mistakes mistakes_;
-  const NameLookup& names_;
+  TomlReading toml_;
   Config config_;
   std::vector<std::pair<const Key*, Place>> places_;
 };

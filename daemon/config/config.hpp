@@ -14,6 +14,7 @@
 #include <base/text/log.hpp>
 #include <config/mistake.hpp>
 #include <daemon/config/access.hpp>
+#include <daemon/config/thread_rules.hpp>
 
 #include <tl/expected.hpp>
 
@@ -85,6 +86,9 @@ struct Config {
     std::uint64_t queued_seconds = 30;
     // With full tables this costs a tenth or two of a core; tools look once a second.
     std::uint64_t dumps_per_second = 20;
+    // Four processes with the required 2,000 groups, in less than 5 MB of a dump; threads likewise.
+    std::uint64_t callback_groups = 8'192;
+    std::uint64_t callback_threads = 4'096;
     /// Returns the limit for the regions of one user's processes, in bytes. The memory of an ended
     /// endpoint stays with its process for the next one; twice the need of all endpoints that may
     /// exist at once, as extents of two sizes leave gaps.
@@ -100,6 +104,7 @@ struct Config {
   Limits limits;
   Quota quota;
   std::vector<AccessRule> access;
+  std::vector<ThreadRule> threads;
   friend bool operator==(const Config&, const Config&) = default;
 };
 

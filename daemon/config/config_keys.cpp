@@ -2,6 +2,7 @@
 
 #include <base/sockets/unix_address.hpp>
 #include <daemon/config/config_keys.hpp>
+#include <daemon/config/scheduling_text.hpp>
 
 #include <charconv>
 #include <utility>
@@ -102,6 +103,12 @@ constexpr Key keys[] = {
     {"quota", "executors", Kind::count, 1, many, 0, "unlimited", unlimited,
      AGNOCAST_NUMBER(quota.executors),
      "executors of one user; each costs the daemon two descriptors"},
+    {"quota", "callback_groups", Kind::count, 0, many, 0, "unlimited", unlimited,
+     AGNOCAST_NUMBER(quota.callback_groups),
+     "callback groups of one user that agnocastd knows, for thread rules and agnocast-ctl thread "
+     "list"},
+    {"quota", "callback_threads", Kind::count, 0, many, 0, "unlimited", unlimited,
+     AGNOCAST_NUMBER(quota.callback_threads), "likewise threads that run callbacks"},
     {"quota", "queued_bytes", Kind::bytes, 1 * mib, std::uint64_t{1} << 40, 0, "unlimited",
      unlimited, AGNOCAST_NUMBER(quota.queued_bytes),
      "packets queued for processes of one user that do not read; beyond that, the process with the "
@@ -189,6 +196,87 @@ std::string list_text(const Principals& who) {
   return text + ']';
 }
 
+std::string thread_rule_text(const ThreadRule& rule) {
+  std::string text = "\n[[thread]]\n";
+  const auto add = [&](std::string_view key, const std::string& value) {
+    text += std::string(key) + " = " + value + '\n';
+  };
+  if (rule.process) add("process", toml_string(*rule.process));
+  if (rule.node) add("node", toml_string(*rule.node));
+  if (rule.group) add("group", toml_string(*rule.group));
+  add("users", list_text(rule.users));
+  const abi::wire::ThreadScheduling& scheduling = rule.scheduling;
+  if (scheduling.sets_policy != 0) add("policy", toml_string(policy_name(scheduling.policy)));
+  if (scheduling.priority != 0) add("priority", std::to_string(scheduling.priority));
+  if (scheduling.sets_nice != 0) add("nice", std::to_string(scheduling.nice));
+  if (scheduling.runtime_ns != 0) {
+    add("runtime", toml_string(duration_text(scheduling.runtime_ns)));
+    add("deadline", toml_string(duration_text(scheduling.deadline_ns)));
+    add("period", toml_string(duration_text(scheduling.period_ns)));
+  }
+  if (scheduling.sets_cpus != 0) add("cpus", toml_string(rule.written_cpus));
+  return text;
+}
+
+std::string access_text(const Config& config) {
+  std::string text =
+      "\n# Rules for topics. The first rule that matches the topic and has a list for the action "
+      "(publish\n"
+      "# or subscribe) decides; without one, every user may. * and ? stand for characters of one "
+      "name\n"
+      "# between slashes, ** for anything. An empty list means no user. A process may publish only "
+      "on\n"
+      "# topics with the same subscribers, because they share its memory.\n"
+      "#\n"
+      "# [[access]]\n"
+      "# topic = \"/lidar/**\"\n"
+      "# domain = 0                          # ROS_DOMAIN_ID; all domains if left out\n"
+      "# publish = [\"user:lidar\", \"uid:1000\"]\n"
+      "# subscribe = [\"group:perception\", \"gid:1000\", \"*\"]\n";
+  for (const AccessRule& rule : config.access) {
+    text += "\n[[access]]\ntopic = " + toml_string(rule.topic) + '\n';
+    if (rule.domain) text += "domain = " + std::to_string(*rule.domain) + '\n';
+    if (rule.publish) text += "publish = " + list_text(*rule.publish) + '\n';
+    if (rule.subscribe) text += "subscribe = " + list_text(*rule.subscribe) + '\n';
+  }
+  return text;
+}
+
+std::string threads_text(const Config& config) {
+  std::string text =
+      "\n# Scheduling of the threads that run callbacks. The first rule that matches a callback "
+      "group of the\n"
+      "# thread applies, if its list \"users\" has the user of the process. Patterns are as above; "
+      "a rule\n"
+      "# has at least one of process, node and group, and the others match everything. Processes "
+      "choose\n"
+      "# their names, so a rule gives its scheduling to whatever these users run.\n"
+      "#\n"
+      "# [[thread]]\n"
+      "# process = \"lidar_*\"               # the first 15 characters of the program's name\n"
+      "# node = \"/lidar/**\"                # fully qualified\n"
+      "# group = \"points\"                  # the default group of a node is \"default\"\n"
+      "# users = [\"user:lidar\", \"uid:1000\"]\n"
+      "# policy = \"fifo\"                   # other, fifo, rr, batch, idle or deadline\n"
+      "# priority = 40                     # 1 to 99; fifo and rr need it\n"
+      "# cpus = \"2-3,6\"                    # not with deadline\n"
+      "#\n"
+      "# [[thread]]\n"
+      "# node = \"/control\"\n"
+      "# users = [\"gid:1000\"]\n"
+      "# policy = \"deadline\"\n"
+      "# runtime = \"2ms\"                   # ns, us, ms or s\n"
+      "# deadline = \"5ms\"                  # as period if left out\n"
+      "# period = \"10ms\"                   # as deadline if left out\n"
+      "#\n"
+      "# [[thread]]\n"
+      "# node = \"**\"\n"
+      "# users = [\"*\"]\n"
+      "# nice = 5                          # -20 to 19; with other, batch or no policy\n";
+  for (const ThreadRule& rule : config.threads) text += thread_rule_text(rule);
+  return text;
+}
+
 constexpr std::pair<std::string_view, std::uint64_t> units[] = {{"TiB", std::uint64_t{1} << 40},
                                                                 {"GiB", std::uint64_t{1} << 30},
                                                                 {"MiB", std::uint64_t{1} << 20},
@@ -213,27 +301,7 @@ std::string to_toml(const Config& config) {
     if (!key.meaning.empty()) text += "# " + std::string(key.meaning) + '\n';
     text += std::string(key.name) + " = " + value_text(key, config) + '\n';
   }
-  text +=
-      "\n# Rules for topics. The first rule that matches the topic and has a list for the action "
-      "(publish\n"
-      "# or subscribe) decides; without one, every user may. * and ? stand for characters of one "
-      "name\n"
-      "# between slashes, ** for anything. An empty list means no user. A process may publish only "
-      "on\n"
-      "# topics with the same subscribers, because they share its memory.\n"
-      "#\n"
-      "# [[access]]\n"
-      "# topic = \"/lidar/**\"\n"
-      "# domain = 0                          # ROS_DOMAIN_ID; all domains if left out\n"
-      "# publish = [\"user:lidar\", \"uid:1000\"]\n"
-      "# subscribe = [\"group:perception\", \"gid:1000\", \"*\"]\n";
-  for (const AccessRule& rule : config.access) {
-    text += "\n[[access]]\ntopic = " + toml_string(rule.topic) + '\n';
-    if (rule.domain) text += "domain = " + std::to_string(*rule.domain) + '\n';
-    if (rule.publish) text += "publish = " + list_text(*rule.publish) + '\n';
-    if (rule.subscribe) text += "subscribe = " + list_text(*rule.subscribe) + '\n';
-  }
-  return text;
+  return text + access_text(config) + threads_text(config);
 }
 
 std::optional<std::uint64_t> parse_bytes(std::string_view text) noexcept {

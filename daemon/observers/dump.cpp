@@ -29,6 +29,9 @@ class Writer {
     for (std::uint32_t i = 0; i < registry_.topic_high(); ++i) write_topic(TopicIndex{i});
     write_users();
     write_refusals();
+    if (request_.with_threads != 0) {
+      for (std::uint32_t i = 0; i < registry_.client_high(); ++i) write_threads(ClientIndex{i});
+    }
     end_.lsn = registry_.log().committed_lsn();
     put(Opcode::dump_end, end_);
     return std::move(packets_);
@@ -63,6 +66,7 @@ class Writer {
       body.window[w] = {record.window[w].base, record.window[w].bytes, record.window[w].first};
     body.silent_executors = facts.silent_executors;
     body.blocked_bytes = facts.blocked_bytes;
+    body.threads_left_out = facts.threads != nullptr ? facts.threads->left_out() : 0;
     body.blocked_by = name_of(facts.blocked_by);
     body.name = copy_of(record.name);
     std::vector<SharedFd> fds;
@@ -130,10 +134,11 @@ class Writer {
       body.uid = uid;
       body.connections = user.connections;
       body.observers = user.observers;
-      body.use = {usage.clients,      usage.publishers,  usage.subscriptions,
-                  usage.executors,    usage.heap_bytes,  usage.held_messages,
-                  usage.topics,       user.queued_bytes, user.waits_ms / 1000,
-                  user.answers_ahead, places.publishers, places.subscriptions};
+      body.use = {usage.clients,        usage.publishers,     usage.subscriptions,
+                  usage.executors,      usage.heap_bytes,     usage.held_messages,
+                  usage.topics,         user.queued_bytes,    user.waits_ms / 1000,
+                  user.answers_ahead,   places.publishers,    places.subscriptions,
+                  user.callback_groups, user.callback_threads};
       put(Opcode::dump_user, body);
       ++end_.user_count;
     }
@@ -154,6 +159,43 @@ class Writer {
       body.why = name_of(refusal.why);
       put(Opcode::dump_refusal, body);
       ++end_.refusal_count;
+    }
+  }
+
+  void write_threads(ClientIndex index) {
+    const ClientRecord& record = registry_.client(index);
+    if (record.state == ClientState::free) return;
+    const CallbackThreads* const threads = facts_.process_of(index).threads;
+    if (threads == nullptr) return;
+    for (const auto& [key, group] : threads->groups()) {
+      wire::DumpCallbackGroup body{};
+      body.client = number(index);
+      body.client_generation = record.generation;
+      body.executor = key.first;
+      body.group = key.second;
+      body.reentrant = group.reentrant ? 1 : 0;
+      body.node = name_of(group.node);
+      body.name = name_of(group.name);
+      put(Opcode::dump_callback_group, body);
+      ++end_.callback_group_count;
+    }
+    for (const auto& [id, thread] : threads->threads()) {
+      wire::DumpCallbackThread body{};
+      body.client = number(index);
+      body.client_generation = record.generation;
+      body.thread = id;
+      body.setting = thread.outcome.setting;
+      body.call = thread.outcome.call;
+      body.os_errno = static_cast<std::uint32_t>(thread.outcome.os_errno);
+      if (thread.rule) {
+        body.rule = facts_.thread_rules[*thread.rule].line;
+        body.scheduling = facts_.thread_rules[*thread.rule].scheduling;
+      }
+      for (const std::uint64_t executor : thread.executors) {
+        body.executor = executor;
+        put(Opcode::dump_callback_thread, body);
+        ++end_.callback_thread_count;
+      }
     }
   }
 

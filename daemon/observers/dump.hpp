@@ -8,6 +8,8 @@
 #pragma once
 
 #include <agnocast/abi/observe.hpp>
+#include <daemon/config/thread_rules.hpp>
+#include <daemon/state/callback_threads.hpp>
 #include <daemon/state/refusals.hpp>
 #include <daemon/state/registry.hpp>
 #include <daemon/transport/session.hpp>
@@ -30,6 +32,7 @@ struct DumpFacts {
     std::uint64_t silent_executors = 0;
     std::uint64_t blocked_bytes = 0;
     std::string blocked_by;
+    const CallbackThreads* threads = nullptr;  // null: it has said nothing of them
   };
   struct User {
     std::uint64_t connections = 0;
@@ -37,11 +40,14 @@ struct DumpFacts {
     std::uint64_t queued_bytes = 0;
     std::uint64_t waits_ms = 0;  // age of the oldest of them
     std::uint64_t answers_ahead = 0;
+    std::uint64_t callback_groups = 0;
+    std::uint64_t callback_threads = 0;
   };
   abi::wire::DumpDaemon daemon{};       // without its header
   std::map<std::uint32_t, User> users;  // with connections; make_dump() adds owners
   std::function<Process(ClientIndex)> process_of;
   std::span<const Refusals::Refusal> refusals;
+  std::span<const ThreadRule> thread_rules;
   std::uint64_t now_ns = 0;  // CLOCK_MONOTONIC
 };
 

@@ -49,12 +49,15 @@ void DumpCollector::collect_daemon(wire::DumpDaemon& daemon, std::uint64_t now_n
                   quota.queued_seconds,
                   quota.dumps_per_second,
                   from_.admission.places_quota(Kind::publisher),
-                  from_.admission.places_quota(Kind::subscription)};
+                  from_.admission.places_quota(Kind::subscription),
+                  quota.callback_groups,
+                  quota.callback_threads};
 }
 
 DumpFacts::Process DumpCollector::process_of(ClientIndex client, std::uint64_t now_ns) const {
   DumpFacts::Process process;
   const Peer* const peer = from_.connections.of_client(client);
+  if (peer != nullptr && peer->threads != nullptr) process.threads = &peer->threads->table;
   if (peer != nullptr)
     process.state = peer->detached ? wire::ProcessState::orphaned : wire::ProcessState::connected;
   if (from_.registry.is_revoked(client)) process.state = wire::ProcessState::revoked;
@@ -87,10 +90,13 @@ DumpFacts DumpCollector::collect() const {
     user.connections = used.clients;
     user.observers = used.observers;
     user.queued_bytes = used.kept->bytes;
+    user.callback_groups = used.kept->callback_groups;
+    user.callback_threads = used.kept->callback_threads;
     daemon.connections += used.clients;
     daemon.observers += used.observers;
   }
   facts.refusals = from_.refusals.all();
+  facts.thread_rules = from_.config.threads;
   facts.now_ns = now;
   facts.process_of = [this, now](ClientIndex client) { return process_of(client, now); };
   return facts;

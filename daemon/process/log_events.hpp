@@ -50,6 +50,7 @@ inline constexpr LogEvent log_events[] = {
     {"socket is not as configured", "ef622ed1bf8e45c0af693c21b427b79c"},
     {"socket made anew", "0352ee882f214b36af230d4e47a4199a"},
     {"socket stays where it is", "4612acacc05f428abfc139a305009208"},
+    {"thread rule not applied", "13b55c3fed8044a192d0eb714a779fc3"},
     {"worker died", "7a6b53ead2ae4009bcff371590aa91c2"},
     {"worker does not end", "09ef10406e2e4183a96df6a9ac633331"},
     {"worker killed", "c0a4d1b6b24f4b0f9e0b6a4f3d7c5e18"},

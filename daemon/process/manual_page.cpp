@@ -32,7 +32,15 @@ std::string configuration_section() {
     text += ".It Va " + key.full() + '\n';
     if (!key.meaning.empty()) text += mdoc::lines_of(std::string(key.meaning) + '.');
   }
-  return text + ".It Va access\nRules for topics: an array of tables.\n.El\n";
+  return text +
+         ".It Va access\nRules for topics: an array of tables.\n"
+         ".It Va thread\nRules for the scheduling of threads that run callbacks: an array of "
+         "tables.\n"
+         ".Va process , node\nand\n.Va group\nare patterns of names,\n"
+         ".Va users\nlists the users whose processes a rule is for, and\n"
+         ".Va policy , priority , nice , runtime , deadline , period\nand\n.Va cpus\n"
+         "are what it sets, as in\n.Xr sched 7 .\n"
+         "The first rule that matches a callback group of the thread applies.\n.El\n";
 }
 
 std::string manual(const std::string& date) {
@@ -64,7 +72,8 @@ std::string manual(const std::string& date) {
          ".Sh EXIT STATUS\n.Bl -tag -width Ds\n"
          ".It 0\nended by a signal, or the requested text is printed.\n"
          ".It 1\nit cannot run here.\n.It 2\nwrong usage.\n.El\n"
-         ".Sh SEE ALSO\n.Xr agnocast-ctl 1 ,\n.Xr agnocast-run 1 ,\n.Xr agnocast-errors 7\n";
+         ".Sh SEE ALSO\n.Xr agnocast-ctl 1 ,\n.Xr agnocast-run 1 ,\n.Xr agnocast-errors 7 ,\n"
+         ".Xr sched 7\n";
 }
 
 }  // namespace

@@ -83,6 +83,7 @@ Broker::Broker(const BrokerOptions& options, Log& log, Dispatcher& dispatcher, L
       endpoint_requests_(options_.config, registry_, regions_, endpoint_manager_, admission_,
                          scheduler_, server_, refusal_report_, readers_, log),
       acknowledgement_requests_(endpoint_manager_, conflicts_, readers_),
+      thread_requests_(options_.config, registry_, connections_, log_),
       reader_(connections_, output_, disposal, scheduler_, termination_, server_),
       acceptor_({options_.config.quota, listener, dispatcher, disposal, registry_, admission_,
                  connections_, scheduler_, namespaces_, log}) {
@@ -108,6 +109,8 @@ void Broker::fill_request_table() {
   table.add(acknowledgement_requests_, &AcknowledgementRequests::unlinked);
   table.add(acknowledgement_requests_, &AcknowledgementRequests::blocked);
   table.add(acknowledgement_requests_, &AcknowledgementRequests::withdrawn);
+  table.add(thread_requests_, &ThreadRequests::callback_group);
+  table.add(thread_requests_, &ThreadRequests::callback_thread);
   table.add(observer_requests_, &ObserverRequests::observe);
   table.add(observer_requests_, &ObserverRequests::dump);
   table.add(observer_requests_, &ObserverRequests::read_journal);
@@ -145,6 +148,7 @@ void Broker::serve_waiting() {
 
 void Broker::tick() {
   reaping_.go_on();
+  thread_requests_.go_on();
   const std::uint64_t now = monotonic_ms();
   if (now - looked_ms_ >= short_interval_ms) look_around(now);  // however many events there are
   answers_.answer_who_awaits_change();                          // made above and by the events
@@ -182,7 +186,7 @@ void Broker::announce_what_waits() {
 }
 
 int Broker::due_ms() const noexcept {
-  if (!scheduler_.nobody_waits() || !reaping_.is_empty()) return 0;
+  if (!scheduler_.nobody_waits() || !reaping_.is_empty() || thread_requests_.has_due()) return 0;
   if (acceptor_.pauses()) return short_interval_ms;
   if (const int due = answers_.due_ms(); due >= 0) return std::min(due, short_interval_ms);
   if (connections_.detached_count() > 0 || output_.flushes_later() ||

@@ -8,7 +8,8 @@
 //                               → RequestServer → the handler of RequestTable: *_requests.hpp
 //   connection or process ended ClientTermination: keeps the client if its process lives, or reaps
 //   an errand has ended         RequestScheduler: the parked request continues
-//   time passes                 tick(): ReapingQueue, ObserverAnswers, periodic look_around()
+//   time passes                 tick(): ReapingQueue, ThreadRequests, ObserverAnswers, periodic
+//                               look_around()
 //   started again               Recovery
 //
 // Handlers share Admission (quotas), AccessControl (rules), AddressConflicts (heaps that collide),
@@ -41,6 +42,7 @@
 #include <daemon/requests/hello_requests.hpp>
 #include <daemon/requests/reader_reports.hpp>
 #include <daemon/requests/rejoin_requests.hpp>
+#include <daemon/requests/thread_requests.hpp>
 #include <daemon/requests/window_requests.hpp>
 #include <daemon/serving/acceptor.hpp>
 #include <daemon/serving/packet_reader.hpp>
@@ -138,6 +140,7 @@ class Broker final {
   ExecutorRequests executor_requests_;
   EndpointRequests endpoint_requests_;
   AcknowledgementRequests acknowledgement_requests_;
+  ThreadRequests thread_requests_;
   PacketReader reader_;
   Acceptor acceptor_;
   std::uint64_t looked_ms_ = 0;   // when look_around() last ran

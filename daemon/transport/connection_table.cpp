@@ -80,6 +80,7 @@ void ConnectionTable::close(Peer& peer) {
 
 void ConnectionTable::detach(Peer& peer) {
   if (std::exchange(peer.detached, true)) return;
+  peer.threads.reset();
   ++detached_count_;
   ++users_[peer.session.identity().uid].detached;
 }

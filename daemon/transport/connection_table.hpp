@@ -12,6 +12,7 @@
 
 #include <agnocast/abi/observe.hpp>
 #include <agnocast/abi/wire.hpp>
+#include <daemon/state/callback_threads.hpp>
 #include <daemon/state/tables.hpp>
 #include <daemon/transport/allowance.hpp>
 #include <daemon/transport/dispatcher.hpp>
@@ -33,6 +34,22 @@ using PeerId = std::uint64_t;
 enum class RegionTrace : std::uint8_t { none, some, unknown };
 /// A request of an observer with a long answer.
 using LongRequest = std::variant<wire::Dump, wire::ReadJournal>;
+/// The callback groups and threads of a process, which count for its user.
+class ThreadsOfPeer {
+ public:
+  explicit ThreadsOfPeer(const std::shared_ptr<KeptForUser>& user) noexcept
+      : groups_(user, &KeptForUser::callback_groups),
+        threads_(user, &KeptForUser::callback_threads) {}
+  CallbackThreads table;
+  /// Call it after each change of the table.
+  void count() noexcept {
+    groups_.set(table.groups().size());
+    threads_.set(table.thread_count());
+  }
+
+ private:
+  ShareOfUser groups_, threads_;
+};
 struct Peer {
   PeerId id;
   Session session;
@@ -54,6 +71,7 @@ struct Peer {
   bool looking = false;                          // a thread looks right now
   // Before hello: whether the process was looked at, and what it has of a revoked region.
   std::optional<RegionTrace> revoked_trace = {};
+  std::unique_ptr<ThreadsOfPeer> threads = {};  // null: it has said nothing of them
   // Limits how often its process comes back, which costs work. An honest one tries at most four
   // times a second (client/session/reconnection.hpp), a few times more often at first.
   Allowance returns{20, 250};

@@ -198,6 +198,22 @@ Request decode_withdrawn(Packet packet) {
   return body;
 }
 
+Request decode_callback_group(Packet packet) {
+  const auto body = body_of<wire::CallbackGroup>(packet);
+  std::string_view node, name;
+  if (!text_of(body.node, node) || !text_of(body.name, name))
+    return refuse(body.header, Errc::protocol_violation,
+                  "the name of a callback group or its node does not end");
+  return body;
+}
+
+Request decode_callback_thread(Packet packet) {
+  const auto body = body_of<wire::CallbackThread>(packet);
+  if (body.thread == 0 || body.thread > INT32_MAX)
+    return refuse(body.header, Errc::protocol_violation, "a thread's id is out of range");
+  return body;
+}
+
 Request decode_observe(Packet packet) { return body_of<wire::Observe>(packet); }
 Request decode_dump(Packet packet) { return body_of<wire::Dump>(packet); }
 // Accepts any numbers: records that do not exist are not sent.
@@ -248,6 +264,10 @@ constexpr Row rows[] = {
     {wire::Opcode::unlinked, sizeof(wire::Unlinked), Role::client, decode_unlinked},
     {wire::Opcode::blocked, sizeof(wire::Blocked), Role::client, decode_blocked},
     {wire::Opcode::withdrawn, sizeof(wire::Withdrawn), Role::client, decode_withdrawn},
+    {wire::Opcode::callback_group, sizeof(wire::CallbackGroup), Role::client,
+     decode_callback_group},
+    {wire::Opcode::callback_thread, sizeof(wire::CallbackThread), Role::client,
+     decode_callback_thread},
     {wire::Opcode::bring_window, sizeof(wire::BringWindow), Role::client, decode_bring, 1},
     {wire::Opcode::observe, sizeof(wire::Observe), Role::unknown, decode_observe},
     {wire::Opcode::dump, sizeof(wire::Dump), Role::observer, decode_dump},

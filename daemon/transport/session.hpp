@@ -51,27 +51,29 @@ struct Announced {
 
 /// Amounts kept for all processes of one user.
 struct KeptForUser {
+  std::uint64_t callback_groups = 0;
+  std::uint64_t callback_threads = 0;
   std::uint64_t bytes = 0;               // of waiting packets
   std::uint64_t peak = 0;                // since the last check
   std::uint64_t bytes_max = UINT64_MAX;  // [quota] queued_bytes
   std::uint64_t book_bytes = 0;          // of the books below
 };
 
-/// The cost of one object, as a part of the total of its user. It is subtracted with the object.
-class BytesOfUser {
+/// The amount of one object, as a part of the sum of its user. It is subtracted with the object.
+class ShareOfUser {
  public:
   using Sum = std::uint64_t KeptForUser::*;
-  BytesOfUser(std::shared_ptr<KeptForUser> user, Sum sum) noexcept
+  ShareOfUser(std::shared_ptr<KeptForUser> user, Sum sum) noexcept
       : user_(std::move(user)), sum_(sum) {}
-  BytesOfUser(BytesOfUser&& other) noexcept
+  ShareOfUser(ShareOfUser&& other) noexcept
       : user_(std::move(other.user_)), sum_(other.sum_), own_(std::exchange(other.own_, 0)) {}
-  BytesOfUser& operator=(BytesOfUser&& other) noexcept {
+  ShareOfUser& operator=(ShareOfUser&& other) noexcept {
     std::swap(user_, other.user_);
     std::swap(sum_, other.sum_);
     std::swap(own_, other.own_);
     return *this;
   }
-  ~BytesOfUser() { set(0); }
+  ~ShareOfUser() { set(0); }
 
   void set(std::uint64_t own) noexcept {
     if (user_) (*user_).*sum_ += own - own_;
@@ -88,7 +90,7 @@ class BytesOfUser {
 };
 
 /// The cost of one book of a session.
-class BookBytes : public BytesOfUser {
+class BookBytes : public ShareOfUser {
  public:
   // As much as the default for waiting packets: two million announcements. The processes with more
   // pay with connections that begin anew, so the number has no key.
@@ -98,7 +100,7 @@ class BookBytes : public BytesOfUser {
   static constexpr std::uint64_t own_max = std::uint64_t{32} << 10;
 
   explicit BookBytes(std::shared_ptr<KeptForUser> user) noexcept
-      : BytesOfUser(std::move(user), &KeptForUser::book_bytes) {}
+      : ShareOfUser(std::move(user), &KeptForUser::book_bytes) {}
 
   bool has_room_for(std::uint64_t more) const noexcept {
     return own() + more <= own_max || user().book_bytes + more <= of_user_max;
@@ -285,7 +287,7 @@ class Session {
   std::optional<ClientIndex> client_;
   bool observing_ = false, held_back_ = false, may_carry_ = true;
   std::deque<Outgoing> queue_;
-  BytesOfUser queued_;  // bytes of waiting packets
+  ShareOfUser queued_;  // bytes of waiting packets
   std::uint64_t packet_count_ = 0;
   AnnouncementNumbers announcements_;
   CollisionsNotified collisions_;

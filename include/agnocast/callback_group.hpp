@@ -33,6 +33,8 @@ class AGNOCAST_PUBLIC CallbackGroup {
   CallbackGroup& operator=(const CallbackGroup&) = delete;
 
   CallbackGroupType type() const noexcept;
+  /// Returns "default" for the default group of a node; empty: it was made without a name.
+  const std::string& name() const noexcept;
   /// False: Executor::add_node() leaves this group out; add_callback_group() adds it.
   bool automatically_add_to_executor_with_node() const noexcept;
   State& state() const noexcept { return *state_; }
@@ -44,8 +46,8 @@ class AGNOCAST_PUBLIC CallbackGroup {
 namespace detail {
 
 AGNOCAST_PUBLIC CallbackGroup::SharedPtr make_callback_group(const std::string& node,
-                                                             CallbackGroupType type,
-                                                             bool with_node);
+                                                             CallbackGroupType type, bool with_node,
+                                                             const std::string& name);
 
 /// Setter of the options of publishers and subscriptions.
 template <class Options>
@@ -64,15 +66,17 @@ class CallbackGroupOption {
 
 }  // namespace detail
 
-/// Creates a callback group of `node` (by reference or pointer). Throws Error: shut_down (in a
-/// forked child).
+/// Creates a callback group of `node` (by reference or pointer). `name`: how thread rules of
+/// agnocastd and `agnocast-ctl thread list` call it; several groups may share a name. Throws Error:
+/// shut_down (in a forked child).
 template <class Node>
-CallbackGroup::SharedPtr create_callback_group(
-    Node&& node, CallbackGroupType type, bool automatically_add_to_executor_with_node = true) {
+CallbackGroup::SharedPtr create_callback_group(Node&& node, CallbackGroupType type,
+                                               bool automatically_add_to_executor_with_node = true,
+                                               const std::string& name = {}) {
   static_assert(!detail::is_rclcpp_node<detail::NodeOf<Node>>,
                 "agnocast: an rclcpp node makes rclcpp's callback groups");
   return detail::make_callback_group(detail::dereference(node).get_fully_qualified_name(), type,
-                                     automatically_add_to_executor_with_node);
+                                     automatically_add_to_executor_with_node, name);
 }
 
 }  // namespace agnocast

@@ -104,8 +104,10 @@ class AGNOCAST_PUBLIC Node {
   /// The functions below are the free functions of callback_group.hpp, timer.hpp, publisher.hpp,
   /// subscription.hpp, service.hpp and client.hpp. They throw Error.
   CallbackGroup::SharedPtr create_callback_group(
-      CallbackGroupType type, bool automatically_add_to_executor_with_node = true) {
-    return agnocast::create_callback_group(*this, type, automatically_add_to_executor_with_node);
+      CallbackGroupType type, bool automatically_add_to_executor_with_node = true,
+      const std::string& name = {}) {
+    return agnocast::create_callback_group(*this, type, automatically_add_to_executor_with_node,
+                                           name);
   }
   template <class Rep, class Period, class Callback>
   WallTimer::SharedPtr create_wall_timer(std::chrono::duration<Rep, Period> period,

@@ -8,6 +8,7 @@
 //   audit     ends; every invariant that it names exists, and every place has a name
 
 #include <ctl/snapshot/audit.hpp>
+#include <ctl/snapshot/threads.hpp>
 
 #include <agnocast/abi/fingerprint.hpp>
 #include <base/sockets/packet_socket.hpp>
@@ -83,6 +84,8 @@ class Script {
       add(refusal, Opcode::dump_refusal);
       ++end.refusal_count;
     }
+    for (int i = input_.ConsumeIntegralInRange(0, 2); i > 0; --i) add_group(end);
+    for (int i = input_.ConsumeIntegralInRange(0, 2); i > 0; --i) add_thread(end);
     add(end, Opcode::dump_end);
     return std::move(messages_);
   }
@@ -179,6 +182,32 @@ class Script {
     return endpoint;
   }
   template <class Body>
+  void choose_executor(Body& body) {
+    body.client = some(input_.ConsumeIntegralInRange<std::uint64_t>(0, 2));
+    body.client_generation = some(body.client + 1);
+    body.executor = some(0);
+  }
+  void add_group(wire::DumpEnd& end) {
+    wire::DumpCallbackGroup group{};
+    choose_executor(group);
+    group.group = some(1);
+    group.reentrant = static_cast<std::uint32_t>(some(0));
+    name(group.node);
+    name(group.name);
+    add(group, Opcode::dump_callback_group);
+    ++end.callback_group_count;
+  }
+  void add_thread(wire::DumpEnd& end) {
+    wire::DumpCallbackThread thread{};
+    choose_executor(thread);
+    thread.thread = static_cast<std::uint32_t>(some(1));
+    thread.setting = static_cast<wire::ThreadSetting>(some(2));
+    thread.call = static_cast<wire::ThreadCall>(some(0));
+    thread.os_errno = static_cast<std::uint32_t>(some(0));
+    add(thread, Opcode::dump_callback_thread);
+    ++end.callback_thread_count;
+  }
+  template <class Body>
   void add(Body body, Opcode opcode, UniqueFd fd = {}) {
     body.header = {opcode, sizeof body, 1};
     std::vector<std::byte> bytes(sizeof body);
@@ -243,7 +272,10 @@ extern "C" int LLVMFuzzerTestOneInput(const std::uint8_t* data, std::size_t size
   {
     auto observer = ctl::Observer::connect(socket_path());
     require(observer.has_value());
-    if (auto system = observer->look()) {
+    if (auto system = observer->look({.threads = true})) {
+      ctl::Arguments everywhere;
+      everywhere.all_domains = true;
+      require(ctl::threads_of(*system, everywhere).size() == system->callback_threads.size());
       for (const auto& [index, topic] : system->topics) require(index < abi::topic_count_max);
       const ctl::Audit audit = ctl::audit(*system, observer->region_bytes());
       for (const ctl::Finding& finding : audit.findings)

@@ -50,7 +50,8 @@ constexpr std::uint64_t fingerprint() noexcept {
   sum.add(layout_version, cache_line_bytes, page_bytes, depth_max, ring_count, slot_count_max,
           near_slot_count, publisher_count_max, subscription_count_max, orphan_count_max,
           topic_count_max, client_count_max, window_count_max, executor_count_max,
-          observer_count_max, heap_move_max, blocked_count_max);
+          observer_count_max, heap_move_max, blocked_count_max, callback_group_count_max,
+          callback_thread_count_max, cpu_count_max);
   // Packing of words, by the results for probe values.
   sum.add(pack_entry(0x123456789abc, 0xdef0), sequence_of(0xfedcba9876543210),
           slot_of(0xfedcba9876543210), retired_mark, first_sequence_of(0x12345),
@@ -139,6 +140,13 @@ constexpr std::uint64_t fingerprint() noexcept {
           offsetof(wire::MoveHeap, header), offsetof(wire::MoveHeap, window),
           offsetof(wire::Announcement::Window, base), offsetof(wire::Announcement::Window, bytes),
           offsetof(wire::Announcement::Window, first));
+  sum.add(sizeof(wire::CallbackGroup), offsetof(wire::CallbackGroup, header),
+          offsetof(wire::CallbackGroup, executor), offsetof(wire::CallbackGroup, group),
+          offsetof(wire::CallbackGroup, is_there), offsetof(wire::CallbackGroup, reentrant),
+          offsetof(wire::CallbackGroup, node), offsetof(wire::CallbackGroup, name));
+  sum.add(sizeof(wire::CallbackThread), offsetof(wire::CallbackThread, header),
+          offsetof(wire::CallbackThread, executor), offsetof(wire::CallbackThread, thread),
+          offsetof(wire::CallbackThread, is_there));
   sum.add(sizeof(wire::DoorbellsRenewed), offsetof(wire::DoorbellsRenewed, header),
           offsetof(wire::DoorbellsRenewed, executor));
   sum.add(sizeof(wire::ExecutorRequest), offsetof(wire::ExecutorRequest, header),
@@ -189,7 +197,8 @@ constexpr std::uint64_t fingerprint() noexcept {
           offsetof(wire::Observed, fingerprint), offsetof(wire::Observed, incarnation),
           offsetof(wire::Observed, client_region_bytes));
   sum.add(sizeof(wire::Dump), offsetof(wire::Dump, header), offsetof(wire::Dump, seen),
-          offsetof(wire::Dump, waits), offsetof(wire::Dump, without_regions));
+          offsetof(wire::Dump, waits), offsetof(wire::Dump, without_regions),
+          offsetof(wire::Dump, with_threads));
   sum.add(sizeof(wire::Revoke), offsetof(wire::Revoke, header), offsetof(wire::Revoke, client),
           offsetof(wire::Revoke, generation));
   sum.add(sizeof(wire::ReadJournal), offsetof(wire::ReadJournal, header),
@@ -232,7 +241,8 @@ constexpr std::uint64_t fingerprint() noexcept {
           offsetof(wire::UserShare, queued_bytes), offsetof(wire::UserShare, queued_seconds),
           offsetof(wire::UserShare, dumps_per_second),
           offsetof(wire::UserShare, publishers_per_topic),
-          offsetof(wire::UserShare, subscriptions_per_topic));
+          offsetof(wire::UserShare, subscriptions_per_topic),
+          offsetof(wire::UserShare, callback_groups), offsetof(wire::UserShare, callback_threads));
   sum.add(sizeof(wire::DumpDaemon), offsetof(wire::DumpDaemon, header),
           offsetof(wire::DumpDaemon, version_major), offsetof(wire::DumpDaemon, version_minor),
           offsetof(wire::DumpDaemon, version_patch), offsetof(wire::DumpDaemon, pid),
@@ -252,7 +262,8 @@ constexpr std::uint64_t fingerprint() noexcept {
           offsetof(wire::DumpProcess, executors), offsetof(wire::DumpProcess, silent_executors),
           offsetof(wire::DumpProcess, window_count), offsetof(wire::DumpProcess, region_count),
           offsetof(wire::DumpProcess, window), offsetof(wire::DumpProcess, blocked_bytes),
-          offsetof(wire::DumpProcess, name), offsetof(wire::DumpProcess, blocked_by));
+          offsetof(wire::DumpProcess, threads_left_out), offsetof(wire::DumpProcess, name),
+          offsetof(wire::DumpProcess, blocked_by));
   sum.add(sizeof(wire::DumpTopic), offsetof(wire::DumpTopic, header),
           offsetof(wire::DumpTopic, topic), offsetof(wire::DumpTopic, reserved),
           offsetof(wire::DumpTopic, generation), offsetof(wire::DumpTopic, domain),
@@ -273,7 +284,29 @@ constexpr std::uint64_t fingerprint() noexcept {
   sum.add(sizeof(wire::DumpEnd), offsetof(wire::DumpEnd, header),
           offsetof(wire::DumpEnd, process_count), offsetof(wire::DumpEnd, topic_count),
           offsetof(wire::DumpEnd, endpoint_count), offsetof(wire::DumpEnd, user_count),
-          offsetof(wire::DumpEnd, refusal_count), offsetof(wire::DumpEnd, lsn));
+          offsetof(wire::DumpEnd, refusal_count), offsetof(wire::DumpEnd, callback_group_count),
+          offsetof(wire::DumpEnd, callback_thread_count), offsetof(wire::DumpEnd, lsn));
+  sum.add(sizeof(wire::DumpCallbackGroup), offsetof(wire::DumpCallbackGroup, header),
+          offsetof(wire::DumpCallbackGroup, client),
+          offsetof(wire::DumpCallbackGroup, client_generation),
+          offsetof(wire::DumpCallbackGroup, executor), offsetof(wire::DumpCallbackGroup, group),
+          offsetof(wire::DumpCallbackGroup, reentrant), offsetof(wire::DumpCallbackGroup, reserved),
+          offsetof(wire::DumpCallbackGroup, node), offsetof(wire::DumpCallbackGroup, name));
+  sum.add(sizeof(wire::ThreadScheduling), offsetof(wire::ThreadScheduling, sets_policy),
+          offsetof(wire::ThreadScheduling, policy), offsetof(wire::ThreadScheduling, priority),
+          offsetof(wire::ThreadScheduling, sets_nice), offsetof(wire::ThreadScheduling, nice),
+          offsetof(wire::ThreadScheduling, runtime_ns),
+          offsetof(wire::ThreadScheduling, deadline_ns),
+          offsetof(wire::ThreadScheduling, period_ns), offsetof(wire::ThreadScheduling, sets_cpus),
+          offsetof(wire::ThreadScheduling, cpus));
+  sum.add(sizeof(wire::DumpCallbackThread), offsetof(wire::DumpCallbackThread, header),
+          offsetof(wire::DumpCallbackThread, client),
+          offsetof(wire::DumpCallbackThread, client_generation),
+          offsetof(wire::DumpCallbackThread, executor), offsetof(wire::DumpCallbackThread, thread),
+          offsetof(wire::DumpCallbackThread, rule), offsetof(wire::DumpCallbackThread, setting),
+          offsetof(wire::DumpCallbackThread, call), offsetof(wire::DumpCallbackThread, os_errno),
+          offsetof(wire::DumpCallbackThread, reserved),
+          offsetof(wire::DumpCallbackThread, scheduling));
   sum.add(sizeof(wire::DumpRefusal), offsetof(wire::DumpRefusal, header),
           offsetof(wire::DumpRefusal, code), offsetof(wire::DumpRefusal, uid),
           offsetof(wire::DumpRefusal, pid), offsetof(wire::DumpRefusal, kind),
@@ -307,6 +340,11 @@ constexpr std::uint64_t fingerprint() noexcept {
           Opcode::ask_access, Opcode::access_is, wire::ProcessState::connected,
           wire::ProcessState::orphaned, wire::ProcessState::dead, wire::ProcessState::revoked,
           wire::JournalState::applied, wire::JournalState::pending, wire::JournalState::damaged);
+  sum.add(Opcode::callback_group, Opcode::callback_thread, Opcode::dump_callback_group,
+          Opcode::dump_callback_thread, wire::ThreadSetting::no_rule, wire::ThreadSetting::due,
+          wire::ThreadSetting::applied, wire::ThreadSetting::not_allowed,
+          wire::ThreadSetting::refused, wire::ThreadSetting::not_found, wire::ThreadCall::none,
+          wire::ThreadCall::sched_setattr, wire::ThreadCall::sched_setaffinity);
   sum.add(wire::Kind::publisher, wire::Kind::subscription, wire::Kind::region);
   return sum.value();
 }

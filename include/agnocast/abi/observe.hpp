@@ -6,8 +6,10 @@
 //   observer → daemon     body       answer              descriptors of the answer
 //   observe               Observe    observed            board (read)
 //   dump                  Dump       dump_daemon, then each dump_process, dump_topic,
-//                                    dump_endpoint, dump_user and dump_refusal, then dump_end;
-//                                    a process comes with its region (read) while it has one
+//                                    dump_endpoint, dump_user and dump_refusal, when asked for
+//                                    each dump_callback_group and dump_callback_thread, then
+//                                    dump_end; a process comes with its region (read) while it
+//                                    has one
 //   revoke                Revoke     done (or refused: permission_denied, endpoint_gone)
 //   read_journal          ReadJournal  each journal_record, then journal_end
 //   set_log_level         SetLogLevel  log_level_is (or refused: permission_denied)
@@ -47,6 +49,7 @@ struct Dump {
   std::uint64_t seen;
   std::uint32_t waits;            // 1: wait for a change
   std::uint32_t without_regions;  // 1: omit the descriptors of processes
+  std::uint64_t with_threads;     // 1: also callback groups and threads
 };
 /// Ends the session of a living process as if it had died; the daemon notifies it with `revoked`.
 struct Revoke {
@@ -162,6 +165,8 @@ struct UserShare {
   std::uint64_t dumps_per_second;         // long answers to observers
   std::uint64_t publishers_per_topic;     // in use: of the topic where it has most
   std::uint64_t subscriptions_per_topic;  // likewise
+  std::uint64_t callback_groups;          // known to the daemon
+  std::uint64_t callback_threads;         // likewise
 };
 struct DumpDaemon {
   Header header;
@@ -208,7 +213,9 @@ struct DumpProcess {
   std::uint32_t window_count;
   std::uint32_t region_count;  // descriptors sent with this body
   Announcement::Window window[window_count_max];
-  std::uint64_t blocked_bytes;  // of the arena, occupied by other mappings in this process
+  std::uint64_t blocked_bytes;     // of the arena, occupied by other mappings in this process
+  std::uint64_t threads_left_out;  // callback groups and threads that the daemon does not know,
+                                   // because of a limit or quota
   Name name;
   Name blocked_by;  // the first such mapping, for diagnosis
 };
@@ -263,6 +270,56 @@ struct DumpRefusal {
   Name topic;         // empty: none
   Name why;
 };
+/// What CallbackGroup says of a group, and its process.
+struct DumpCallbackGroup {
+  Header header;
+  std::uint64_t client;
+  std::uint64_t client_generation;
+  std::uint64_t executor;
+  std::uint64_t group;
+  std::uint32_t reentrant;
+  std::uint32_t reserved;
+  Name node;
+  Name name;
+};
+/// What became of the thread settings for one thread.
+enum class ThreadSetting : std::uint32_t {
+  no_rule = 0,      // no rule of the configuration matches
+  due = 1,          // the daemon is about to apply the rule
+  applied = 2,      // as the kernel said
+  not_allowed = 3,  // the rule is not for the user of the process
+  refused = 4,      // by the kernel: os_errno of `call`
+  not_found = 5,    // the daemon does not see this thread in the process
+};
+/// The system call that refused.
+enum class ThreadCall : std::uint32_t { none = 0, sched_setattr = 1, sched_setaffinity = 2 };
+/// The scheduling of a thread as sched_setattr(2) and sched_setaffinity(2) take it.
+struct ThreadScheduling {
+  std::uint32_t sets_policy;  // 1: policy, priority and the three times are set
+  std::uint32_t policy;       // SCHED_OTHER, SCHED_FIFO, SCHED_RR, SCHED_BATCH, SCHED_IDLE or
+                              // SCHED_DEADLINE
+  std::uint32_t priority;     // of FIFO and RR
+  std::uint32_t sets_nice;    // 1: nice is set
+  std::int64_t nice;
+  std::uint64_t runtime_ns;  // of DEADLINE
+  std::uint64_t deadline_ns;
+  std::uint64_t period_ns;
+  std::uint64_t sets_cpus;  // 1: cpus is set
+  std::uint64_t cpus[cpu_count_max / 64];
+};
+struct DumpCallbackThread {
+  Header header;
+  std::uint64_t client;
+  std::uint64_t client_generation;
+  std::uint64_t executor;
+  std::uint32_t thread;  // as the process says: its own pid namespace
+  std::uint32_t rule;    // line of the rule in the configuration; 0: no_rule
+  ThreadSetting setting;
+  ThreadCall call;         // of refused
+  std::uint32_t os_errno;  // of refused
+  std::uint32_t reserved;
+  ThreadScheduling scheduling;  // that the rule wants
+};
 /// Number of packets of each kind in this dump.
 struct DumpEnd {
   Header header;
@@ -271,6 +328,8 @@ struct DumpEnd {
   std::uint64_t endpoint_count;
   std::uint64_t user_count;
   std::uint64_t refusal_count;
+  std::uint64_t callback_group_count;
+  std::uint64_t callback_thread_count;
   std::uint64_t lsn;  // of the newest record of the daemon's log
 };
 
@@ -284,6 +343,6 @@ static_assert(travels<Observe> && travels<Observed> && travels<Dump> && travels<
               travels<DumpUser> && travels<DumpEnd> && travels<Revoke> && travels<ReadJournal> &&
               travels<JournalRecord> && travels<JournalEnd> && travels<SetLogLevel> &&
               travels<LogLevelIs> && travels<AskAccess> && travels<AccessIs> &&
-              travels<DumpRefusal>);
+              travels<DumpRefusal> && travels<DumpCallbackGroup> && travels<DumpCallbackThread>);
 
 }  // namespace agnocast::abi::wire

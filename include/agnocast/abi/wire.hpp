@@ -24,6 +24,8 @@
 //   drained               Reference          done                nothing held, lines zeroed
 //   unlinked              Unlinked           –                   rule RU: unmapped
 //   blocked               Blocked            –                   a range of the arena is occupied
+//   callback_group        CallbackGroup      –                   an executor has it, or no longer
+//   callback_thread       CallbackThread     –                   it spins an executor, or no longer
 //   any request may be answered by `refused`
 //   observe, dump,        for observers: see observe.hpp
 //   revoke, read_journal,
@@ -86,6 +88,8 @@ enum class Opcode : std::uint32_t {
   blocked = 15,
   bring_window = 16,
   withdrawn = 19,
+  callback_group = 20,
+  callback_thread = 21,
   // daemon → client: answers
   welcome = 101,
   window_opened = 102,
@@ -106,6 +110,8 @@ enum class Opcode : std::uint32_t {
   log_level_is = 117,
   access_is = 118,
   dump_refusal = 119,
+  dump_callback_group = 120,
+  dump_callback_thread = 121,
   // daemon → client: unasked
   announce = 201,
   window_announced = 202,
@@ -204,6 +210,25 @@ struct Withdrawn {
   std::uint64_t subscription;
   std::uint64_t subscription_generation;
   std::uint64_t bytes;  // of the publisher that the subscription holds
+};
+/// An executor of the process has a callback group, or no longer. Every connection begins without
+/// any. `executor` is the number of the executor in its process, not the index of a wait set; an
+/// executor that isolates its groups has one for each.
+struct CallbackGroup {
+  Header header;
+  std::uint64_t executor;
+  std::uint64_t group;      // its number in the process
+  std::uint32_t is_there;   // 0: no longer
+  std::uint32_t reentrant;  // 1: several of its callbacks may run at once
+  Name node;                // fully qualified
+  Name name;                // empty: it has none
+};
+/// A thread of the process runs callbacks of this executor, or no longer.
+struct CallbackThread {
+  Header header;
+  std::uint64_t executor;
+  std::uint32_t thread;    // gettid(2)
+  std::uint32_t is_there;  // 0: no longer
 };
 /// Requests the process's next heap window; `window` is its number, so that the daemon recognises
 /// a repeated request.
@@ -349,6 +374,7 @@ struct Done {
 
 static_assert(sizeof(CreateEndpoint) <= packet_bytes_max &&
               sizeof(Announcement) <= packet_bytes_max && sizeof(Hello) <= packet_bytes_max &&
+              sizeof(CallbackGroup) <= packet_bytes_max &&
               sizeof(Notice) <= packet_bytes_max && sizeof(Own) <= packet_bytes_max);
 static_assert(std::is_trivially_copyable_v<Announcement> &&
               std::is_standard_layout_v<Announcement>);

@@ -74,8 +74,9 @@ agnocast::CallbackGroup::SharedPtr adapt_group(const NodeBase::SharedPtr& node,
     const auto type = group->type() == rclcpp::CallbackGroupType::Reentrant
                           ? agnocast::CallbackGroupType::Reentrant
                           : agnocast::CallbackGroupType::MutuallyExclusive;
-    adapted->group =
-        agnocast::detail::make_callback_group(node->get_fully_qualified_name(), type, false);
+    const bool is_default = group == node->get_default_callback_group();
+    adapted->group = agnocast::detail::make_callback_group(node->get_fully_qualified_name(), type,
+                                                           false, is_default ? "default" : "");
     adapted->waitable = GroupWaitable::make(node->get_context(), *adapted->group);
     adapted->node = node;
     adapted->waitables = waitables;

@@ -127,6 +127,8 @@ void Scenario::say_right_in_length(Process& process) {
       {Opcode::rejoin, sizeof(wire::Rejoin)},
       {Opcode::blocked, sizeof(wire::Blocked)},
       {Opcode::withdrawn, sizeof(wire::Withdrawn)},
+      {Opcode::callback_group, sizeof(wire::CallbackGroup)},
+      {Opcode::callback_thread, sizeof(wire::CallbackThread)},
       {Opcode::observe, sizeof(wire::Observe)},
       {Opcode::dump, sizeof(wire::Dump)},
       {Opcode::revoke, sizeof(wire::Revoke)},

@@ -262,6 +262,7 @@ TEST_F(CtlLook, DumpsEverythingAsOneObject) {
   EXPECT_EQ(dump["topics"].size(), 1u);
   EXPECT_EQ(dump["processes"].size(), 1u);
   EXPECT_EQ(dump["windows"].size(), 1u);
+  EXPECT_EQ(dump["threads"].size(), 0u);
   EXPECT_EQ(dump["messages"].size(), 2u);
   EXPECT_EQ(dump["refusals"][0]["code"], "type_mismatch");
   EXPECT_EQ(std::count(result.out.begin(), result.out.end(), '\n'), 1) << "one line";

@@ -330,6 +330,7 @@ TEST(Ctl, JsonIsOneObjectWithASchema) {
       {{"topic", "list"}, "agnocast.topic-list/1"},
       {{"topic", "info", "/points"}, "agnocast.topic-info/1"},
       {{"process", "list"}, "agnocast.process-list/1"},
+      {{"thread", "list"}, "agnocast.thread-list/1"},
       {{"heap", "list"}, "agnocast.heap-list/1"},
       {{"journal"}, "agnocast.journal/1"},
       {{"verify"}, "agnocast.verify/1"}};
@@ -465,13 +466,14 @@ TEST(Ctl, ReportsThatItsOutputCannotBeWritten) {
 TEST(Ctl, HasHelpForEverything) {
   const CtlResult all = run_ctl("/x", {"--help"});
   EXPECT_EQ(all.status, 0);
-  for (const char* word : {"status", "topic list", "topic info NAME", "process list", "heap list",
-                           "verify", "--json", "Exit status", "Examples:"})
+  for (const char* word : {"status", "topic list", "topic info NAME", "process list", "thread list",
+                           "heap list", "verify", "--json", "Exit status", "Examples:"})
     EXPECT_THAT(all.out, HasSubstr(word));
   for (const std::vector<std::string>& words : {std::vector<std::string>{"status"},
                                                 {"topic", "list"},
                                                 {"topic", "info"},
                                                 {"process", "list"},
+                                                {"thread", "list"},
                                                 {"heap", "list"},
                                                 {"verify"},
                                                 {"topics"}}) {
@@ -550,6 +552,7 @@ TEST(Ctl, DoesNotDisturbByLooking) {
                                                 {"topics", "-v"},
                                                 {"topic", "info", "-v", "/points"},
                                                 {"processes"},
+                                                {"threads"},
                                                 {"heaps"},
                                                 {"journal"},
                                                 {"verify"}})

@@ -50,9 +50,9 @@ TEST(DoctorTable, NamesEachCheckOnceWithCauseAndCommand) {
 TEST(DoctorTable, HasATestForEachRow) {
   std::string sources;
   for (const char* const name :
-       {"ctl/doctor_daemon_test.cpp", "ctl/doctor_door_test.cpp", "ctl/doctor_processes_test.cpp",
-        "client/doctor_live_test.cpp", "bridge/bridge_doctor_test.cpp",
-        "../system/containers_test.cpp"}) {
+       {"ctl/ctl_threads_test.cpp", "ctl/doctor_daemon_test.cpp", "ctl/doctor_door_test.cpp",
+        "ctl/doctor_processes_test.cpp", "client/doctor_live_test.cpp",
+        "bridge/bridge_doctor_test.cpp", "../system/containers_test.cpp"}) {
     std::ifstream in(std::string(AGNOCAST_TEST_SOURCES "/") + name);
     sources.append(std::istreambuf_iterator<char>(in), {});
   }

@@ -16,9 +16,12 @@ struct WireDump {
   std::uint64_t incarnation = 0;
   wire::DumpDaemon daemon{};
   std::vector<wire::DumpProcess> processes;
+  std::vector<wire::DumpUser> users;
   std::vector<wire::DumpTopic> topics;
   std::vector<wire::DumpEndpoint> endpoints;
   std::vector<wire::DumpRefusal> refusals;
+  std::vector<wire::DumpCallbackGroup> groups;
+  std::vector<wire::DumpCallbackThread> threads;
 
   const wire::DumpProcess* process(std::uint64_t client) const {
     const auto found = std::find_if(processes.begin(), processes.end(),
@@ -38,7 +41,9 @@ inline WireDump wire_dump(const std::string& socket_path) {
     return all;
   }
   all.incarnation = observed.as<wire::Observed>().incarnation;
-  wire.send(wire::Opcode::dump, wire::Dump{});
+  wire::Dump request{};
+  request.with_threads = 1;
+  wire.send(wire::Opcode::dump, request);
   for (;;) {
     const Incoming packet = wire.next();
     switch (packet.opcode()) {
@@ -57,7 +62,14 @@ inline WireDump wire_dump(const std::string& socket_path) {
       case wire::Opcode::dump_refusal:
         all.refusals.push_back(packet.as<wire::DumpRefusal>());
         break;
+      case wire::Opcode::dump_callback_group:
+        all.groups.push_back(packet.as<wire::DumpCallbackGroup>());
+        break;
+      case wire::Opcode::dump_callback_thread:
+        all.threads.push_back(packet.as<wire::DumpCallbackThread>());
+        break;
       case wire::Opcode::dump_user:
+        all.users.push_back(packet.as<wire::DumpUser>());
         break;
       default:
         EXPECT_EQ(packet.opcode(), wire::Opcode::dump_end);

@@ -93,6 +93,8 @@ subscriptions = 17
 heap_bytes = 2147483648
 held_messages = 18
 executors = "unlimited"
+callback_groups = 21
+callback_threads = 0
 queued_bytes = "2MiB"
 queued_seconds = 3
 dumps_per_second = 4
@@ -130,6 +132,8 @@ publish = []
   EXPECT_EQ(config->quota.heap_bytes, std::uint64_t{1} << 31);
   EXPECT_EQ(config->quota.held_messages, 18U);
   EXPECT_EQ(config->quota.executors, unlimited);
+  EXPECT_EQ(config->quota.callback_groups, 21U);
+  EXPECT_EQ(config->quota.callback_threads, 0U);
   EXPECT_EQ(config->quota.queued_bytes, std::uint64_t{2} << 20);
   EXPECT_EQ(config->quota.queued_seconds, 3U);
   EXPECT_EQ(config->quota.dumps_per_second, 4U);
@@ -139,7 +143,7 @@ publish = []
   const AccessRule& first = config->access[0];
   EXPECT_EQ(first.topic, "/lidar/**");
   EXPECT_EQ(first.domain, 7U);
-  EXPECT_EQ(first.line, 33U);
+  EXPECT_EQ(first.line, 35U);
   EXPECT_THAT(first.publish->uids, ElementsAre(1000U, 0U));
   EXPECT_FALSE(first.publish->everybody);
   EXPECT_THAT(first.subscribe->gids, ElementsAre(50U, 4294967294U));
@@ -164,7 +168,8 @@ TEST(Config, MistakesAreReportedWithPositionAndRemedy) {
        "arena_base, arena_bytes"},
       {"[limit]\n", "f.toml:1:2: limit: unknown key; did you mean \"limits\"?"},
       {"[network]\n",
-       "f.toml:1:2: network: unknown key; known here: daemon, heap, limits, quota, access"},
+       "f.toml:1:2: network: unknown key; known here: daemon, heap, limits, quota, access, "
+       "thread"},
       {"topics = 5\n", "f.toml:1:1: topics: is outside of its section; write it below [limits]"},
       {"[daemon]\n\"a\\nb\" = 1\n",
        "f.toml:2:1: daemon.a\\nb: unknown key; known here: socket, runtime_directory, socket_mode, "

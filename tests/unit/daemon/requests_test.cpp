@@ -102,6 +102,25 @@ TEST(Requests, TakesAWithdrawalWithAReasonThatItKnows) {
   EXPECT_EQ(rejected(decoded(packet)).code, Errc::protocol_violation);
 }
 
+TEST(Requests, TakesCallbackGroupsWhoseNamesEnd) {
+  auto packet = body<wire::CallbackGroup>(wire::Opcode::callback_group);
+  EXPECT_TRUE(std::holds_alternative<wire::CallbackGroup>(decoded(packet)));
+  std::memset(packet.name.text, 'n', sizeof packet.name.text);
+  EXPECT_EQ(rejected(decoded(packet)).code, Errc::protocol_violation);
+  packet.name = {};
+  std::memset(packet.node.text, 'n', sizeof packet.node.text);
+  EXPECT_EQ(rejected(decoded(packet)).code, Errc::protocol_violation);
+}
+
+TEST(Requests, TakesThreadsThatTheKernelCouldHave) {
+  auto packet = body<wire::CallbackThread>(wire::Opcode::callback_thread);
+  EXPECT_EQ(rejected(decoded(packet)).code, Errc::protocol_violation);
+  packet.thread = 1;
+  EXPECT_TRUE(std::holds_alternative<wire::CallbackThread>(decoded(packet)));
+  packet.thread = std::uint32_t{1} << 31;  // a negative number means a process group
+  EXPECT_EQ(rejected(decoded(packet)).code, Errc::protocol_violation);
+}
+
 TEST(Requests, KeepsTheRepetitionMarkOutOfTheId) {
   auto packet = honest_create(wire::Opcode::create_publisher);
   packet.header.request = 77 | wire::asked_again;

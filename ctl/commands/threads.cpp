@@ -1,0 +1,248 @@
+// SPDX-License-Identifier: Apache-2.0
+//
+// thread list: the threads that run callbacks, how the kernel schedules them, and the rule of the
+// daemon's configuration behind it.
+
+#include <base/text/text.hpp>
+#include <ctl/cli/commands.hpp>
+#include <ctl/snapshot/objects.hpp>
+#include <ctl/snapshot/select.hpp>
+#include <ctl/snapshot/system.hpp>
+#include <ctl/snapshot/threads.hpp>
+
+#include <sched.h>
+#include <unistd.h>
+
+#include <algorithm>
+#include <cstddef>
+#include <span>
+#include <string>
+#include <system_error>
+#include <vector>
+
+namespace agnocast::ctl {
+namespace {
+
+// Groups that all threads together show. Each thread shows every group of its executor, so that a
+// process with many of both could otherwise fill the memory of this one.
+constexpr std::size_t shown_groups_max = std::size_t{1} << 17;
+
+/// Returns the groups to show of each thread: the first ones, as many as of any other thread.
+std::span<const CallbackGroup> shown_groups(const CallbackThread& thread, std::size_t threads) {
+  const std::size_t count = std::max<std::size_t>(shown_groups_max / threads, 1);
+  return thread.groups.first(std::min(thread.groups.size(), count));
+}
+
+std::string node_name_of(const CallbackGroup& group) {
+  return (group.node_namespace == "/" ? "" : group.node_namespace) + '/' + group.node_name;
+}
+
+// --- JSON
+
+Object numbers_or_null(bool is_set, const std::vector<std::uint32_t>& numbers) {
+  return is_set ? Object(numbers) : Object(nullptr);
+}
+
+Object kernel_object(const KernelThread& kernel) {
+  return {{"policy", policy_word(kernel.policy)},
+          {"priority", kernel.priority},
+          {"nice", kernel.nice},
+          {"runtime_ns", kernel.runtime_ns},
+          {"deadline_ns", kernel.deadline_ns},
+          {"period_ns", kernel.period_ns},
+          {"reset_on_fork", kernel.reset_on_fork},
+          {"cpus", kernel.cpus}};
+}
+
+Object rule_object(const wire::DumpCallbackThread& thread) {
+  const wire::ThreadScheduling& wanted = thread.scheduling;
+  const auto number = [](bool is_set, auto value) {
+    return is_set ? Object(value) : Object(nullptr);
+  };
+  const bool has_policy = wanted.sets_policy != 0;
+  const bool has_times = has_policy && wanted.policy == SCHED_DEADLINE;
+  const bool is_refused = thread.setting == wire::ThreadSetting::refused;
+  const char* const call = word_of(thread.call);
+  return {{"line", thread.rule},
+          {"state", word_of(thread.setting)},
+          {"call", number(is_refused && call != nullptr, call == nullptr ? "" : call)},
+          {"errno", number(is_refused, thread.os_errno)},
+          {"scheduling",
+           {{"policy", number(has_policy, policy_word(wanted.policy))},
+            {"priority", number(has_policy, wanted.priority)},
+            {"nice", number(wanted.sets_nice != 0, wanted.nice)},
+            {"runtime_ns", number(has_times, wanted.runtime_ns)},
+            {"deadline_ns", number(has_times, wanted.deadline_ns)},
+            {"period_ns", number(has_times, wanted.period_ns)},
+            {"cpus", numbers_or_null(wanted.sets_cpus != 0, cpus_of(wanted))}}}};
+}
+
+Object object_of(const CallbackThread& thread, std::size_t threads) {
+  Object groups = Object::array();
+  for (const CallbackGroup& group : shown_groups(thread, threads))
+    groups.push_back({{"node_name", group.node_name},
+                      {"node_namespace", group.node_namespace},
+                      {"group", group.facts.group},
+                      {"name", group.name},
+                      {"reentrant", group.facts.reentrant != 0}});
+  const wire::DumpProcess& process = thread.process->facts;
+  const auto& kernel = thread.kernel;
+  return {{"pid", process.pid},
+          {"tid", thread.facts->thread},
+          {"process_name", thread.process->name},
+          {"domain", process.domain},
+          {"client_index", process.client},
+          {"client_generation", process.generation},
+          {"executor", thread.facts->executor},
+          {"group_count", thread.groups.size()},
+          {"groups", groups},
+          {"kernel", kernel ? kernel_object(*kernel) : Object(nullptr)},
+          {"cpu_time_ns", kernel ? Object(kernel->cpu_time_ns) : Object(nullptr)},
+          {"rule", thread.has_rule() ? rule_object(*thread.facts) : Object(nullptr)}};
+}
+
+Object objects_of(const std::vector<CallbackThread>& threads) {
+  Object list = Object::array();
+  for (const CallbackThread& thread : threads) list.push_back(object_of(thread, threads.size()));
+  return list;
+}
+
+// --- for people
+
+std::string and_more(const std::string& first, std::size_t count) {
+  return count > 1 ? first + " +" + std::to_string(count - 1) : first;
+}
+
+std::string name_or_dash(const CallbackGroup& group) {
+  return group.name.empty() ? "-" : escaped(group.name);
+}
+
+/// Returns the nodes of the groups, each once, in the order of their first groups.
+std::vector<std::string> nodes_of(const CallbackThread& thread) {
+  std::vector<std::string> nodes, sorted;
+  for (const CallbackGroup& group : thread.groups) {
+    std::string name = node_name_of(group);
+    const auto place = std::lower_bound(sorted.begin(), sorted.end(), name);
+    if (place != sorted.end() && *place == name) continue;
+    sorted.insert(place, name);
+    nodes.push_back(std::move(name));
+  }
+  return nodes;
+}
+
+std::string rule_cell(const CallbackThread& thread) {
+  if (!thread.has_rule()) return {};
+  const wire::DumpCallbackThread& facts = *thread.facts;
+  const std::string rule = rule_words(facts);
+  switch (facts.setting) {
+    case wire::ThreadSetting::no_rule:
+      return {};
+    case wire::ThreadSetting::due:
+      return rule + ": due";
+    case wire::ThreadSetting::applied:
+      return thread.kernel && difference_of(facts.scheduling, *thread.kernel)
+                 ? rule + ": changed since"
+                 : rule;
+    case wire::ThreadSetting::not_allowed:
+      return rule + ": not allowed";
+    case wire::ThreadSetting::refused:
+      return rule +
+             ": refused: " + std::generic_category().message(static_cast<int>(facts.os_errno));
+    case wire::ThreadSetting::not_found:
+      return rule + ": not found";
+  }
+  return rule;
+}
+
+std::vector<std::string> row_of(const CallbackThread& thread, std::size_t online_cpus) {
+  std::vector<std::string> row{std::to_string(thread.process->facts.pid),
+                               std::to_string(thread.facts->thread), escaped(thread.process->name)};
+  const auto nodes = nodes_of(thread);
+  row.push_back(nodes.empty() ? "-" : and_more(escaped(nodes.front()), nodes.size()));
+  row.push_back(thread.groups.empty()
+                    ? "-"
+                    : and_more(name_or_dash(thread.groups.front()), thread.groups.size()));
+  if (const auto& kernel = thread.kernel) {
+    row.push_back(policy_word(kernel->policy));
+    row.push_back(priority_words(*kernel));
+    row.push_back(kernel->cpus.size() == online_cpus ? "all" : cpu_list(kernel->cpus));
+    row.push_back(time_for_people(kernel->cpu_time_ns));
+  } else {
+    row.insert(row.end(), {"not visible", "-", "-", "-"});
+  }
+  row.push_back(rule_cell(thread));
+  return row;
+}
+
+void print_groups(const CallbackThread& thread, std::size_t threads, Console& console) {
+  const auto shown = shown_groups(thread, threads);
+  for (const CallbackGroup& group : shown)
+    console.line("  `- group " + name_or_dash(group) + " of " + escaped(node_name_of(group)) +
+                 (group.facts.reentrant != 0 ? ", reentrant" : ""));
+  if (shown.size() < thread.groups.size())
+    console.line("  `- and " + std::to_string(thread.groups.size() - shown.size()) + " more");
+}
+
+void print(const std::vector<CallbackThread>& threads, bool is_verbose, Console& console) {
+  const auto online = static_cast<std::size_t>(std::max(::sysconf(_SC_NPROCESSORS_ONLN), 1L));
+  Table table({"PID", "TID", "PROCESS", "NODE", "GROUP", "POLICY", "PRIORITY", "CPUS", "CPU TIME",
+               "SET BY"});
+  for (const CallbackThread& thread : threads) table.add(row_of(thread, online));
+  if (!is_verbose) {
+    table.print(console);
+    return;
+  }
+  const auto lines = table.lines();
+  console.line(console.strong(lines.front()));
+  for (std::size_t i = 0; i < threads.size(); ++i) {
+    console.line(lines[i + 1]);
+    print_groups(threads[i], threads.size(), console);
+  }
+}
+
+std::vector<const Process*> incomplete(const System& system, const Arguments& arguments) {
+  std::vector<const Process*> processes;
+  for (const auto& [index, process] : system.processes) {
+    if ((arguments.all_domains || process.facts.domain == arguments.domain) &&
+        process.facts.threads_left_out != 0)
+      processes.push_back(&process);
+  }
+  return processes;
+}
+
+}  // namespace
+
+Object threads_object(const System& system, const Arguments& arguments) {
+  return objects_of(threads_of(system, arguments));
+}
+
+Outcome<void> list_threads(const Arguments& arguments, Console& console) {
+  const auto look = look_at(arguments.socket, {.threads = true});
+  if (!look) return tl::unexpected(look.error());
+  const auto threads = threads_of(look->system, arguments);
+  const auto left_out = incomplete(look->system, arguments);
+  if (arguments.json == Json::no) {
+    print(threads, arguments.has(options::verbose), console);
+    for (const Process* const process : left_out)
+      console.line("not known to the daemon: " +
+                   counted(process->facts.threads_left_out, "callback group or thread",
+                           "callback groups and threads") +
+                   " of " + words_of(*process));
+    return {};
+  }
+  Object unknown = Object::array();
+  for (const Process* const process : left_out)
+    unknown.push_back({{"pid", process->facts.pid},
+                       {"process_name", process->name},
+                       {"client_index", process->facts.client},
+                       {"client_generation", process->facts.generation},
+                       {"count", process->facts.threads_left_out}});
+  console.object({{"schema", "agnocast.thread-list/1"},
+                  {"thread_count", threads.size()},
+                  {"threads", objects_of(threads)},
+                  {"threads_left_out", unknown}},
+                 arguments.json);
+  return {};
+}
+
+}  // namespace agnocast::ctl

@@ -1,0 +1,552 @@
+// SPDX-License-Identifier: Apache-2.0
+//
+// Goal: agnocast-ctl shows the threads that run callbacks as the kernel has them, with every state
+// of their rule, takes nothing of them unasked or out of order, and doctor names each rule that is
+// not in force with its cause. Method: a socket of the test that answers as agnocastd does, with
+// this process as the only client.
+
+#include <ctl/doctor/doctor_facts.hpp>
+#include <tests/support/processes/ctl.hpp>
+#include <tests/support/processes/daemon_process.hpp>
+#include <tests/support/wire/listen_at.hpp>
+#include <tests/support/wire/wire_client.hpp>
+
+#include <gmock/gmock.h>
+
+#include <poll.h>
+#include <sched.h>
+#include <sys/mman.h>
+#include <sys/syscall.h>
+#include <unistd.h>
+
+#include <array>
+#include <atomic>
+#include <cerrno>
+#include <cstring>
+#include <memory>
+#include <span>
+#include <string>
+#include <thread>
+#include <utility>
+#include <vector>
+
+namespace agnocast::test {
+namespace {
+
+using testing::ElementsAre;
+using testing::HasSubstr;
+using testing::IsEmpty;
+using wire::Opcode;
+using wire::ThreadCall;
+using wire::ThreadSetting;
+
+/// What the daemon says.
+struct Answers {
+  wire::DumpDaemon daemon{};
+  std::vector<wire::DumpProcess> processes;
+  std::vector<wire::DumpUser> users;
+  std::vector<wire::DumpCallbackGroup> groups;
+  std::vector<wire::DumpCallbackThread> threads;
+  bool is_unasked = false;                // also to observers that do not ask for threads
+  std::uint64_t more_groups_counted = 0;  // at the end, than were sent
+};
+
+/// Answers every observer, in a thread of its own.
+class SaidDaemon {
+ public:
+  explicit SaidDaemon(Answers answers)
+      : answers_(std::move(answers)),
+        directory_(make_directory()),
+        board_(::memfd_create("board", MFD_CLOEXEC)),
+        listener_(listen_at(socket_path()).value()) {
+    EXPECT_EQ(::ftruncate(board_.get(), static_cast<off_t>(abi::board_bytes)), 0);
+    thread_ = std::thread([this] { serve(); });
+  }
+  ~SaidDaemon() {
+    ends_ = true;
+    thread_.join();
+    remove_directory(directory_);
+  }
+  SaidDaemon(const SaidDaemon&) = delete;
+  SaidDaemon& operator=(const SaidDaemon&) = delete;
+  std::string socket_path() const { return directory_ + "/socket"; }
+
+ private:
+  void serve() {
+    std::vector<PacketSocket> observers;
+    while (!ends_) {
+      std::vector<pollfd> all{{listener_.fd(), POLLIN, 0}};
+      for (const PacketSocket& one : observers) all.push_back({one.fd(), POLLIN, 0});
+      ::poll(all.data(), all.size(), 10);
+      if (auto accepted = listener_.accept(); accepted && *accepted)
+        observers.push_back(std::move(**accepted));
+      std::erase_if(observers, [this](const PacketSocket& one) { return !answer(one); });
+    }
+  }
+  bool answer(const PacketSocket& socket) const {
+    alignas(8) std::array<std::byte, wire::packet_bytes_max> bytes{};
+    const auto packet = socket.receive(bytes);
+    if (!packet || packet->kind == Packet::Kind::end) return false;
+    if (packet->kind == Packet::Kind::nothing) return true;
+    wire::Header header{};
+    std::memcpy(&header, bytes.data(), sizeof header);
+    if (header.opcode == Opcode::observe) {
+      wire::Observed observed{};
+      observed.client_region_bytes = abi::page_bytes;
+      const int board = board_.get();
+      return send(socket, Opcode::observed, observed, {&board, 1});
+    }
+    if (header.opcode == Opcode::read_journal)
+      return send(socket, Opcode::journal_end, wire::JournalEnd{});
+    wire::Dump request{};
+    if (header.opcode != Opcode::dump || packet->bytes != sizeof request) return false;
+    std::memcpy(&request, bytes.data(), sizeof request);
+    return dump(socket, request.with_threads != 0 || answers_.is_unasked);
+  }
+  bool dump(const PacketSocket& socket, bool with_threads) const {
+    wire::DumpEnd end{};
+    const auto each = [&](Opcode opcode, const auto& bodies, std::uint64_t& count) {
+      for (const auto& body : bodies) send(socket, opcode, body);
+      count = bodies.size();
+    };
+    send(socket, Opcode::dump_daemon, answers_.daemon);
+    each(Opcode::dump_process, answers_.processes, end.process_count);
+    each(Opcode::dump_user, answers_.users, end.user_count);
+    if (with_threads) {
+      each(Opcode::dump_callback_group, answers_.groups, end.callback_group_count);
+      each(Opcode::dump_callback_thread, answers_.threads, end.callback_thread_count);
+    }
+    end.callback_group_count += answers_.more_groups_counted;
+    return send(socket, Opcode::dump_end, end);
+  }
+  template <class Body>
+  static bool send(const PacketSocket& socket, Opcode opcode, Body body,
+                   std::span<const int> fds = {}) {
+    body.header = {opcode, sizeof body, 1};
+    for (;;) {
+      const auto sent = socket.send(std::as_bytes(std::span(&body, 1)), fds);
+      if (!sent || *sent != Sent::would_block) return sent && *sent == Sent::sent;
+      pollfd writable{socket.fd(), POLLOUT, 0};  // or the observer is gone
+      ::poll(&writable, 1, 1000);
+    }
+  }
+
+  const Answers answers_;
+  const std::string directory_;
+  const UniqueFd board_;
+  const PacketListener listener_;
+  std::atomic<bool> ends_{false};
+  std::thread thread_;
+};
+
+std::uint32_t own_thread() { return static_cast<std::uint32_t>(::syscall(SYS_gettid)); }
+
+constexpr std::uint64_t client = 3, generation = 9;
+
+wire::DumpCallbackGroup group(std::uint64_t executor, std::uint64_t number, const char* node,
+                              const char* name) {
+  wire::DumpCallbackGroup body{};
+  body.client = client;
+  body.client_generation = generation;
+  body.executor = executor;
+  body.group = number;
+  body.node = wire_name(node);
+  body.name = wire_name(name);
+  return body;
+}
+wire::DumpCallbackThread thread(std::uint64_t executor, std::uint32_t number) {
+  wire::DumpCallbackThread body{};
+  body.client = client;
+  body.client_generation = generation;
+  body.executor = executor;
+  body.thread = number;
+  return body;
+}
+wire::DumpCallbackThread ruled(std::uint64_t executor, ThreadSetting setting) {
+  wire::DumpCallbackThread body = thread(executor, own_thread());
+  body.rule = 12;
+  body.setting = setting;
+  body.scheduling.sets_policy = 1;
+  body.scheduling.policy = SCHED_FIFO;
+  body.scheduling.priority = 50;
+  return body;
+}
+wire::DumpCallbackThread refused(ThreadCall call, int error) {
+  wire::DumpCallbackThread body = ruled(0, ThreadSetting::refused);
+  body.call = call;
+  body.os_errno = static_cast<std::uint32_t>(error);
+  return body;
+}
+
+/// Returns the answers with this process as client.
+Answers this_process() {
+  Answers answers;
+  answers.daemon.pid = static_cast<std::uint32_t>(::getpid());
+  answers.daemon.uid = ::geteuid();
+  wire::DumpProcess process{};
+  process.client = client;
+  process.generation = generation;
+  process.pid = static_cast<std::uint32_t>(::getpid());
+  process.uid = ::geteuid();
+  process.state = wire::ProcessState::connected;
+  process.name = wire_name("lidar");
+  answers.processes.push_back(process);
+  return answers;
+}
+std::string process_words() {
+  return "lidar (pid " + std::to_string(::getpid()) + ", uid " + std::to_string(::geteuid()) + ")";
+}
+
+// --- what an observer takes
+
+bool takes(const Answers& answers, ctl::LookOptions options = {.threads = true}) {
+  const SaidDaemon daemon(answers);
+  auto observer = ctl::Observer::connect(daemon.socket_path());
+  if (!observer) {
+    ADD_FAILURE() << observer.error().why;
+    return false;
+  }
+  const auto system = observer->look(options);
+  if (system && options.threads) {
+    EXPECT_EQ(system->callback_groups.size(), answers.groups.size());
+    EXPECT_EQ(system->callback_threads.size(), answers.threads.size());
+  }
+  if (!system) {
+    EXPECT_EQ(system.error().status, ctl::Status::failed) << system.error().why;
+  }
+  return system.has_value();
+}
+
+TEST(CtlThreads, AreTakenOnlyWhenAskedFor) {
+  Answers answers = this_process();
+  answers.groups = {group(0, 1, "/lidar/driver", "control")};
+  answers.threads = {thread(0, 77)};
+  EXPECT_TRUE(takes(answers));
+  EXPECT_TRUE(takes(answers, {}));
+  answers.is_unasked = true;
+  EXPECT_TRUE(takes(answers));
+  EXPECT_FALSE(takes(answers, {}));
+}
+
+TEST(CtlThreads, AreRefusedWhenTheyContradictTheDump) {
+  const auto with_group = [](auto change) {
+    Answers answers = this_process();
+    answers.groups = {group(0, 1, "/lidar/driver", "")};
+    change(answers.groups[0]);
+    return takes(answers);
+  };
+  using Group = wire::DumpCallbackGroup;
+  EXPECT_TRUE(with_group([](Group&) {}));
+  EXPECT_FALSE(with_group([](Group& it) { it.client = 4; }));
+  EXPECT_FALSE(with_group([](Group& it) { it.client = ~std::uint64_t{0}; }));
+  EXPECT_FALSE(with_group([](Group& it) { it.client_generation = 8; }));
+  EXPECT_FALSE(with_group([](Group& it) { it.reentrant = 2; }));
+  const auto with_thread = [](auto change) {
+    Answers answers = this_process();
+    answers.threads = {refused(ThreadCall::sched_setattr, EPERM)};
+    change(answers.threads[0]);
+    return takes(answers);
+  };
+  using Thread = wire::DumpCallbackThread;
+  EXPECT_TRUE(with_thread([](Thread&) {}));
+  EXPECT_FALSE(with_thread([](Thread& it) { it.client = 4; }));
+  EXPECT_FALSE(with_thread([](Thread& it) { it.client_generation = 8; }));
+  EXPECT_FALSE(with_thread([](Thread& it) { it.thread = 0; }));
+  EXPECT_FALSE(with_thread([](Thread& it) { it.thread = 0x80000000; }));
+  EXPECT_FALSE(with_thread([](Thread& it) { it.setting = static_cast<ThreadSetting>(6); }));
+  EXPECT_FALSE(with_thread([](Thread& it) { it.call = static_cast<ThreadCall>(3); }));
+  EXPECT_FALSE(with_thread([](Thread& it) { it.os_errno = 4096; }));
+  EXPECT_FALSE(with_thread([](Thread& it) { it.scheduling.sets_policy = 2; }));
+  EXPECT_FALSE(with_thread([](Thread& it) { it.scheduling.sets_cpus = 2; }));
+  Answers answers = this_process();
+  answers.more_groups_counted = 1;
+  EXPECT_FALSE(takes(answers));
+  answers = this_process();
+  answers.threads.assign(abi::callback_thread_count_max + 1, thread(0, 77));
+  EXPECT_FALSE(takes(answers));
+}
+
+// --- thread list
+
+TEST(CtlThreads, AreListedAsTheKernelHasThem) {
+  Answers answers = this_process();
+  answers.groups = {group(0, 5, "/lidar/driver", ""), group(0, 2, "/lidar/driver", "control"),
+                    group(0, 7, "/lidar/filter", "")};
+  answers.groups[2].reentrant = 1;
+  answers.threads = {thread(0, own_thread())};
+  const SaidDaemon daemon(answers);
+  CtlResult result = run_ctl(daemon.socket_path(), {"thread", "list"});
+  EXPECT_EQ(result.status, 0) << result.err;
+  const std::string id = std::to_string(own_thread());
+  EXPECT_THAT(result.out, testing::MatchesRegex("PID +TID +PROCESS +NODE +GROUP +POLICY +PRIORITY "
+                                                "+CPUS +CPU TIME +SET BY\n[0-9]+ +" +
+                                                id +
+                                                " +lidar +/lidar/driver \\+1 +control \\+2 +other "
+                                                "+nice [0-9-]+ +[a-z0-9,-]+ +[0-9.]+ [mnu]?s +\n"));
+  result = run_ctl(daemon.socket_path(), {"threads", "-v"});
+  EXPECT_THAT(result.out, testing::EndsWith("\n  `- group control of /lidar/driver\n"
+                                            "  `- group - of /lidar/driver\n"
+                                            "  `- group - of /lidar/filter, reentrant\n"));
+  const auto list = run_ctl(daemon.socket_path(), {"threads", "-j"}).json();
+  EXPECT_EQ(list["schema"], "agnocast.thread-list/1");
+  EXPECT_EQ(list["thread_count"], 1);
+  EXPECT_THAT(list["threads_left_out"], IsEmpty());
+  const auto& one = list["threads"][0];
+  EXPECT_EQ(one["tid"], own_thread());
+  EXPECT_EQ(one["pid"], ::getpid());
+  EXPECT_EQ(one["client_index"], client);
+  EXPECT_EQ(one["group_count"], 3);
+  EXPECT_EQ(one["groups"][0]["name"], "control");
+  EXPECT_EQ(one["groups"][2]["node_name"], "filter");
+  EXPECT_EQ(one["groups"][2]["node_namespace"], "/lidar");
+  EXPECT_EQ(one["groups"][2]["reentrant"], true);
+  EXPECT_EQ(one["kernel"]["policy"], "other");
+  cpu_set_t allowed;
+  CPU_ZERO(&allowed);
+  ASSERT_EQ(::sched_getaffinity(0, sizeof allowed, &allowed), 0);
+  EXPECT_EQ(one["kernel"]["cpus"].size(), static_cast<std::size_t>(CPU_COUNT(&allowed)));
+  EXPECT_GT(one["cpu_time_ns"], 0);
+  EXPECT_TRUE(one["rule"].is_null());
+  EXPECT_EQ(run_ctl(daemon.socket_path(), {"dump"}).json()["threads"][0]["tid"], own_thread());
+  EXPECT_THAT(run_ctl(daemon.socket_path(), {"threads", "--domain", "4", "-j"}).json()["threads"],
+              IsEmpty());
+}
+
+TEST(CtlThreads, AreListedWithTheStateOfTheirRule) {
+  const auto cell = [](const wire::DumpCallbackThread& thread) {
+    Answers answers = this_process();
+    answers.threads = {thread};
+    const SaidDaemon daemon(answers);
+    const std::string text = run_ctl(daemon.socket_path(), {"threads"}).out;
+    const std::size_t at = text.find("agnocastd.toml:");
+    return at == std::string::npos ? text : text.substr(at, text.find('\n', at) - at);
+  };
+  EXPECT_EQ(cell(ruled(0, ThreadSetting::due)), "agnocastd.toml:12: due");
+  EXPECT_EQ(cell(ruled(0, ThreadSetting::not_allowed)), "agnocastd.toml:12: not allowed");
+  EXPECT_EQ(cell(ruled(0, ThreadSetting::not_found)), "agnocastd.toml:12: not found");
+  EXPECT_EQ(cell(refused(ThreadCall::sched_setattr, EPERM)),
+            "agnocastd.toml:12: refused: Operation not permitted");
+  auto applied = ruled(0, ThreadSetting::applied);
+  EXPECT_EQ(cell(applied), "agnocastd.toml:12: changed since");
+  applied.scheduling.policy = SCHED_OTHER;
+  EXPECT_EQ(cell(applied), "agnocastd.toml:12");
+}
+
+TEST(CtlThreads, AreListedWithTheWholeRuleAsJson) {
+  Answers answers = this_process();
+  answers.threads = {refused(ThreadCall::sched_setaffinity, EINVAL)};
+  answers.threads[0].scheduling.sets_cpus = 1;
+  answers.threads[0].scheduling.cpus[1] = 5;
+  const SaidDaemon daemon(answers);
+  const auto rule = run_ctl(daemon.socket_path(), {"threads", "-j"}).json()["threads"][0]["rule"];
+  EXPECT_EQ(rule["line"], 12);
+  EXPECT_EQ(rule["state"], "refused");
+  EXPECT_EQ(rule["call"], "sched_setaffinity");
+  EXPECT_EQ(rule["errno"], EINVAL);
+  EXPECT_EQ(rule["scheduling"]["policy"], "fifo");
+  EXPECT_EQ(rule["scheduling"]["priority"], 50);
+  EXPECT_TRUE(rule["scheduling"]["nice"].is_null());
+  EXPECT_TRUE(rule["scheduling"]["runtime_ns"].is_null());
+  EXPECT_EQ(rule["scheduling"]["cpus"], nlohmann::json({64, 66}));
+}
+
+TEST(CtlThreads, AreNotShownUnlessTheyAreOfTheProcess) {
+  Answers answers = this_process();
+  answers.threads = {thread(0, static_cast<std::uint32_t>(::getppid())), thread(1, 0x7fffffff)};
+  answers.groups = {group(0, 1, "/no\x1b]0;de\n", "\x1b[31m")};
+  answers.processes[0].threads_left_out = 5;
+  const SaidDaemon daemon(answers);
+  const auto list = run_ctl(daemon.socket_path(), {"threads", "-j"}).json();
+  ASSERT_EQ(list["thread_count"], 2);
+  for (const auto& one : list["threads"]) {
+    EXPECT_TRUE(one["kernel"].is_null());
+    EXPECT_TRUE(one["cpu_time_ns"].is_null());
+  }
+  EXPECT_EQ(list["threads_left_out"][0]["count"], 5);
+  const std::string text = run_ctl(daemon.socket_path(), {"threads", "-v"}).out;
+  EXPECT_THAT(text, HasSubstr("not visible"));
+  EXPECT_THAT(text, HasSubstr("\\x1b[31m"));
+  EXPECT_EQ(text.find('\x1b'), std::string::npos);
+  EXPECT_THAT(text, HasSubstr("not known to the daemon: 5 callback groups and threads of " +
+                              process_words() + "\n"));
+}
+
+// --- doctor
+
+struct Finding {
+  std::string what, cause, remedy;
+};
+
+/// Returns the findings about these answers. `change`: of the other facts.
+template <class Change>
+std::vector<Finding> findings_of(const Answers& answers, Change change) {
+  const SaidDaemon daemon(answers);
+  auto look = ctl::look_at(daemon.socket_path(), {.threads = true});
+  if (!look) {
+    ADD_FAILURE() << look.error().why;
+    return {};
+  }
+  // Not on the stack, where GCC 12 takes the optional for uninitialized.
+  const auto facts = std::make_unique<ctl::Facts>();
+  facts->door.path = daemon.socket_path();
+  facts->configuration = "/etc/mine.toml";
+  facts->supervisor = 5;
+  facts->look = std::move(*look);
+  ctl::Arguments everywhere;
+  everywhere.all_domains = true;
+  facts->threads = ctl::threads_of(facts->system(), everywhere);
+  change(*facts);
+  EXPECT_EQ(ctl::thread_checks.size(), 1u);
+  const ctl::Check& check = ctl::thread_checks.front();
+  EXPECT_EQ(check.id, "thread-settings");
+  std::vector<Finding> found;
+  for (const ctl::Ailment& ailment : check.find(*facts))
+    found.push_back(
+        {ailment.what, ailment.cause, ctl::filled(check.remedy, ailment.words, facts->common())});
+  return found;
+}
+std::vector<Finding> findings_of(const Answers& answers) {
+  return findings_of(answers, [](ctl::Facts&) {});
+}
+template <class Change>
+Finding finding_of(const wire::DumpCallbackThread& thread, Change change) {
+  Answers answers = this_process();
+  answers.threads = {thread};
+  const auto found = findings_of(answers, change);
+  EXPECT_EQ(found.size(), 1u);
+  return found.empty() ? Finding{} : found[0];
+}
+Finding finding_of(const wire::DumpCallbackThread& thread) {
+  return finding_of(thread, [](ctl::Facts&) {});
+}
+
+std::string subject() {
+  return "thread " + std::to_string(own_thread()) + " of " + process_words();
+}
+constexpr const char* edit = "sudo \"${EDITOR:-vi}\" +12 /etc/mine.toml && kill -HUP 5";
+
+TEST(DoctorThreads, FindsNothingWhereEveryRuleIsInForce) {
+  Answers answers = this_process();
+  answers.threads = {thread(0, own_thread()), ruled(1, ThreadSetting::due),
+                     ruled(2, ThreadSetting::applied)};
+  answers.threads[2].scheduling.policy = SCHED_OTHER;
+  EXPECT_THAT(findings_of(answers), IsEmpty());
+  answers.threads = {ruled(0, ThreadSetting::not_found), ruled(1, ThreadSetting::applied)};
+  for (auto& one : answers.threads) one.thread = 0x7fffffff;
+  EXPECT_THAT(findings_of(answers), IsEmpty()) << "it has ended meanwhile";
+}
+
+TEST(DoctorThreads, NamesARuleThatIsNotForTheUser) {
+  const Finding found = finding_of(ruled(0, ThreadSetting::not_allowed));
+  EXPECT_EQ(found.what, subject() + ": rule agnocastd.toml:12 matches, and is not for uid " +
+                            std::to_string(::geteuid()));
+  EXPECT_EQ(found.remedy, edit);
+}
+
+TEST(DoctorThreads, NamesThreadsThatTheDaemonDoesNotSee) {
+  Answers answers = this_process();
+  answers.processes[0].pid = 0;
+  answers.threads = {ruled(0, ThreadSetting::not_found)};
+  const auto found = findings_of(answers);
+  ASSERT_EQ(found.size(), 1u);
+  EXPECT_THAT(found[0].what, HasSubstr("cannot find it, to apply rule agnocastd.toml:12"));
+  EXPECT_EQ(found[0].remedy, "podman run --pid=host IMAGE");
+}
+
+TEST(DoctorThreads, NamesTheCauseOfARefusal) {
+  const auto cause = [](ThreadCall call, int error) {
+    const Finding found = finding_of(refused(call, error));
+    EXPECT_EQ(found.what,
+              subject() + ": " +
+                  (call == ThreadCall::sched_setattr ? "sched_setattr" : "sched_setaffinity") +
+                  " refused rule agnocastd.toml:12: " + std::strerror(error));
+    EXPECT_EQ(found.remedy, edit);
+    return found.cause;
+  };
+  EXPECT_THAT(cause(ThreadCall::sched_setaffinity, EINVAL), HasSubstr("cpuset"));
+  EXPECT_THAT(cause(ThreadCall::sched_setaffinity, EBUSY), HasSubstr("root domain"));
+  EXPECT_THAT(cause(ThreadCall::sched_setattr, EBUSY), HasSubstr("admission control"));
+  EXPECT_THAT(cause(ThreadCall::sched_setattr, EINVAL), HasSubstr("sched(7)"));
+  EXPECT_EQ(cause(ThreadCall::sched_setattr, EIO), "see sched_setattr(2)");
+}
+
+TEST(DoctorThreads, NamesWhatAnOperationNeeds) {
+  const auto needs = [](auto change, ThreadCall call = ThreadCall::sched_setattr,
+                        std::uint32_t policy = SCHED_FIFO) {
+    auto thread = refused(call, EPERM);
+    thread.scheduling.policy = policy;
+    return finding_of(thread, change);
+  };
+  const auto nothing = [](ctl::Facts&) {};
+  const auto capable = [](ctl::Facts& facts) { facts.daemon.may_schedule_all = true; };
+  EXPECT_EQ(needs(nothing).remedy,
+            "sudo prlimit --pid " + std::to_string(::getpid()) + " --rtprio=50 && kill -HUP 5");
+  EXPECT_THAT(needs(nothing, ThreadCall::sched_setaffinity).remedy,
+              testing::StartsWith("sudo setcap cap_sys_nice+ep "));
+  EXPECT_THAT(needs(nothing, ThreadCall::sched_setattr, SCHED_DEADLINE).remedy,
+              testing::StartsWith("sudo setcap cap_sys_nice+ep "));
+  EXPECT_EQ(needs(capable).remedy, "sudo sysctl -w kernel.sched_rt_runtime_us=-1 && kill -HUP 5");
+  const Finding deadline = needs(capable, ThreadCall::sched_setattr, SCHED_DEADLINE);
+  EXPECT_THAT(deadline.cause, HasSubstr("root domain"));
+  EXPECT_EQ(deadline.remedy, edit);
+  const Finding system = needs([](ctl::Facts& facts) { facts.door.is_systems = true; });
+  EXPECT_THAT(system.remedy, HasSubstr("CapabilityBoundingSet=CAP_SYS_NICE"));
+  EXPECT_THAT(system.remedy, testing::EndsWith("&& sudo systemctl restart agnocastd"));
+}
+
+TEST(DoctorThreads, NamesValuesThatHaveChangedSince) {
+  Finding found = finding_of(ruled(0, ThreadSetting::applied));
+  EXPECT_EQ(found.what, subject() + ": policy other instead of fifo (rule agnocastd.toml:12)");
+  EXPECT_EQ(found.remedy, "kill -HUP 5");
+  auto bound = ruled(0, ThreadSetting::applied);
+  bound.scheduling.sets_policy = 0;
+  bound.scheduling.sets_cpus = 1;
+  for (std::uint64_t& word : bound.scheduling.cpus) word = ~std::uint64_t{0};
+  found = finding_of(bound);
+  EXPECT_THAT(found.what, HasSubstr(" instead of 0-1023 (rule agnocastd.toml:12)"));
+  EXPECT_THAT(found.cause, HasSubstr("cpuset"));
+  EXPECT_EQ(found.remedy, edit);
+}
+
+TEST(DoctorThreads, NamesThreadsOfOneCauseTogether) {
+  Answers answers = this_process();
+  for (std::uint32_t i = 0; i < 6; ++i) {
+    answers.threads.push_back(ruled(i / 2, ThreadSetting::not_allowed));
+    answers.threads.back().thread = 1000 + i;
+  }
+  answers.threads.push_back(answers.threads.back());  // of another executor
+  answers.threads.back().executor = 7;
+  const auto found = findings_of(answers);
+  ASSERT_EQ(found.size(), 1u);
+  EXPECT_THAT(found[0].what, testing::StartsWith("threads 1000, 1001, 1002, 1003 and 2 more of " +
+                                                 process_words() + ": rule "));
+}
+
+TEST(DoctorThreads, NamesTheQuotaOfThreadsThatAreUnknown) {
+  Answers answers = this_process();
+  answers.processes[0].threads_left_out = 3;
+  answers.daemon.quota.callback_groups = ~std::uint64_t{0};
+  answers.daemon.quota.callback_threads = 8;
+  wire::DumpUser user{};
+  user.uid = ::geteuid();
+  user.use.callback_groups = 100;
+  user.use.callback_threads = 8;
+  answers.users = {user};
+  auto found = findings_of(answers);
+  ASSERT_EQ(found.size(), 1u);
+  EXPECT_EQ(found[0].what,
+            "3 callback groups and threads of " + process_words() + " are unknown to agnocastd");
+  EXPECT_THAT(found[0].cause, HasSubstr("[quota] callback_threads is 8"));
+  EXPECT_THAT(found[0].remedy, HasSubstr("callback_threads = 16/"));
+  EXPECT_THAT(found[0].remedy, testing::EndsWith(" && kill -HUP 5"));
+  answers.users[0].use.callback_threads = 7;
+  answers.processes[0].threads_left_out = 1;
+  found = findings_of(answers);
+  ASSERT_EQ(found.size(), 1u);
+  EXPECT_EQ(found[0].what,
+            "1 callback group or thread of " + process_words() + " is unknown to agnocastd");
+  EXPECT_THAT(found[0].cause, HasSubstr("1024 threads"));
+}
+
+}  // namespace
+}  // namespace agnocast::test
