@@ -31,8 +31,8 @@ static_assert(sizeof(Attributes) == 48);
 
 bool is_thread_of(const Pidfd& process, pid_t pid, std::uint32_t thread) noexcept {
   if (pid == 0 || thread == 0 || process.ended()) return false;
-  // Signal 0 only checks; EPERM: it is there, and this process may not send it signals.
-  return ::syscall(SYS_tgkill, pid, static_cast<pid_t>(thread), 0) == 0 || errno == EPERM;
+  // Signal 0 only checks. Any other error means: it is there, and may not be sent signals.
+  return ::syscall(SYS_tgkill, pid, static_cast<pid_t>(thread), 0) == 0 || errno != ESRCH;
 }
 
 /// Returns an errno; 0: done.
