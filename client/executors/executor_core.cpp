@@ -66,8 +66,8 @@ Result<void> ExecutorCore::adopt(std::shared_ptr<GroupCallbacks> group) {
   }
   assigned_.push_back({group, std::move(wait_set)});
   group->hand_to(this);
-  ThreadRegister::instance().add(
-      {number_, group->number(), group->type(), group->node(), group->name()});
+  ThreadRegister::instance().add(number_, group->number(), group->type(), group->node(),
+                                 group->name());
   return {};
 }
 

@@ -6,6 +6,7 @@
 #include <base/immortal.hpp>
 #include <client/process/forked_child.hpp>
 
+#include <pthread.h>
 #include <sys/syscall.h>
 #include <unistd.h>
 
@@ -46,12 +47,15 @@ void ThreadRegister::changed() noexcept {
   if (wake_ != nullptr) (*wake_)();
 }
 
-void ThreadRegister::add(const Group& group) noexcept {
+void ThreadRegister::add(std::uint64_t executor, std::uint64_t group, CallbackGroupType type,
+                         std::string_view node, std::string_view name) noexcept {
   if (is_forked_child()) return;
   const LoanPause pause;  // groups outlive any loan of this thread
   try {
+    auto added = std::make_shared<const Group>(
+        Group{executor, group, type, std::string(node), std::string(name)});
     const std::lock_guard lock(mutex_);
-    groups_.push_back(group);
+    groups_.push_back(std::move(added));
     changed();
   } catch (const std::bad_alloc&) {
     // The daemon does not hear of it.
@@ -61,30 +65,26 @@ void ThreadRegister::add(const Group& group) noexcept {
 void ThreadRegister::remove_group(std::uint64_t executor, std::uint64_t group) noexcept {
   if (is_forked_child()) return;
   const std::lock_guard lock(mutex_);
-  if (std::erase_if(groups_, [&](const Group& known) {
-        return known.executor == executor && known.group == group;
+  if (std::erase_if(groups_, [&](const auto& known) {
+        return known->executor == executor && known->group == group;
       }) != 0)
     changed();
 }
 
 void ThreadRegister::add_this_thread(std::uint64_t executor) noexcept {
   if (is_forked_child()) return;
-  static thread_local const LeavingThread at_thread_end;
-  noted_ = executor;
-  const Thread thread{executor, this_thread(), next_number()};
-  const LoanPause pause;
+  int cancellable = PTHREAD_CANCEL_ENABLE;
+  ::pthread_setcancelstate(PTHREAD_CANCEL_DISABLE, &cancellable);  // waking may be such a point
   try {
+    const LoanPause pause;  // also for what the C library allocates for the destructor
+    static thread_local const LeavingThread at_thread_end;
+    noted_[executor % noted_count] = executor;
     const std::lock_guard lock(mutex_);
-    // A thread may spin several executors in turn.
-    if (std::any_of(threads_.begin(), threads_.end(), [&](const Thread& known) {
-          return known.executor == executor && known.thread == thread.thread;
-        }))
-      return;
-    threads_.push_back(thread);
-    changed();
+    if (threads_.insert({executor, this_thread(), next_number()}).second) changed();
   } catch (const std::bad_alloc&) {
     // The daemon does not hear of it.
   }
+  ::pthread_setcancelstate(cancellable, nullptr);
 }
 
 void ThreadRegister::remove_thread(std::uint32_t thread) noexcept {
@@ -97,14 +97,17 @@ void ThreadRegister::remove_thread(std::uint32_t thread) noexcept {
 void ThreadRegister::remove_executor(std::uint64_t executor) noexcept {
   if (is_forked_child()) return;
   const std::lock_guard lock(mutex_);
-  const auto is_its = [&](const auto& known) { return known.executor == executor; };
-  if (std::erase_if(groups_, is_its) + std::erase_if(threads_, is_its) != 0) changed();
+  const std::size_t removed =
+      std::erase_if(groups_, [&](const auto& group) { return group->executor == executor; }) +
+      std::erase_if(threads_, [&](const Thread& thread) { return thread.executor == executor; });
+  if (removed != 0) changed();
 }
 
-void ThreadRegister::copy(std::vector<Group>& groups, std::vector<Thread>& threads) const {
+void ThreadRegister::copy(std::vector<std::shared_ptr<const Group>>& groups,
+                          std::vector<Thread>& threads) const {
   const std::lock_guard lock(mutex_);
   groups = groups_;
-  threads = threads_;
+  threads.assign(threads_.begin(), threads_.end());
 }
 
 }  // namespace agnocast

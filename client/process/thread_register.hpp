@@ -4,18 +4,22 @@
 // run them. The control thread of a session tells the daemon (session/thread_report.hpp), which
 // lists the threads and applies the rules of its configuration to them.
 //
-// A thread belongs to an executor from its first callback there until it ends or the executor is
-// destroyed: user threads come and go with spin_some(), and keep their place meanwhile.
+// A thread belongs to an executor since it first looked for a callback there, until it ends or the
+// executor is destroyed: user threads come and go with spin_some(), and keep their place meanwhile.
 #pragma once
 
 #include <agnocast/callback_group.hpp>
 #include <client/process/control_wake.hpp>
 
+#include <array>
 #include <atomic>
+#include <cstddef>
 #include <cstdint>
 #include <memory>
 #include <mutex>
+#include <set>
 #include <string>
+#include <string_view>
 #include <vector>
 
 namespace agnocast {
@@ -41,11 +45,13 @@ class ThreadRegister {
 
   // --- any thread; without memory, the daemon does not hear of the group or thread
 
-  void add(const Group& group) noexcept;
+  void add(std::uint64_t executor, std::uint64_t group, CallbackGroupType type,
+           std::string_view node, std::string_view name) noexcept;
   void remove_group(std::uint64_t executor, std::uint64_t group) noexcept;
-  /// The calling thread runs callbacks of this executor. Costs a comparison if it is known.
+  /// The calling thread runs callbacks of this executor. Costs a comparison if that is known, which
+  /// may be forgotten in a thread that spins many executors in turn.
   static void note(std::uint64_t executor) noexcept {
-    if (noted_ != executor) instance().add_this_thread(executor);
+    if (noted_[executor % noted_count] != executor) instance().add_this_thread(executor);
   }
   void remove_executor(std::uint64_t executor) noexcept;
 
@@ -55,8 +61,8 @@ class ThreadRegister {
   void set_wake(std::shared_ptr<const ControlWake> wake) noexcept;
   /// Returns a number that grows with each change.
   std::uint64_t version() const noexcept { return version_.load(std::memory_order_acquire); }
-  /// Throws std::bad_alloc.
-  void copy(std::vector<Group>& groups, std::vector<Thread>& threads) const;
+  /// Throws std::bad_alloc. Brief under the mutex, which threads with real-time policies take.
+  void copy(std::vector<std::shared_ptr<const Group>>& groups, std::vector<Thread>& threads) const;
 
  private:
   struct LeavingThread;
@@ -65,11 +71,19 @@ class ThreadRegister {
   void remove_thread(std::uint32_t thread) noexcept;
   void changed() noexcept;  // under the mutex
 
-  static inline thread_local constinit std::uint64_t noted_ = 0;
+  struct ByThread {  // number is not part of the identity
+    bool operator()(const Thread& a, const Thread& b) const noexcept {
+      return a.thread != b.thread ? a.thread < b.thread : a.executor < b.executor;
+    }
+  };
+
+  // rclcpp's threads spin an executor of ours for each callback group.
+  static constexpr std::size_t noted_count = 64;
+  static inline thread_local constinit std::array<std::uint64_t, noted_count> noted_{};
 
   mutable std::mutex mutex_;  // taken after those of executors and groups
-  std::vector<Group> groups_;
-  std::vector<Thread> threads_;
+  std::vector<std::shared_ptr<const Group>> groups_;
+  std::set<Thread, ByThread> threads_;
   std::shared_ptr<const ControlWake> wake_;
   std::atomic<std::uint64_t> version_{0};
 };

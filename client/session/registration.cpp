@@ -10,6 +10,7 @@
 #include <base/text/text.hpp>
 #include <client/process/steps.hpp>
 
+#include <fcntl.h>
 #include <pthread.h>
 #include <unistd.h>
 
@@ -53,8 +54,13 @@ std::string from_here(std::string path) {
   return whole.size() <= socket_path_bytes_max ? whole : path;
 }
 
+/// Returns the name of the program, of which the kernel keeps 15 characters: that of its first
+/// thread, whichever connects.
 std::string process_name() {
   char name[16] = "";
+  const UniqueFd comm(::open("/proc/self/comm", O_RDONLY | O_CLOEXEC));
+  const ssize_t count = comm ? ::read(comm.get(), name, sizeof name) : 0;
+  if (count > 0) return {name, static_cast<std::size_t>(count - 1)};  // without the newline
   ::pthread_getname_np(::pthread_self(), name, sizeof name);
   return name;
 }

@@ -2,6 +2,7 @@
 
 #include <client/session/thread_report.hpp>
 
+#include <memory>
 #include <vector>
 
 namespace agnocast {
@@ -36,13 +37,12 @@ void ThreadReport::tell(Connection& connection) {
   const ThreadRegister& known = ThreadRegister::instance();
   const std::uint64_t version = known.version();
   if (version == told_version_) return;
-  std::vector<ThreadRegister::Group> groups;
+  std::vector<std::shared_ptr<const ThreadRegister::Group>> groups;
   std::vector<ThreadRegister::Thread> threads;
   known.copy(groups, threads);
 
   std::set<GroupKey> present_groups;
-  for (const ThreadRegister::Group& group : groups)
-    present_groups.insert({group.executor, group.group});
+  for (const auto& group : groups) present_groups.insert({group->executor, group->group});
   std::set<ThreadRegister::Thread> present_threads(threads.begin(), threads.end());
 
   // Ends first: a number of a thread may have a new owner. Threads last: the daemon chooses their
@@ -57,8 +57,8 @@ void ThreadReport::tell(Connection& connection) {
     body.group = group;
     connection.post(wire::Opcode::callback_group, body);
   }
-  for (const ThreadRegister::Group& group : groups) {
-    if (!groups_.contains({group.executor, group.group})) tell_group(connection, group);
+  for (const auto& group : groups) {
+    if (!groups_.contains({group->executor, group->group})) tell_group(connection, *group);
   }
   for (const ThreadRegister::Thread& thread : threads) {
     if (!threads_.contains(thread)) tell_thread(connection, thread, true);

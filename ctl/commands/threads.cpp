@@ -15,23 +15,16 @@
 
 #include <algorithm>
 #include <cstddef>
-#include <span>
+#include <cstdint>
+#include <set>
 #include <string>
+#include <string_view>
 #include <system_error>
+#include <utility>
 #include <vector>
 
 namespace agnocast::ctl {
 namespace {
-
-// Groups that all threads together show. Each thread shows every group of its executor, so that a
-// process with many of both could otherwise fill the memory of this one.
-constexpr std::size_t shown_groups_max = std::size_t{1} << 17;
-
-/// Returns the groups to show of each thread: the first ones, as many as of any other thread.
-std::span<const CallbackGroup> shown_groups(const CallbackThread& thread, std::size_t threads) {
-  const std::size_t count = std::max<std::size_t>(shown_groups_max / threads, 1);
-  return thread.groups.first(std::min(thread.groups.size(), count));
-}
 
 std::string node_name_of(const CallbackGroup& group) {
   return (group.node_namespace == "/" ? "" : group.node_namespace) + '/' + group.node_name;
@@ -77,14 +70,14 @@ Object rule_object(const wire::DumpCallbackThread& thread) {
             {"cpus", numbers_or_null(wanted.sets_cpus != 0, cpus_of(wanted))}}}};
 }
 
-Object object_of(const CallbackThread& thread, std::size_t threads) {
+Object object_of(const CallbackThread& thread) {
   Object groups = Object::array();
-  for (const CallbackGroup& group : shown_groups(thread, threads))
-    groups.push_back({{"node_name", group.node_name},
-                      {"node_namespace", group.node_namespace},
-                      {"group", group.facts.group},
-                      {"name", group.name},
-                      {"reentrant", group.facts.reentrant != 0}});
+  for (const CallbackGroup* const group : thread.groups)
+    groups.push_back({{"node_name", group->node_name},
+                      {"node_namespace", group->node_namespace},
+                      {"group", group->facts.group},
+                      {"name", group->name},
+                      {"reentrant", group->facts.reentrant != 0}});
   const wire::DumpProcess& process = thread.process->facts;
   const auto& kernel = thread.kernel;
   return {{"pid", process.pid},
@@ -93,8 +86,9 @@ Object object_of(const CallbackThread& thread, std::size_t threads) {
           {"domain", process.domain},
           {"client_index", process.client},
           {"client_generation", process.generation},
-          {"executor", thread.facts->executor},
-          {"group_count", thread.groups.size()},
+          {"executor_count", thread.facts->executor_count},
+          {"executors", thread.executors},
+          {"group_count", thread.group_count},
           {"groups", groups},
           {"kernel", kernel ? kernel_object(*kernel) : Object(nullptr)},
           {"cpu_time_ns", kernel ? Object(kernel->cpu_time_ns) : Object(nullptr)},
@@ -103,13 +97,13 @@ Object object_of(const CallbackThread& thread, std::size_t threads) {
 
 Object objects_of(const std::vector<CallbackThread>& threads) {
   Object list = Object::array();
-  for (const CallbackThread& thread : threads) list.push_back(object_of(thread, threads.size()));
+  for (const CallbackThread& thread : threads) list.push_back(object_of(thread));
   return list;
 }
 
 // --- for people
 
-std::string and_more(const std::string& first, std::size_t count) {
+std::string and_more(const std::string& first, std::uint64_t count) {
   return count > 1 ? first + " +" + std::to_string(count - 1) : first;
 }
 
@@ -117,17 +111,12 @@ std::string name_or_dash(const CallbackGroup& group) {
   return group.name.empty() ? "-" : escaped(group.name);
 }
 
-/// Returns the nodes of the groups, each once, in the order of their first groups.
-std::vector<std::string> nodes_of(const CallbackThread& thread) {
-  std::vector<std::string> nodes, sorted;
-  for (const CallbackGroup& group : thread.groups) {
-    std::string name = node_name_of(group);
-    const auto place = std::lower_bound(sorted.begin(), sorted.end(), name);
-    if (place != sorted.end() && *place == name) continue;
-    sorted.insert(place, name);
-    nodes.push_back(std::move(name));
-  }
-  return nodes;
+/// Returns how many nodes the groups have.
+std::size_t node_count_of(const CallbackThread& thread) {
+  std::set<std::pair<std::string_view, std::string_view>> nodes;
+  for (const CallbackGroup* const group : thread.groups)
+    nodes.emplace(group->node_namespace, group->node_name);
+  return nodes.size();
 }
 
 std::string rule_cell(const CallbackThread& thread) {
@@ -157,11 +146,13 @@ std::string rule_cell(const CallbackThread& thread) {
 std::vector<std::string> row_of(const CallbackThread& thread, std::size_t online_cpus) {
   std::vector<std::string> row{std::to_string(thread.process->facts.pid),
                                std::to_string(thread.facts->thread), escaped(thread.process->name)};
-  const auto nodes = nodes_of(thread);
-  row.push_back(nodes.empty() ? "-" : and_more(escaped(nodes.front()), nodes.size()));
-  row.push_back(thread.groups.empty()
-                    ? "-"
-                    : and_more(name_or_dash(thread.groups.front()), thread.groups.size()));
+  if (thread.groups.empty()) {
+    row.insert(row.end(), {"-", "-"});
+  } else {
+    const CallbackGroup& first = *thread.groups.front();
+    row.push_back(and_more(escaped(node_name_of(first)), node_count_of(thread)));
+    row.push_back(and_more(name_or_dash(first), thread.group_count));
+  }
   if (const auto& kernel = thread.kernel) {
     row.push_back(policy_word(kernel->policy));
     row.push_back(priority_words(*kernel));
@@ -174,13 +165,12 @@ std::vector<std::string> row_of(const CallbackThread& thread, std::size_t online
   return row;
 }
 
-void print_groups(const CallbackThread& thread, std::size_t threads, Console& console) {
-  const auto shown = shown_groups(thread, threads);
-  for (const CallbackGroup& group : shown)
-    console.line("  `- group " + name_or_dash(group) + " of " + escaped(node_name_of(group)) +
-                 (group.facts.reentrant != 0 ? ", reentrant" : ""));
-  if (shown.size() < thread.groups.size())
-    console.line("  `- and " + std::to_string(thread.groups.size() - shown.size()) + " more");
+void print_groups(const CallbackThread& thread, Console& console) {
+  for (const CallbackGroup* const group : thread.groups)
+    console.line("  `- group " + name_or_dash(*group) + " of " + escaped(node_name_of(*group)) +
+                 (group->facts.reentrant != 0 ? ", reentrant" : ""));
+  if (thread.groups.size() < thread.group_count)
+    console.line("  `- and " + std::to_string(thread.group_count - thread.groups.size()) + " more");
 }
 
 void print(const std::vector<CallbackThread>& threads, bool is_verbose, Console& console) {
@@ -196,7 +186,7 @@ void print(const std::vector<CallbackThread>& threads, bool is_verbose, Console&
   console.line(console.strong(lines.front()));
   for (std::size_t i = 0; i < threads.size(); ++i) {
     console.line(lines[i + 1]);
-    print_groups(threads[i], threads.size(), console);
+    print_groups(threads[i], console);
   }
 }
 

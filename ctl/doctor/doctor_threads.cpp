@@ -63,21 +63,28 @@ std::string limits_for(const ThreadScheduling& wanted) {
   return limits;
 }
 
-/// The kernel answered EPERM.
+/// Returns why the kernel answers EPERM to an agnocastd with CAP_SYS_NICE. No remedy lifts
+/// kernel.sched_rt_runtime_us: it keeps real-time threads from stopping the whole machine.
+const char* cause_with_capability(const ThreadScheduling& wanted) {
+  if (has_deadline(wanted))
+    return "a deadline thread must be allowed on all processors of its root domain (sched(7)): "
+           "the process is bound to some of them (its cpuset)";
+  if (is_realtime(wanted))
+    return "the control group of the process has no time for real-time threads (its "
+           "cpu.rt_runtime_us, with CONFIG_RT_GROUP_SCHED), or a security profile or the unit of "
+           "agnocastd (RestrictRealtime=) forbids the call";
+  return "a security profile forbids the call to agnocastd, or it runs in a user namespace";
+}
+
+/// The kernel answered EPERM. No remedy gives CAP_SYS_NICE to the file of agnocastd: every user
+/// could then start it with rules of his own.
 Trouble not_permitted(const Facts& facts, const CallbackThread& thread) {
   const wire::DumpCallbackThread& about = *thread.facts;
   const ThreadScheduling& wanted = about.scheduling;
   const wire::DumpProcess& process = thread.process->facts;
-  if (facts.daemon.may_schedule_all && has_deadline(wanted))
-    return {{},
-            "a deadline thread must be allowed on all processors of its root domain (sched(7)): "
-            "the process is bound to some of them (its cpuset)",
-            edit_rule(facts, about)};
-  if (facts.daemon.may_schedule_all && is_realtime(wanted))
-    return {{},
-            "the control group of the process has no time for real-time threads "
-            "(CONFIG_RT_GROUP_SCHED), or a security profile forbids the call to agnocastd",
-            with_common(facts, "sudo sysctl -w kernel.sched_rt_runtime_us=-1 && RELOAD")};
+  const bool is_capable = facts.daemon.may_schedule_all;
+  if (is_capable && (has_deadline(wanted) || is_realtime(wanted) || !facts.door.is_systems))
+    return {{}, cause_with_capability(wanted), edit_rule(facts, about)};
   if (facts.door.is_systems)
     return {{},
             "agnocastd has no CAP_SYS_NICE, or its unit or a security profile forbids the call",
@@ -95,14 +102,18 @@ Trouble not_permitted(const Facts& facts, const CallbackThread& thread) {
             "RLIMIT_NICE) do not permit it",
             with_common(facts, "sudo prlimit --pid PID" + limits + " && RELOAD",
                         {{"PID", std::to_string(process.pid)}})};
-  return {{},
-          "agnocastd has no CAP_SYS_NICE, or a security profile forbids the call",
-          with_common(facts, "sudo setcap cap_sys_nice+ep \"$(command -v agnocastd)\" && RELOAD")};
+  return {
+      {},
+      "agnocastd has no CAP_SYS_NICE, and no limit of the process permits it: only the system's "
+      "unit, which runs as root, has this right, or a unit with AmbientCapabilities=CAP_SYS_NICE",
+      edit_rule(facts, about)};
 }
 
 std::string cause_of_refusal(const wire::DumpCallbackThread& thread) {
   const ThreadScheduling& wanted = thread.scheduling;
   const bool binds = thread.call == ThreadCall::sched_setaffinity;
+  if (thread.call == ThreadCall::none)
+    return "agnocastd had no free descriptor (LimitNOFILE= of its unit): it has called nothing";
   if (thread.os_errno == EBUSY && binds)
     return "it is a deadline thread, which must be allowed on all processors of its root domain "
            "(sched(7))";
@@ -122,10 +133,31 @@ Trouble refused(const Facts& facts, const CallbackThread& thread) {
   Trouble trouble{{}, cause_of_refusal(about), edit_rule(facts, about)};
   if (about.os_errno == EPERM) trouble = not_permitted(facts, thread);
   const char* const call = word_of(about.call);
+  if (call == nullptr) trouble.remedy = with_common(facts, "RELOAD");
   trouble.what = std::string(call == nullptr ? "the kernel" : call) + " refused rule " +
                  rule_words(about) + ": " +
                  std::generic_category().message(static_cast<int>(about.os_errno));
   return trouble;
+}
+
+/// agnocastd did not find the thread. Returns nothing (empty `what`) if it has ended since.
+Trouble not_found(const CallbackThread& thread) {
+  const wire::DumpCallbackThread& about = *thread.facts;
+  const bool is_seen_by_daemon = thread.process->facts.pid != 0;
+  if (!thread.kernel && is_seen_by_daemon) return {};
+  if (about.call != ThreadCall::none)
+    return {"it ended while agnocastd applied rule " + rule_words(about),
+            "a new thread with its number, perhaps of another process, may have the scheduling",
+            "agnocast-ctl thread list --all-domains"};
+  std::string cause =
+      "the process is in another pid namespace than agnocastd, which does not translate numbers of "
+      "threads";
+  if (is_seen_by_daemon)
+    cause +=
+        ", or the effective user of the thread is not the one that has connected "
+        "(/proc/PID/task/TID/status)";
+  return {"agnocastd cannot find it, to apply rule " + rule_words(about), std::move(cause),
+          "podman run --pid=host IMAGE"};
 }
 
 /// Returns nothing (empty `what`) if all is well, or nothing is known.
@@ -142,11 +174,7 @@ Trouble trouble_of(const Facts& facts, const CallbackThread& thread) {
     case ThreadSetting::refused:
       return refused(facts, thread);
     case ThreadSetting::not_found:
-      // Invisible from here as well: it may have ended just now.
-      if (!thread.kernel && thread.process->facts.pid != 0) return {};
-      return {"agnocastd cannot find it, to apply rule " + rule_words(about),
-              "the process is in another pid namespace than agnocastd",
-              "podman run --pid=host IMAGE"};
+      return not_found(thread);
     case ThreadSetting::applied:
       break;
   }
@@ -158,13 +186,12 @@ Trouble trouble_of(const Facts& facts, const CallbackThread& thread) {
     return {what,
             "the other processors are not there, or the process may not use them (its cpuset)",
             edit_rule(facts, about)};
-  return {what, "it was changed after the rule was applied; RELOAD applies the rules again",
+  return {what, "it was changed after the rule was applied; a reload applies all rules again",
           with_common(facts, "RELOAD")};
 }
 
 std::string numbers_of(std::vector<std::uint32_t> threads) {
   std::sort(threads.begin(), threads.end());
-  threads.erase(std::unique(threads.begin(), threads.end()), threads.end());
   std::string text = threads.size() == 1 ? "thread " : "threads ";
   const std::size_t named = std::min(threads.size(), named_threads_max);
   for (std::size_t i = 0; i < named; ++i) text += (i == 0 ? "" : ", ") + std::to_string(threads[i]);
@@ -205,6 +232,12 @@ const char* reached_quota(const Facts& facts, std::uint32_t uid, std::uint64_t& 
   return nullptr;
 }
 
+bool is_at_limit(const Process& process) {
+  return process.callback_group_count >= abi::callback_group_count_max ||
+         process.callback_thread_count >= abi::callback_thread_count_max ||
+         process.callback_spin_count >= abi::callback_spin_count_max;
+}
+
 void add_left_out(const Facts& facts, Ailments& found) {
   for (const auto& [index, process] : facts.system().processes) {
     const std::uint64_t count = process.facts.threads_left_out;
@@ -213,7 +246,9 @@ void add_left_out(const Facts& facts, Ailments& found) {
         counted(count, "callback group or thread", "callback groups and threads") + " of " +
         words_of(process) + (count == 1 ? " is" : " are") + " unknown to agnocastd";
     std::uint64_t limit = 0;
-    if (const char* const key = reached_quota(facts, process.facts.uid, limit)) {
+    const char* const key =
+        is_at_limit(process) ? nullptr : reached_quota(facts, process.facts.uid, limit);
+    if (key != nullptr) {
       const std::uint64_t doubled = limit > unlimited / 4 ? limit : limit * 2;
       found.push_back({what,
                        {{"SETTING", facts.configure("quota", key, std::max(doubled, count)) +
@@ -224,10 +259,10 @@ void add_left_out(const Facts& facts, Ailments& found) {
       found.push_back({what,
                        {{"SETTING", "agnocast-ctl thread list --all-domains"}},
                        "a process may have " + std::to_string(abi::callback_group_count_max) +
-                           " callback groups and " +
-                           std::to_string(abi::callback_thread_count_max) +
-                           " threads, its user [quota] callback_groups and callback_threads: "
-                           "nodes of one process can be moved to several"});
+                           " callback groups, " + std::to_string(abi::callback_thread_count_max) +
+                           " threads and " + std::to_string(abi::callback_spin_count_max) +
+                           " pairs of a thread and an executor, which no [quota] raises: its nodes "
+                           "can be moved to several processes"});
     }
   }
 }

@@ -18,6 +18,7 @@
 #include <cerrno>
 #include <cstdio>
 #include <cstring>
+#include <iterator>
 #include <limits>
 #include <memory>
 #include <sstream>
@@ -71,24 +72,55 @@ bool is_valid(const wire::DumpCallbackThread& thread) noexcept {
   return thread.thread != 0 && thread.thread <= std::numeric_limits<pid_t>::max() &&
          thread.setting <= wire::ThreadSetting::not_found &&
          thread.call <= wire::ThreadCall::sched_setaffinity && thread.os_errno <= errno_max &&
-         scheduling.sets_policy <= 1 && scheduling.sets_nice <= 1 && scheduling.sets_cpus <= 1;
+         thread.executor_count <= abi::callback_spin_count_max && scheduling.sets_policy <= 1 &&
+         scheduling.sets_nice <= 1 && scheduling.sets_cpus <= 1;
 }
 
 bool is_of_threads(Opcode opcode) noexcept {
-  return opcode == Opcode::dump_callback_group || opcode == Opcode::dump_callback_thread;
+  return opcode == Opcode::dump_callback_group || opcode == Opcode::dump_callback_thread ||
+         opcode == Opcode::dump_thread_executors;
 }
 
-void sort_threads(System& system) {
+/// Returns how many executors of the last thread are still to come.
+std::size_t missing_executors(const System& system) noexcept {
+  if (system.callback_threads.empty()) return 0;
+  const ThreadFacts& last = system.callback_threads.back();
+  return last.facts.executor_count - last.executors.size();
+}
+
+/// Returns whether everything that `end` counts has come.
+bool is_complete(const System& system, const wire::DumpEnd& end, const wire::DumpEnd& seen) {
+  return missing_executors(system) == 0 && end.process_count == seen.process_count &&
+         end.topic_count == seen.topic_count && end.endpoint_count == seen.endpoint_count &&
+         end.user_count == seen.user_count && end.refusal_count == seen.refusal_count &&
+         end.callback_group_count == seen.callback_group_count &&
+         end.callback_thread_count == seen.callback_thread_count &&
+         end.thread_executors_count == seen.thread_executors_count;
+}
+
+/// Returns false if a thread is there twice, or spins an executor twice.
+bool sort_threads(System& system) {
   std::sort(system.callback_groups.begin(), system.callback_groups.end(),
             [](const CallbackGroup& a, const CallbackGroup& b) {
               return std::tie(a.facts.client, a.facts.executor, a.facts.group) <
                      std::tie(b.facts.client, b.facts.executor, b.facts.group);
             });
-  std::sort(system.callback_threads.begin(), system.callback_threads.end(),
-            [](const wire::DumpCallbackThread& a, const wire::DumpCallbackThread& b) {
-              return std::tie(a.client, a.executor, a.thread) <
-                     std::tie(b.client, b.executor, b.thread);
-            });
+  const auto key_of = [](const ThreadFacts& it) {
+    return std::tie(it.facts.client, it.facts.thread);
+  };
+  auto& threads = system.callback_threads;
+  std::sort(threads.begin(), threads.end(),
+            [&](const ThreadFacts& a, const ThreadFacts& b) { return key_of(a) < key_of(b); });
+  const auto has_twice = [](ThreadFacts& thread) {
+    auto& executors = thread.executors;
+    std::sort(executors.begin(), executors.end());
+    return std::adjacent_find(executors.begin(), executors.end()) != executors.end();
+  };
+  return std::adjacent_find(threads.begin(), threads.end(),
+                            [&](const ThreadFacts& a, const ThreadFacts& b) {
+                              return key_of(a) == key_of(b);
+                            }) == threads.end() &&
+         std::none_of(threads.begin(), threads.end(), has_twice);
 }
 
 std::uint64_t extent_bytes(const wire::DumpEndpoint& endpoint) noexcept {
@@ -331,12 +363,7 @@ Outcome<System> Observer::look(LookOptions options) {
     if (!body) return tl::unexpected(body.error());
     if ((*body)->header().opcode == Opcode::dump_end) {
       wire::DumpEnd end{};
-      if (!(*body)->read(end) || end.process_count != seen.process_count ||
-          end.topic_count != seen.topic_count || end.endpoint_count != seen.endpoint_count ||
-          end.user_count != seen.user_count || end.refusal_count != seen.refusal_count ||
-          end.callback_group_count != seen.callback_group_count ||
-          end.callback_thread_count != seen.callback_thread_count)
-        return nonsense();
+      if (!(*body)->read(end) || !is_complete(system, end, seen)) return nonsense();
       break;
     }
     auto accepted = options.threads && is_of_threads((*body)->header().opcode)
@@ -344,7 +371,7 @@ Outcome<System> Observer::look(LookOptions options) {
                         : accept(**body, system, seen);
     if (!accepted) return tl::unexpected(accepted.error());
   }
-  sort_threads(system);
+  if (!sort_threads(system)) return nonsense();
   map_regions(system);
   return system;
 }
@@ -440,25 +467,51 @@ Outcome<void> Observer::accept(AnswerPacket& body, System& system, wire::DumpEnd
 
 Outcome<void> Observer::accept_threads(AnswerPacket& body, System& system,
                                        wire::DumpEnd& seen) const {
-  if (body.header().opcode == Opcode::dump_callback_group) {
-    CallbackGroup group;
-    if (!body.read(group.facts) || group.facts.reentrant > 1) return nonsense();
-    Process* const owner = owner_of(system, group.facts);
-    if (owner == nullptr || ++owner->callback_group_count > abi::callback_group_count_max)
-      return nonsense();
-    split_node(text_of(group.facts.node), group);
-    group.name = text_of(group.facts.name);
-    system.callback_groups.push_back(std::move(group));
-    ++seen.callback_group_count;
-    return {};
+  switch (body.header().opcode) {
+    case Opcode::dump_callback_group:
+      ++seen.callback_group_count;
+      return accept_group(body, system);
+    case Opcode::dump_callback_thread:
+      ++seen.callback_thread_count;
+      return accept_thread(body, system);
+    default:
+      ++seen.thread_executors_count;
+      return accept_executors(body, system);
   }
-  wire::DumpCallbackThread thread{};
-  if (!body.read(thread) || !is_valid(thread)) return nonsense();
-  Process* const owner = owner_of(system, thread);
+}
+
+Outcome<void> Observer::accept_group(AnswerPacket& body, System& system) const {
+  CallbackGroup group;
+  if (!body.read(group.facts) || group.facts.reentrant > 1) return nonsense();
+  Process* const owner = owner_of(system, group.facts);
+  if (owner == nullptr || ++owner->callback_group_count > abi::callback_group_count_max)
+    return nonsense();
+  split_node(text_of(group.facts.node), group);
+  group.name = text_of(group.facts.name);
+  system.callback_groups.push_back(std::move(group));
+  return {};
+}
+
+Outcome<void> Observer::accept_thread(AnswerPacket& body, System& system) const {
+  ThreadFacts thread;
+  if (missing_executors(system) != 0 || !body.read(thread.facts) || !is_valid(thread.facts))
+    return nonsense();
+  Process* const owner = owner_of(system, thread.facts);
   if (owner == nullptr || ++owner->callback_thread_count > abi::callback_thread_count_max)
     return nonsense();
-  system.callback_threads.push_back(thread);
-  ++seen.callback_thread_count;
+  owner->callback_spin_count += thread.facts.executor_count;
+  if (owner->callback_spin_count > abi::callback_spin_count_max) return nonsense();
+  system.callback_threads.push_back(std::move(thread));
+  return {};
+}
+
+Outcome<void> Observer::accept_executors(AnswerPacket& body, System& system) const {
+  wire::DumpThreadExecutors some{};
+  const std::size_t missing = missing_executors(system);
+  if (missing == 0 || !body.read(some)) return nonsense();
+  const std::size_t count = std::min(missing, std::size(some.executor));
+  auto& executors = system.callback_threads.back().executors;
+  executors.insert(executors.end(), some.executor, some.executor + count);
   return {};
 }
 

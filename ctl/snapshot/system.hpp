@@ -40,7 +40,8 @@ struct Process {
   Mapping region;
   std::string region_fault;
   std::uint64_t publisher_count = 0, subscription_count = 0;
-  std::uint64_t callback_group_count = 0, callback_thread_count = 0;  // of this dump
+  // Of this dump; spins are pairs of a thread and an executor.
+  std::uint64_t callback_group_count = 0, callback_thread_count = 0, callback_spin_count = 0;
   std::vector<std::uint32_t> topics;  // the topics of its endpoints, each index once
 
   bool owns(const Endpoint& endpoint) const noexcept;
@@ -67,17 +68,22 @@ struct CallbackGroup {
   std::string name;  // empty: it has none
 };
 
+/// A thread that runs callbacks.
+struct ThreadFacts {
+  wire::DumpCallbackThread facts{};
+  std::vector<std::uint64_t> executors;  // facts.executor_count of them, ascending
+};
+
 struct System {
   wire::DumpDaemon daemon{};
   std::map<std::uint64_t, Process> processes;  // by index
   std::map<std::uint32_t, Topic> topics;       // by index
   std::vector<wire::DumpUser> users;
   std::vector<wire::DumpRefusal> refusals;  // the oldest first
-  // Empty unless the look asks for them. Their processes are in the dump. By process and executor,
-  // then by group or thread.
-  std::vector<CallbackGroup> callback_groups;
-  std::vector<wire::DumpCallbackThread> callback_threads;
-  std::byte* board = nullptr;  // the observer's
+  // Empty unless the look asks for them. Their processes are in the dump.
+  std::vector<CallbackGroup> callback_groups;  // by process, executor and number
+  std::vector<ThreadFacts> callback_threads;   // by process and number, each once
+  std::byte* board = nullptr;                  // the observer's
 
   /// Returns the process of an endpoint; nullptr if the dump names none.
   const Process* process_of(const Endpoint& endpoint) const;
@@ -141,6 +147,9 @@ class Observer {
   tl::unexpected<Problem> without_descriptors() const;
   Outcome<void> accept(AnswerPacket& packet, System& system, wire::DumpEnd& seen) const;
   Outcome<void> accept_threads(AnswerPacket& packet, System& system, wire::DumpEnd& seen) const;
+  Outcome<void> accept_group(AnswerPacket& packet, System& system) const;
+  Outcome<void> accept_thread(AnswerPacket& packet, System& system) const;
+  Outcome<void> accept_executors(AnswerPacket& packet, System& system) const;
   void map_regions(System& system) const;
 
   PacketSocket socket_;

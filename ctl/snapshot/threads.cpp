@@ -93,6 +93,30 @@ std::string times_words(std::uint64_t runtime_ns, std::uint64_t deadline_ns,
          time_for_people(period_ns);
 }
 
+using Groups = std::span<const CallbackGroup>;
+
+/// Returns the groups with this key; they are sorted by it.
+template <class KeyOf>
+Groups groups_with(Groups groups, std::uint64_t key, KeyOf key_of) {
+  const auto begin = std::partition_point(
+      groups.begin(), groups.end(), [&](const CallbackGroup& it) { return key_of(it) < key; });
+  const auto end = std::partition_point(begin, groups.end(),
+                                        [&](const CallbackGroup& it) { return key_of(it) == key; });
+  return {begin, end};
+}
+
+/// Chooses the groups of a thread. `groups`: all of its process.
+void add_groups(CallbackThread& thread, Groups groups, std::size_t shown_max) {
+  for (const std::uint64_t executor : thread.executors) {
+    const Groups some = groups_with(
+        groups, executor, [](const CallbackGroup& group) { return group.facts.executor; });
+    thread.group_count += some.size();
+    const std::size_t free = shown_max - thread.groups.size();
+    for (const CallbackGroup& group : some.first(std::min(some.size(), free)))
+      thread.groups.push_back(&group);
+  }
+}
+
 }  // namespace
 
 ProcessThreads::ProcessThreads(const wire::DumpProcess& process) {
@@ -145,21 +169,26 @@ std::optional<KernelThread> ProcessThreads::find(std::uint32_t thread) const {
 
 std::vector<CallbackThread> threads_of(const System& system, const Arguments& arguments) {
   std::vector<CallbackThread> threads;
+  for (const ThreadFacts& thread : system.callback_threads) {
+    const Process& process = system.processes.at(thread.facts.client);  // checked when it came
+    if (arguments.all_domains || process.facts.domain == arguments.domain)
+      threads.push_back({&process, &thread.facts, thread.executors, {}, 0, {}});
+  }
+  if (threads.empty()) return threads;
+  const std::size_t shown_max = std::max<std::size_t>(shown_of_threads_max / threads.size(), 1);
   std::optional<ProcessThreads> kernel;
+  Groups groups;  // of the process
   const Process* last = nullptr;
-  for (const wire::DumpCallbackThread& facts : system.callback_threads) {
-    const Process& process = system.processes.at(facts.client);  // checked when it came
-    if (!arguments.all_domains && process.facts.domain != arguments.domain) continue;
-    if (&process != last) kernel.emplace(process.facts);
-    last = &process;
-    const auto key_of = [](const auto& body) { return std::tuple(body.client, body.executor); };
-    const auto begin = std::partition_point(
-        system.callback_groups.begin(), system.callback_groups.end(),
-        [&](const CallbackGroup& group) { return key_of(group.facts) < key_of(facts); });
-    const auto end = std::partition_point(
-        begin, system.callback_groups.end(),
-        [&](const CallbackGroup& group) { return key_of(group.facts) == key_of(facts); });
-    threads.push_back({&process, &facts, {begin, end}, kernel->find(facts.thread)});
+  for (CallbackThread& thread : threads) {
+    if (thread.process != last) {
+      kernel.emplace(thread.process->facts);
+      groups = groups_with(system.callback_groups, thread.facts->client,
+                           [](const CallbackGroup& group) { return group.facts.client; });
+    }
+    last = thread.process;
+    add_groups(thread, groups, shown_max);
+    thread.executors = thread.executors.first(std::min(thread.executors.size(), shown_max));
+    thread.kernel = kernel->find(thread.facts->thread);
   }
   return threads;
 }
@@ -210,8 +239,8 @@ Difference difference_of(const wire::ThreadScheduling& wanted, const KernelThrea
       add("times " + times_words(is.runtime_ns, is.deadline_ns, is.period_ns) + " instead of " +
           times_words(wanted.runtime_ns, wanted.deadline_ns, period_ns));
   }
-  // The kernel tells no nice value of a real-time thread; it would have no effect.
-  if (wanted.sets_nice != 0 && !has_priority(is.policy) && is.policy != SCHED_DEADLINE &&
+  // The kernel tells no nice value of a real-time thread, and sets none of an idle one.
+  if (wanted.sets_nice != 0 && (is.policy == SCHED_OTHER || is.policy == SCHED_BATCH) &&
       wanted.nice != is.nice)
     add("nice " + std::to_string(is.nice) + " instead of " + std::to_string(wanted.nice));
   const bool is_scheduled = words.empty();

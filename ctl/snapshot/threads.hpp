@@ -12,6 +12,7 @@
 
 #include <sys/types.h>
 
+#include <cstddef>
 #include <cstdint>
 #include <map>
 #include <optional>
@@ -46,18 +47,26 @@ class ProcessThreads {
   std::map<std::uint32_t, pid_t> here_;  // of a process in another pid namespace
 };
 
-/// A thread that runs the callbacks of an executor.
+/// A thread that runs callbacks. In rclcpp each callback group is an executor of ours, which all
+/// threads of rclcpp's executor spin: its process could name millions of pairs of a thread and a
+/// group. So a thread has the first executors and groups only, if there are very many.
 struct CallbackThread {
   const Process* process = nullptr;
-  const wire::DumpCallbackThread* facts = nullptr;
-  std::span<const CallbackGroup> groups;  // of its executor, by number
+  const wire::DumpCallbackThread* facts = nullptr;  // with the number of all its executors
+  std::span<const std::uint64_t> executors;         // ascending
+  std::vector<const CallbackGroup*> groups;         // of all its executors, by executor and number
+  std::uint64_t group_count = 0;                    // of all
   std::optional<KernelThread> kernel;
 
   bool has_rule() const noexcept { return facts->setting != wire::ThreadSetting::no_rule; }
 };
 
-/// Returns the threads of the domain or of all domains, by process, executor and number. The system
-/// must be a look with LookOptions::threads.
+/// The most executors, and groups, that the threads of one threads_of() have together: as many for
+/// each thread, and one at least.
+inline constexpr std::size_t shown_of_threads_max = std::size_t{1} << 17;
+
+/// Returns the threads of the domain or of all domains, by process and number. The system must be
+/// a look with LookOptions::threads, and outlive them.
 std::vector<CallbackThread> threads_of(const System& system, const Arguments& arguments);
 
 /// Returns the name of a scheduling policy as chrt(1) has it, without SCHED_: "fifo".

@@ -12,8 +12,8 @@
 namespace agnocast::daemon {
 
 /// The daemon compares each callback group that a process reports with each rule, so their number
-/// bounds the time of that: 20 us for names in full, 2 ms if all 256 begin with a star and the name
-/// is as long as it may be. One rule for each of 200 threads fits.
+/// bounds the time of that: 20 us for names in full, 5 ms if all 256 begin with a star, have 40
+/// characters and the name is as long as it may be. One rule for each of 200 threads fits.
 inline constexpr std::size_t thread_rule_count_max = 256;
 
 /// Appends the rules of `node`, the value of the section, in the order of the file. A rule with a

@@ -191,11 +191,21 @@ class Writer {
         body.rule = facts_.thread_rules[*thread.rule].line;
         body.scheduling = facts_.thread_rules[*thread.rule].scheduling;
       }
-      for (const std::uint64_t executor : thread.executors) {
-        body.executor = executor;
-        put(Opcode::dump_callback_thread, body);
-        ++end_.callback_thread_count;
-      }
+      body.executor_count = static_cast<std::uint32_t>(thread.executors.size());
+      put(Opcode::dump_callback_thread, body);
+      ++end_.callback_thread_count;
+      write_executors(thread.executors);
+    }
+  }
+  void write_executors(std::span<const std::uint64_t> executors) {
+    while (!executors.empty()) {
+      const auto some =
+          executors.first(std::min<std::size_t>(executors.size(), wire::thread_executor_count_max));
+      wire::DumpThreadExecutors body{};
+      std::copy(some.begin(), some.end(), body.executor);
+      put(Opcode::dump_thread_executors, body);
+      ++end_.thread_executors_count;
+      executors = executors.subspan(some.size());
     }
   }
 

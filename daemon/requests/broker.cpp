@@ -83,7 +83,7 @@ Broker::Broker(const BrokerOptions& options, Log& log, Dispatcher& dispatcher, L
       endpoint_requests_(options_.config, registry_, regions_, endpoint_manager_, admission_,
                          scheduler_, server_, refusal_report_, readers_, log),
       acknowledgement_requests_(endpoint_manager_, conflicts_, readers_),
-      thread_requests_(options_.config, registry_, connections_, log_),
+      thread_requests_(options_.config, registry_, connections_, errands, log_),
       reader_(connections_, output_, disposal, scheduler_, termination_, server_),
       acceptor_({options_.config.quota, listener, dispatcher, disposal, registry_, admission_,
                  connections_, scheduler_, namespaces_, log}) {

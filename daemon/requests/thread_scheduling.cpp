@@ -2,12 +2,19 @@
 
 #include <daemon/requests/thread_scheduling.hpp>
 
+#include <base/descriptors/unique_fd.hpp>
+
+#include <fcntl.h>
 #include <linux/sched.h>
+#include <sys/resource.h>
 #include <sys/syscall.h>
 #include <unistd.h>
 
 #include <cerrno>
+#include <cstddef>
+#include <cstdio>
 #include <cstring>
+#include <optional>
 
 namespace agnocast::daemon {
 namespace {
@@ -29,10 +36,28 @@ struct Attributes {
 };
 static_assert(sizeof(Attributes) == 48);
 
-bool is_thread_of(const Pidfd& process, pid_t pid, std::uint32_t thread) noexcept {
-  if (pid == 0 || thread == 0 || process.ended()) return false;
-  // Signal 0 only checks. Any other error means: it is there, and may not be sent signals.
-  return ::syscall(SYS_tgkill, pid, static_cast<pid_t>(thread), 0) == 0 || errno != ESRCH;
+/// Returns the effective user of a thread of the process; nothing: it has no such thread.
+std::optional<uid_t> user_of(pid_t pid, std::uint32_t thread) noexcept {
+  char path[64];
+  std::snprintf(path, sizeof path, "/proc/%d/task/%u/status", pid, thread);
+  const UniqueFd status(::open(path, O_RDONLY | O_CLOEXEC));
+  char text[4096];  // the line is among the first ten
+  const ssize_t count = status ? ::read(status.get(), text, sizeof text - 1) : -1;
+  if (count <= 0) return std::nullopt;
+  text[count] = '\0';
+  const char* const line = std::strstr(text, "\nUid:");
+  unsigned real = 0, effective = 0;
+  if (line == nullptr || std::sscanf(line, "\nUid: %u %u", &real, &effective) != 2)
+    return std::nullopt;
+  return effective;
+}
+
+bool is_thread_of(const ThreadOwner& owner, std::uint32_t thread) noexcept {
+  return owner.pid != 0 && user_of(owner.pid, thread) == owner.uid && !owner.process.ended();
+}
+
+bool is_real_time(std::uint32_t policy) noexcept {
+  return policy == SCHED_FIFO || policy == SCHED_RR || policy == SCHED_DEADLINE;
 }
 
 /// Returns an errno; 0: done.
@@ -40,7 +65,9 @@ int set_attributes(pid_t thread, const ThreadScheduling& wanted) noexcept {
   Attributes attributes{};
   if (::syscall(SYS_sched_getattr, thread, &attributes, sizeof attributes, 0) != 0) return errno;
   attributes.size = sizeof attributes;
-  attributes.flags |= SCHED_FLAG_RESET_ON_FORK;
+  // The kernel tells no nice value of a real-time thread here.
+  if (is_real_time(attributes.policy))
+    attributes.nice = ::getpriority(PRIO_PROCESS, static_cast<id_t>(thread));
   if (wanted.sets_policy != 0) {
     attributes.policy = wanted.policy;
     attributes.priority = wanted.priority;
@@ -49,6 +76,9 @@ int set_attributes(pid_t thread, const ThreadScheduling& wanted) noexcept {
     attributes.period_ns = wanted.period_ns;
   }
   if (wanted.sets_nice != 0) attributes.nice = static_cast<std::int32_t>(wanted.nice);
+  // Only then: without CAP_SYS_NICE the process could not change its policy any more.
+  if (is_real_time(attributes.policy) || attributes.nice < 0)
+    attributes.flags |= SCHED_FLAG_RESET_ON_FORK;
   return ::syscall(SYS_sched_setattr, thread, &attributes, 0) == 0 ? 0 : errno;
 }
 
@@ -58,13 +88,18 @@ int set_processors(pid_t thread, const std::uint64_t* cpus, std::size_t bytes) n
 
 }  // namespace
 
-CallbackThreads::Outcome set_scheduling(const Pidfd& process, pid_t pid, std::uint32_t thread,
+CallbackThreads::Outcome set_scheduling(const ThreadOwner& owner, std::uint32_t thread,
                                         const ThreadScheduling& wanted) noexcept {
-  if (!is_thread_of(process, pid, thread)) return {ThreadSetting::not_found};
+  if (!is_thread_of(owner, thread)) return {ThreadSetting::not_found};
   const auto number = static_cast<pid_t>(thread);
   CallbackThreads::Outcome outcome{ThreadSetting::applied};
+  ThreadCall made = ThreadCall::none;
   const auto note = [&](int error, ThreadCall call) {
-    if (error != 0) outcome = {ThreadSetting::refused, call, error};
+    if (error != 0) {
+      outcome = {ThreadSetting::refused, call, error};
+    } else {
+      made = call;
+    }
     return error == 0;
   };
   // A deadline thread must be allowed on all processors of its root domain (sched(7)), also after
@@ -77,8 +112,8 @@ CallbackThreads::Outcome set_scheduling(const Pidfd& process, pid_t pid, std::ui
                       note(set_attributes(number, wanted), ThreadCall::sched_setattr);
   if (is_set && wanted.sets_cpus != 0)
     note(set_processors(number, wanted.cpus, sizeof wanted.cpus), ThreadCall::sched_setaffinity);
-  return is_thread_of(process, pid, thread) ? outcome
-                                            : CallbackThreads::Outcome{ThreadSetting::not_found};
+  if (!is_thread_of(owner, thread)) return {ThreadSetting::not_found, made};
+  return outcome;
 }
 
 }  // namespace agnocast::daemon

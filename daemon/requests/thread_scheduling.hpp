@@ -3,10 +3,13 @@
 // Thread scheduling: policy, priority, nice value and processors of a thread of another process.
 //
 // A thread has no descriptor: the calls take its number, which the process said. So the number is
-// checked before and after: it must be a thread of the process of this pid, whose pidfd says that
-// it has not ended. Between the checks a thread could end, and its number go to another process
-// after the kernel has given away all others; the caller is then told that the thread was not
-// found.
+// checked before and after: it must be a thread of this process, with the user that connected
+// (/proc/PID/task), while the pidfd says that the process has not ended. Between the checks a
+// thread may end, and its number go to a thread of another process, which then has the setting; if
+// that was seen, the outcome is not_found with the call that was made.
+//
+// For threads that may wait (errands.hpp): /proc of a process can be kept locked by its user, and
+// sched_setaffinity waits for its thread where the kernel is preemptible (PREEMPT_RT).
 #pragma once
 
 #include <agnocast/abi/observe.hpp>
@@ -19,10 +22,16 @@
 
 namespace agnocast::daemon {
 
-/// Applies `wanted`; what it does not set stays. With SCHED_FLAG_RESET_ON_FORK: threads and
-/// processes that the thread starts get no real-time policy and no negative nice value. Returns
-/// applied, refused or not_found. About five system calls, none of which waits for the process.
-CallbackThreads::Outcome set_scheduling(const Pidfd& process, pid_t pid, std::uint32_t thread,
+struct ThreadOwner {
+  const Pidfd& process;
+  pid_t pid;
+  uid_t uid;  // effective
+};
+
+/// Applies `wanted`; what it does not set stays. A real-time policy and a negative nice value come
+/// with SCHED_FLAG_RESET_ON_FORK: threads and processes that the thread starts do not have them.
+/// Returns applied, refused or not_found.
+CallbackThreads::Outcome set_scheduling(const ThreadOwner& owner, std::uint32_t thread,
                                         const abi::wire::ThreadScheduling& wanted) noexcept;
 
 }  // namespace agnocast::daemon

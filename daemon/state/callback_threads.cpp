@@ -51,7 +51,7 @@ void CallbackThreads::add_thread(std::uint64_t executor, std::uint32_t thread) {
     added.executors.push_back(executor);
     threads_.emplace(thread, std::move(added));
   }
-  ++thread_count_;
+  ++spin_count_;
   choose_rule(thread, threads_.at(thread));
 }
 
@@ -59,9 +59,10 @@ bool CallbackThreads::remove_thread(std::uint64_t executor, std::uint32_t thread
   if (!has_thread(executor, thread)) return false;
   const auto found = threads_.find(thread);
   std::erase(found->second.executors, executor);
-  --thread_count_;
+  --spin_count_;
   if (found->second.executors.empty()) {
-    threads_.erase(found);  // the queue may still have its number
+    if (found->second.is_due) std::erase(due_, thread);
+    threads_.erase(found);
   } else {
     choose_rule(thread, found->second);
   }
@@ -99,23 +100,24 @@ void CallbackThreads::choose_rule(std::uint32_t number, Thread& thread) {
   if (rule && !thread.is_due) due_.push_back(number);
   thread.is_due = thread.is_due || rule;
   thread.rule = rule;
+  thread.turn = ++last_turn_;
   thread.outcome = {rule ? ThreadSetting::due : ThreadSetting::no_rule};
 }
 
-const std::pair<const std::uint32_t, CallbackThreads::Thread>* CallbackThreads::next_due() {
+std::optional<CallbackThreads::Due> CallbackThreads::next_due() {
   while (!due_.empty()) {
-    const auto found = threads_.find(due_.front());
+    const std::uint32_t number = due_.front();
     due_.pop_front();
-    if (found == threads_.end() || !found->second.is_due) continue;
-    found->second.is_due = false;
-    if (found->second.rule) return &*found;
+    Thread& thread = threads_.at(number);
+    thread.is_due = false;
+    if (thread.rule) return Due{number, thread.turn, *thread.rule};
   }
-  return nullptr;
+  return std::nullopt;
 }
 
-void CallbackThreads::note_outcome(std::uint32_t thread, const Outcome& outcome) {
-  if (const auto found = threads_.find(thread); found != threads_.end())
-    found->second.outcome = outcome;
+void CallbackThreads::note_outcome(const Due& due, const Outcome& outcome) {
+  const auto found = threads_.find(due.thread);
+  if (found != threads_.end() && found->second.turn == due.turn) found->second.outcome = outcome;
 }
 
 }  // namespace agnocast::daemon

@@ -44,7 +44,14 @@ class CallbackThreads {
     std::vector<std::uint64_t> executors;
     Rule rule;
     Outcome outcome;
-    bool is_due = false;  // it is in the queue
+    std::uint64_t turn = 0;  // of which `outcome` is, or will be
+    bool is_due = false;     // it is in the queue
+  };
+  /// A thread whose rule is to be applied.
+  struct Due {
+    std::uint32_t thread;
+    std::uint64_t turn;
+    std::size_t rule;
   };
   using GroupKey = std::pair<std::uint64_t, std::uint64_t>;  // executor, group
 
@@ -65,17 +72,17 @@ class CallbackThreads {
   }
 
   bool has_due() const noexcept { return !due_.empty(); }
-  /// Takes the next thread whose rule is to be applied; null: none is due. Valid until the next
-  /// call of another function.
-  const std::pair<const std::uint32_t, Thread>* next_due();
-  void note_outcome(std::uint32_t thread, const Outcome& outcome);
+  /// Takes the next thread whose rule is to be applied; nothing: none is due.
+  std::optional<Due> next_due();
+  /// Does nothing if the thread has ended, or has got another rule meanwhile.
+  void note_outcome(const Due& due, const Outcome& outcome);
 
   bool has_group(const GroupKey& key) const { return groups_.contains(key); }
   bool has_thread(std::uint64_t executor, std::uint32_t thread) const;
   const std::map<GroupKey, Group>& groups() const noexcept { return groups_; }
   const std::map<std::uint32_t, Thread>& threads() const noexcept { return threads_; }
-  /// Returns the number of pairs of a thread and an executor.
-  std::size_t thread_count() const noexcept { return thread_count_; }
+  /// Returns the number of pairs of a thread and an executor that it spins.
+  std::size_t spin_count() const noexcept { return spin_count_; }
   std::uint64_t left_out() const noexcept { return left_out_; }
 
  private:
@@ -86,8 +93,9 @@ class CallbackThreads {
   std::map<GroupKey, Group> groups_;
   std::map<std::uint64_t, std::map<std::size_t, std::size_t>> uses_;  // executor, rule: groups
   std::map<std::uint32_t, Thread> threads_;                           // by thread id
-  std::size_t thread_count_ = 0;
-  std::deque<std::uint32_t> due_;
+  std::size_t spin_count_ = 0;
+  std::uint64_t last_turn_ = 0;
+  std::deque<std::uint32_t> due_;  // each thread once, and only threads that are there
   std::uint64_t left_out_ = 0;
 };
 

@@ -39,16 +39,18 @@ class ThreadsOfPeer {
  public:
   explicit ThreadsOfPeer(const std::shared_ptr<KeptForUser>& user) noexcept
       : groups_(user, &KeptForUser::callback_groups),
-        threads_(user, &KeptForUser::callback_threads) {}
+        threads_(user, &KeptForUser::callback_threads),
+        spins_(user, &KeptForUser::callback_spins) {}
   CallbackThreads table;
   /// Call it after each change of the table.
   void count() noexcept {
     groups_.set(table.groups().size());
-    threads_.set(table.thread_count());
+    threads_.set(table.threads().size());
+    spins_.set(table.spin_count());
   }
 
  private:
-  ShareOfUser groups_, threads_;
+  ShareOfUser groups_, threads_, spins_;
 };
 struct Peer {
   PeerId id;

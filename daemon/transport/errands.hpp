@@ -30,7 +30,7 @@ namespace agnocast::daemon {
 
 class Errands {
  public:
-  enum class Lane : std::uint8_t { closing, receiving, looking, freeing, clearing };
+  enum class Lane : std::uint8_t { closing, receiving, looking, freeing, clearing, scheduling };
   /// A user may block one for each lane; each costs a stack that is hardly touched.
   static constexpr std::size_t thread_count_max = 64;
 

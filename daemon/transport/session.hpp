@@ -53,6 +53,7 @@ struct Announced {
 struct KeptForUser {
   std::uint64_t callback_groups = 0;
   std::uint64_t callback_threads = 0;
+  std::uint64_t callback_spins = 0;      // pairs of a thread and an executor
   std::uint64_t bytes = 0;               // of waiting packets
   std::uint64_t peak = 0;                // since the last check
   std::uint64_t bytes_max = UINT64_MAX;  // [quota] queued_bytes

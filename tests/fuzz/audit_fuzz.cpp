@@ -85,7 +85,8 @@ class Script {
       ++end.refusal_count;
     }
     for (int i = input_.ConsumeIntegralInRange(0, 2); i > 0; --i) add_group(end);
-    for (int i = input_.ConsumeIntegralInRange(0, 2); i > 0; --i) add_thread(end);
+    for (auto i = input_.ConsumeIntegralInRange<std::uint32_t>(0, 2); i > 0; --i)
+      add_thread(i, end);
     add(end, Opcode::dump_end);
     return std::move(messages_);
   }
@@ -182,14 +183,14 @@ class Script {
     return endpoint;
   }
   template <class Body>
-  void choose_executor(Body& body) {
+  void choose_process(Body& body) {
     body.client = some(input_.ConsumeIntegralInRange<std::uint64_t>(0, 2));
     body.client_generation = some(body.client + 1);
-    body.executor = some(0);
   }
   void add_group(wire::DumpEnd& end) {
     wire::DumpCallbackGroup group{};
-    choose_executor(group);
+    choose_process(group);
+    group.executor = some(0);
     group.group = some(1);
     group.reentrant = static_cast<std::uint32_t>(some(0));
     name(group.node);
@@ -197,15 +198,29 @@ class Script {
     add(group, Opcode::dump_callback_group);
     ++end.callback_group_count;
   }
-  void add_thread(wire::DumpEnd& end) {
+  void add_thread(std::uint32_t number, wire::DumpEnd& end) {
+    constexpr std::uint32_t body_count = wire::thread_executor_count_max;
     wire::DumpCallbackThread thread{};
-    choose_executor(thread);
-    thread.thread = static_cast<std::uint32_t>(some(1));
+    choose_process(thread);
+    thread.thread = static_cast<std::uint32_t>(some(number));
+    const auto executors = input_.ConsumeIntegralInRange<std::uint32_t>(0, 2 * body_count + 1);
+    thread.executor_count = static_cast<std::uint32_t>(some(executors));
     thread.setting = static_cast<wire::ThreadSetting>(some(2));
     thread.call = static_cast<wire::ThreadCall>(some(0));
     thread.os_errno = static_cast<std::uint32_t>(some(0));
     add(thread, Opcode::dump_callback_thread);
     ++end.callback_thread_count;
+    // Sometimes too few bodies, or too many.
+    const std::uint32_t sent = input_.ConsumeIntegralInRange(0, 15) == 0
+                                   ? input_.ConsumeIntegralInRange<std::uint32_t>(0, 3 * body_count)
+                                   : executors;
+    for (std::uint32_t first = 0; first < sent; first += body_count) {
+      wire::DumpThreadExecutors body{};
+      for (std::uint32_t i = 0; i < body_count; ++i) body.executor[i] = first + i;
+      body.executor[0] = some(first);
+      add(body, Opcode::dump_thread_executors);
+      ++end.thread_executors_count;
+    }
   }
   template <class Body>
   void add(Body body, Opcode opcode, UniqueFd fd = {}) {
@@ -275,7 +290,11 @@ extern "C" int LLVMFuzzerTestOneInput(const std::uint8_t* data, std::size_t size
     if (auto system = observer->look({.threads = true})) {
       ctl::Arguments everywhere;
       everywhere.all_domains = true;
-      require(ctl::threads_of(*system, everywhere).size() == system->callback_threads.size());
+      const auto threads = ctl::threads_of(*system, everywhere);
+      require(threads.size() == system->callback_threads.size());
+      for (const ctl::CallbackThread& thread : threads)
+        require(thread.executors.size() == thread.facts->executor_count &&
+                thread.groups.size() == thread.group_count);
       for (const auto& [index, topic] : system->topics) require(index < abi::topic_count_max);
       const ctl::Audit audit = ctl::audit(*system, observer->region_bytes());
       for (const ctl::Finding& finding : audit.findings)

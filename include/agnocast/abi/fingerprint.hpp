@@ -51,7 +51,7 @@ constexpr std::uint64_t fingerprint() noexcept {
           near_slot_count, publisher_count_max, subscription_count_max, orphan_count_max,
           topic_count_max, client_count_max, window_count_max, executor_count_max,
           observer_count_max, heap_move_max, blocked_count_max, callback_group_count_max,
-          callback_thread_count_max, cpu_count_max);
+          callback_thread_count_max, callback_spin_count_max, cpu_count_max);
   // Packing of words, by the results for probe values.
   sum.add(pack_entry(0x123456789abc, 0xdef0), sequence_of(0xfedcba9876543210),
           slot_of(0xfedcba9876543210), retired_mark, first_sequence_of(0x12345),
@@ -285,7 +285,8 @@ constexpr std::uint64_t fingerprint() noexcept {
           offsetof(wire::DumpEnd, process_count), offsetof(wire::DumpEnd, topic_count),
           offsetof(wire::DumpEnd, endpoint_count), offsetof(wire::DumpEnd, user_count),
           offsetof(wire::DumpEnd, refusal_count), offsetof(wire::DumpEnd, callback_group_count),
-          offsetof(wire::DumpEnd, callback_thread_count), offsetof(wire::DumpEnd, lsn));
+          offsetof(wire::DumpEnd, callback_thread_count),
+          offsetof(wire::DumpEnd, thread_executors_count), offsetof(wire::DumpEnd, lsn));
   sum.add(sizeof(wire::DumpCallbackGroup), offsetof(wire::DumpCallbackGroup, header),
           offsetof(wire::DumpCallbackGroup, client),
           offsetof(wire::DumpCallbackGroup, client_generation),
@@ -302,11 +303,13 @@ constexpr std::uint64_t fingerprint() noexcept {
   sum.add(sizeof(wire::DumpCallbackThread), offsetof(wire::DumpCallbackThread, header),
           offsetof(wire::DumpCallbackThread, client),
           offsetof(wire::DumpCallbackThread, client_generation),
-          offsetof(wire::DumpCallbackThread, executor), offsetof(wire::DumpCallbackThread, thread),
+          offsetof(wire::DumpCallbackThread, thread),
+          offsetof(wire::DumpCallbackThread, executor_count),
           offsetof(wire::DumpCallbackThread, rule), offsetof(wire::DumpCallbackThread, setting),
           offsetof(wire::DumpCallbackThread, call), offsetof(wire::DumpCallbackThread, os_errno),
-          offsetof(wire::DumpCallbackThread, reserved),
           offsetof(wire::DumpCallbackThread, scheduling));
+  sum.add(sizeof(wire::DumpThreadExecutors), offsetof(wire::DumpThreadExecutors, header),
+          offsetof(wire::DumpThreadExecutors, executor));
   sum.add(sizeof(wire::DumpRefusal), offsetof(wire::DumpRefusal, header),
           offsetof(wire::DumpRefusal, code), offsetof(wire::DumpRefusal, uid),
           offsetof(wire::DumpRefusal, pid), offsetof(wire::DumpRefusal, kind),
@@ -341,8 +344,8 @@ constexpr std::uint64_t fingerprint() noexcept {
           wire::ProcessState::orphaned, wire::ProcessState::dead, wire::ProcessState::revoked,
           wire::JournalState::applied, wire::JournalState::pending, wire::JournalState::damaged);
   sum.add(Opcode::callback_group, Opcode::callback_thread, Opcode::dump_callback_group,
-          Opcode::dump_callback_thread, wire::ThreadSetting::no_rule, wire::ThreadSetting::due,
-          wire::ThreadSetting::applied, wire::ThreadSetting::not_allowed,
+          Opcode::dump_callback_thread, Opcode::dump_thread_executors, wire::ThreadSetting::no_rule,
+          wire::ThreadSetting::due, wire::ThreadSetting::applied, wire::ThreadSetting::not_allowed,
           wire::ThreadSetting::refused, wire::ThreadSetting::not_found, wire::ThreadCall::none,
           wire::ThreadCall::sched_setattr, wire::ThreadCall::sched_setaffinity);
   sum.add(wire::Kind::publisher, wire::Kind::subscription, wire::Kind::region);

@@ -65,9 +65,11 @@ inline constexpr std::uint32_t observer_count_max = 8;
 inline constexpr std::uint32_t executor_count_max = 56;
 
 // What the daemon knows of the threads that run callbacks, for each process: five times the
-// required 200 executor threads, and twice the required 2,000 callback groups.
+// required 200 executor threads, and twice the required 2,000 callback groups. In rclcpp each group
+// is an executor of ours, which every thread of rclcpp's executor may spin: 16 threads of 2,000.
 inline constexpr std::uint32_t callback_thread_count_max = 1024;
 inline constexpr std::uint32_t callback_group_count_max = 4096;
+inline constexpr std::uint32_t callback_spin_count_max = 32768;
 // Processors that a thread setting can name: glibc's cpu_set_t (CPU_SETSIZE).
 inline constexpr std::uint32_t cpu_count_max = 1024;
 

@@ -7,9 +7,9 @@
 //   observe               Observe    observed            board (read)
 //   dump                  Dump       dump_daemon, then each dump_process, dump_topic,
 //                                    dump_endpoint, dump_user and dump_refusal, when asked for
-//                                    each dump_callback_group and dump_callback_thread, then
-//                                    dump_end; a process comes with its region (read) while it
-//                                    has one
+//                                    each dump_callback_group and dump_callback_thread (with
+//                                    its dump_thread_executors behind it), then dump_end; a
+//                                    process comes with its region (read) while it has one
 //   revoke                Revoke     done (or refused: permission_denied, endpoint_gone)
 //   read_journal          ReadJournal  each journal_record, then journal_end
 //   set_log_level         SetLogLevel  log_level_is (or refused: permission_denied)
@@ -311,14 +311,19 @@ struct DumpCallbackThread {
   Header header;
   std::uint64_t client;
   std::uint64_t client_generation;
-  std::uint64_t executor;
   std::uint32_t thread;  // as the process says: its own pid namespace
   std::uint32_t rule;    // line of the rule in the configuration; 0: no_rule
   ThreadSetting setting;
   ThreadCall call;         // of refused
   std::uint32_t os_errno;  // of refused
-  std::uint32_t reserved;
+  std::uint32_t executor_count;
   ThreadScheduling scheduling;  // that the rule wants
+};
+/// Executors that the thread before spins: as many of these bodies as its executor_count needs.
+inline constexpr std::uint32_t thread_executor_count_max = 64;
+struct DumpThreadExecutors {
+  Header header;
+  std::uint64_t executor[thread_executor_count_max];
 };
 /// Number of packets of each kind in this dump.
 struct DumpEnd {
@@ -330,6 +335,7 @@ struct DumpEnd {
   std::uint64_t refusal_count;
   std::uint64_t callback_group_count;
   std::uint64_t callback_thread_count;
+  std::uint64_t thread_executors_count;
   std::uint64_t lsn;  // of the newest record of the daemon's log
 };
 
@@ -343,6 +349,7 @@ static_assert(travels<Observe> && travels<Observed> && travels<Dump> && travels<
               travels<DumpUser> && travels<DumpEnd> && travels<Revoke> && travels<ReadJournal> &&
               travels<JournalRecord> && travels<JournalEnd> && travels<SetLogLevel> &&
               travels<LogLevelIs> && travels<AskAccess> && travels<AccessIs> &&
-              travels<DumpRefusal> && travels<DumpCallbackGroup> && travels<DumpCallbackThread>);
+              travels<DumpRefusal> && travels<DumpCallbackGroup> && travels<DumpCallbackThread> &&
+              travels<DumpThreadExecutors>);
 
 }  // namespace agnocast::abi::wire

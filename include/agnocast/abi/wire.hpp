@@ -112,6 +112,7 @@ enum class Opcode : std::uint32_t {
   dump_refusal = 119,
   dump_callback_group = 120,
   dump_callback_thread = 121,
+  dump_thread_executors = 122,
   // daemon → client: unasked
   announce = 201,
   window_announced = 202,

@@ -174,8 +174,7 @@ TEST_F(Threads, EachGroupOfAnIsolatedExecutorHasItsOwnThreadAndRule) {
     const bool is_grabber = thread["groups"][0]["name"] == "grabber";
     EXPECT_EQ(thread["groups"][0]["reentrant"], is_grabber);
     const pid_t number = thread["tid"];
-    EXPECT_EQ(::sched_getscheduler(number) & ~SCHED_RESET_ON_FORK,
-              is_grabber ? SCHED_BATCH : SCHED_OTHER);
+    EXPECT_EQ(::sched_getscheduler(number), is_grabber ? SCHED_BATCH : SCHED_OTHER);
     EXPECT_EQ(nice_of(number), is_grabber ? 4 : 7);
   }
 }
@@ -199,7 +198,7 @@ TEST_F(Threads, PolicyPriorityDeadlineAndProcessorsEqualTheFile) {
     for (const json& thread : listed) decided += thread["rule"]["state"] != "due";
     return decided == 3;
   })) << listed;
-  int compared = 0;
+  std::size_t compared = 0;
   for (const json& thread : listed) {
     const json &rule = thread["rule"], &kernel = thread["kernel"];
     // EPERM: no CAP_SYS_NICE, or no time for the cgroup; EBUSY: no room for a deadline.
@@ -212,7 +211,8 @@ TEST_F(Threads, PolicyPriorityDeadlineAndProcessorsEqualTheFile) {
     EXPECT_EQ(kernel["reset_on_fork"], true);
     ++compared;
   }
-  if (compared == 0) GTEST_SKIP() << "the kernel allows no real-time policy here";
+  if (compared < listed.size())
+    GTEST_SKIP() << "the kernel allows " << compared << " of three real-time rules here";
 }
 
 TEST_F(Threads, AllThreadsOfAMultiThreadedExecutorAreListedAndGoWithIt) {
@@ -303,11 +303,26 @@ TEST_F(Threads, AThreadThatSpinsTwoExecutorsInTurnIsListedForBoth) {
   });
   EXPECT_TRUE(eventually([&] {
     const json a = listed_of("/", "one"), b = listed_of("/", "two");
-    return a.size() == 1 && b.size() == 1 && a[0]["tid"] == b[0]["tid"];
+    return a.size() == 1 && b.size() == 1 && a[0]["tid"] == b[0]["tid"] &&
+           a[0]["executors"].size() == 2;
   }));
   is_over = true;
   spinner.join();
   EXPECT_TRUE(eventually([&] { return listed_of("/", "one").empty(); }));
+}
+
+TEST_F(Threads, AnExecutorThatIsDestroyedTakesItsThreadsAlong) {
+  Node node("camera");
+  auto subscription = node.create_subscription<Number>(own("topic"), 1, [](const Message&) {});
+  std::thread([&] {
+    {
+      SingleThreadedExecutor executor;
+      executor.add_node(node);
+      executor.spin_some();
+      ASSERT_TRUE(eventually([&] { return listed_of("/", "camera").size() == 1; }));
+    }
+    EXPECT_TRUE(eventually([&] { return listed_of("/", "camera").empty(); }));
+  }).join();
 }
 
 TEST_F(Threads, ADaemonThatComesBackKnowsAndAppliesTheSame) {
@@ -319,11 +334,18 @@ TEST_F(Threads, ADaemonThatComesBackKnowsAndAppliesTheSame) {
   ASSERT_TRUE(eventually([&] { return spinning.number != 0 && nice_of(spinning.number) == 7; }));
   const pid_t old = daemon->kill_worker();
   ASSERT_TRUE(daemon->wait_for_next(old));
-  // Somebody has changed it meanwhile.
-  ASSERT_EQ(::setpriority(PRIO_PROCESS, static_cast<id_t>(spinning.number.load()), 12), 0);
   EXPECT_TRUE(eventually([&] {
     const json listed = listed_of("/", "camera");
     return listed.size() == 1 && listed[0]["rule"]["state"] == "applied";
+  }));
+  // A thread that begins under the new daemon has the rule as well.
+  Node second("front", "/lidar");
+  BackgroundExecutor background;
+  background.add_node(second);
+  auto of_second = second.create_subscription<Number>(own("second"), 1, [](const Message&) {});
+  EXPECT_TRUE(eventually([&] {
+    const json listed = listed_of("/lidar", "front");
+    return listed.size() == 1 && nice_of(listed[0]["tid"]) == 9;
   }));
 }
 

@@ -6,27 +6,19 @@
 // this process as the only client.
 
 #include <ctl/doctor/doctor_facts.hpp>
+#include <tests/integration/ctl/said_daemon.hpp>
 #include <tests/support/processes/ctl.hpp>
-#include <tests/support/processes/daemon_process.hpp>
-#include <tests/support/wire/listen_at.hpp>
-#include <tests/support/wire/wire_client.hpp>
 
 #include <gmock/gmock.h>
 
-#include <poll.h>
 #include <sched.h>
-#include <sys/mman.h>
-#include <sys/syscall.h>
 #include <unistd.h>
 
-#include <array>
-#include <atomic>
 #include <cerrno>
+#include <cstdint>
 #include <cstring>
 #include <memory>
-#include <span>
 #include <string>
-#include <thread>
 #include <utility>
 #include <vector>
 
@@ -36,166 +28,6 @@ namespace {
 using testing::ElementsAre;
 using testing::HasSubstr;
 using testing::IsEmpty;
-using wire::Opcode;
-using wire::ThreadCall;
-using wire::ThreadSetting;
-
-/// What the daemon says.
-struct Answers {
-  wire::DumpDaemon daemon{};
-  std::vector<wire::DumpProcess> processes;
-  std::vector<wire::DumpUser> users;
-  std::vector<wire::DumpCallbackGroup> groups;
-  std::vector<wire::DumpCallbackThread> threads;
-  bool is_unasked = false;                // also to observers that do not ask for threads
-  std::uint64_t more_groups_counted = 0;  // at the end, than were sent
-};
-
-/// Answers every observer, in a thread of its own.
-class SaidDaemon {
- public:
-  explicit SaidDaemon(Answers answers)
-      : answers_(std::move(answers)),
-        directory_(make_directory()),
-        board_(::memfd_create("board", MFD_CLOEXEC)),
-        listener_(listen_at(socket_path()).value()) {
-    EXPECT_EQ(::ftruncate(board_.get(), static_cast<off_t>(abi::board_bytes)), 0);
-    thread_ = std::thread([this] { serve(); });
-  }
-  ~SaidDaemon() {
-    ends_ = true;
-    thread_.join();
-    remove_directory(directory_);
-  }
-  SaidDaemon(const SaidDaemon&) = delete;
-  SaidDaemon& operator=(const SaidDaemon&) = delete;
-  std::string socket_path() const { return directory_ + "/socket"; }
-
- private:
-  void serve() {
-    std::vector<PacketSocket> observers;
-    while (!ends_) {
-      std::vector<pollfd> all{{listener_.fd(), POLLIN, 0}};
-      for (const PacketSocket& one : observers) all.push_back({one.fd(), POLLIN, 0});
-      ::poll(all.data(), all.size(), 10);
-      if (auto accepted = listener_.accept(); accepted && *accepted)
-        observers.push_back(std::move(**accepted));
-      std::erase_if(observers, [this](const PacketSocket& one) { return !answer(one); });
-    }
-  }
-  bool answer(const PacketSocket& socket) const {
-    alignas(8) std::array<std::byte, wire::packet_bytes_max> bytes{};
-    const auto packet = socket.receive(bytes);
-    if (!packet || packet->kind == Packet::Kind::end) return false;
-    if (packet->kind == Packet::Kind::nothing) return true;
-    wire::Header header{};
-    std::memcpy(&header, bytes.data(), sizeof header);
-    if (header.opcode == Opcode::observe) {
-      wire::Observed observed{};
-      observed.client_region_bytes = abi::page_bytes;
-      const int board = board_.get();
-      return send(socket, Opcode::observed, observed, {&board, 1});
-    }
-    if (header.opcode == Opcode::read_journal)
-      return send(socket, Opcode::journal_end, wire::JournalEnd{});
-    wire::Dump request{};
-    if (header.opcode != Opcode::dump || packet->bytes != sizeof request) return false;
-    std::memcpy(&request, bytes.data(), sizeof request);
-    return dump(socket, request.with_threads != 0 || answers_.is_unasked);
-  }
-  bool dump(const PacketSocket& socket, bool with_threads) const {
-    wire::DumpEnd end{};
-    const auto each = [&](Opcode opcode, const auto& bodies, std::uint64_t& count) {
-      for (const auto& body : bodies) send(socket, opcode, body);
-      count = bodies.size();
-    };
-    send(socket, Opcode::dump_daemon, answers_.daemon);
-    each(Opcode::dump_process, answers_.processes, end.process_count);
-    each(Opcode::dump_user, answers_.users, end.user_count);
-    if (with_threads) {
-      each(Opcode::dump_callback_group, answers_.groups, end.callback_group_count);
-      each(Opcode::dump_callback_thread, answers_.threads, end.callback_thread_count);
-    }
-    end.callback_group_count += answers_.more_groups_counted;
-    return send(socket, Opcode::dump_end, end);
-  }
-  template <class Body>
-  static bool send(const PacketSocket& socket, Opcode opcode, Body body,
-                   std::span<const int> fds = {}) {
-    body.header = {opcode, sizeof body, 1};
-    for (;;) {
-      const auto sent = socket.send(std::as_bytes(std::span(&body, 1)), fds);
-      if (!sent || *sent != Sent::would_block) return sent && *sent == Sent::sent;
-      pollfd writable{socket.fd(), POLLOUT, 0};  // or the observer is gone
-      ::poll(&writable, 1, 1000);
-    }
-  }
-
-  const Answers answers_;
-  const std::string directory_;
-  const UniqueFd board_;
-  const PacketListener listener_;
-  std::atomic<bool> ends_{false};
-  std::thread thread_;
-};
-
-std::uint32_t own_thread() { return static_cast<std::uint32_t>(::syscall(SYS_gettid)); }
-
-constexpr std::uint64_t client = 3, generation = 9;
-
-wire::DumpCallbackGroup group(std::uint64_t executor, std::uint64_t number, const char* node,
-                              const char* name) {
-  wire::DumpCallbackGroup body{};
-  body.client = client;
-  body.client_generation = generation;
-  body.executor = executor;
-  body.group = number;
-  body.node = wire_name(node);
-  body.name = wire_name(name);
-  return body;
-}
-wire::DumpCallbackThread thread(std::uint64_t executor, std::uint32_t number) {
-  wire::DumpCallbackThread body{};
-  body.client = client;
-  body.client_generation = generation;
-  body.executor = executor;
-  body.thread = number;
-  return body;
-}
-wire::DumpCallbackThread ruled(std::uint64_t executor, ThreadSetting setting) {
-  wire::DumpCallbackThread body = thread(executor, own_thread());
-  body.rule = 12;
-  body.setting = setting;
-  body.scheduling.sets_policy = 1;
-  body.scheduling.policy = SCHED_FIFO;
-  body.scheduling.priority = 50;
-  return body;
-}
-wire::DumpCallbackThread refused(ThreadCall call, int error) {
-  wire::DumpCallbackThread body = ruled(0, ThreadSetting::refused);
-  body.call = call;
-  body.os_errno = static_cast<std::uint32_t>(error);
-  return body;
-}
-
-/// Returns the answers with this process as client.
-Answers this_process() {
-  Answers answers;
-  answers.daemon.pid = static_cast<std::uint32_t>(::getpid());
-  answers.daemon.uid = ::geteuid();
-  wire::DumpProcess process{};
-  process.client = client;
-  process.generation = generation;
-  process.pid = static_cast<std::uint32_t>(::getpid());
-  process.uid = ::geteuid();
-  process.state = wire::ProcessState::connected;
-  process.name = wire_name("lidar");
-  answers.processes.push_back(process);
-  return answers;
-}
-std::string process_words() {
-  return "lidar (pid " + std::to_string(::getpid()) + ", uid " + std::to_string(::geteuid()) + ")";
-}
 
 // --- what an observer takes
 
@@ -220,7 +52,7 @@ bool takes(const Answers& answers, ctl::LookOptions options = {.threads = true})
 TEST(CtlThreads, AreTakenOnlyWhenAskedFor) {
   Answers answers = this_process();
   answers.groups = {group(0, 1, "/lidar/driver", "control")};
-  answers.threads = {thread(0, 77)};
+  answers.threads = {thread(77)};
   EXPECT_TRUE(takes(answers));
   EXPECT_TRUE(takes(answers, {}));
   answers.is_unasked = true;
@@ -247,7 +79,7 @@ TEST(CtlThreads, AreRefusedWhenTheyContradictTheDump) {
     change(answers.threads[0]);
     return takes(answers);
   };
-  using Thread = wire::DumpCallbackThread;
+  using Thread = SaidThread;
   EXPECT_TRUE(with_thread([](Thread&) {}));
   EXPECT_FALSE(with_thread([](Thread& it) { it.client = 4; }));
   EXPECT_FALSE(with_thread([](Thread& it) { it.client_generation = 8; }));
@@ -259,10 +91,53 @@ TEST(CtlThreads, AreRefusedWhenTheyContradictTheDump) {
   EXPECT_FALSE(with_thread([](Thread& it) { it.scheduling.sets_policy = 2; }));
   EXPECT_FALSE(with_thread([](Thread& it) { it.scheduling.sets_cpus = 2; }));
   Answers answers = this_process();
-  answers.more_groups_counted = 1;
+  answers.more_counted.callback_group_count = 1;
   EXPECT_FALSE(takes(answers));
   answers = this_process();
-  answers.threads.assign(abi::callback_thread_count_max + 1, thread(0, 77));
+  answers.more_counted.callback_thread_count = 1;
+  EXPECT_FALSE(takes(answers));
+  answers = this_process();
+  for (std::uint32_t i = 1; i <= abi::callback_thread_count_max; ++i)
+    answers.threads.push_back(thread(i));
+  EXPECT_TRUE(takes(answers));
+  answers.threads.push_back(thread(abi::callback_thread_count_max + 1));
+  EXPECT_FALSE(takes(answers));
+  answers.threads = {thread(77), thread(78), thread(77)};
+  EXPECT_FALSE(takes(answers)) << "the same thread twice";
+}
+
+TEST(CtlThreads, AreRefusedUnlessTheirExecutorsAreComplete) {
+  constexpr std::uint32_t body = wire::thread_executor_count_max;
+  const auto with = [](std::vector<SaidThread> threads) {
+    Answers answers = this_process();
+    answers.threads = std::move(threads);
+    return takes(answers);
+  };
+  const auto counted = [](SaidThread said, std::uint32_t count) {
+    said.executor_count = count;
+    return said;
+  };
+  for (const std::uint32_t count : {1u, body - 1, body, body + 1, 3 * body})
+    EXPECT_TRUE(with({thread(77, count), thread(78, count)})) << count;
+  EXPECT_FALSE(with({counted(thread(77, body), body + 1)})) << "too few at the end";
+  EXPECT_FALSE(with({counted(thread(77, body), body + 1), thread(78)})) << "before the next";
+  EXPECT_FALSE(with({counted(thread(77, 0), 1), thread(78)}));
+  EXPECT_FALSE(with({counted(thread(77, body + 1), body)})) << "too many";
+  EXPECT_FALSE(with({counted(thread(77, 1), 0)}));
+  SaidThread twice = thread(77, body + 1);
+  twice.executors.back() = twice.executors.front();
+  EXPECT_FALSE(with({twice}));
+  constexpr std::uint32_t most = abi::callback_spin_count_max;
+  EXPECT_TRUE(with({thread(77, most)}));
+  EXPECT_FALSE(with({thread(77, most + 1)}));
+  EXPECT_TRUE(with({thread(77, most / 2), thread(78, most / 2)}));
+  EXPECT_FALSE(with({thread(77, most / 2), thread(78, most / 2), thread(79)}));
+  Answers answers = this_process();
+  answers.threads = {thread(77)};
+  answers.more_counted.thread_executors_count = 1;
+  EXPECT_FALSE(takes(answers));
+  answers.more_counted.thread_executors_count = 0;
+  answers.has_executors_first = true;
   EXPECT_FALSE(takes(answers));
 }
 
@@ -270,10 +145,10 @@ TEST(CtlThreads, AreRefusedWhenTheyContradictTheDump) {
 
 TEST(CtlThreads, AreListedAsTheKernelHasThem) {
   Answers answers = this_process();
-  answers.groups = {group(0, 5, "/lidar/driver", ""), group(0, 2, "/lidar/driver", "control"),
-                    group(0, 7, "/lidar/filter", "")};
+  answers.groups = {group(1, 5, "/lidar/driver", ""), group(0, 7, "/lidar/driver", "control"),
+                    group(69, 2, "/lidar/filter", ""), group(70, 1, "/of/another", "")};
   answers.groups[2].reentrant = 1;
-  answers.threads = {thread(0, own_thread())};
+  answers.threads = {thread(own_thread(), 70)};
   const SaidDaemon daemon(answers);
   CtlResult result = run_ctl(daemon.socket_path(), {"thread", "list"});
   EXPECT_EQ(result.status, 0) << result.err;
@@ -295,6 +170,9 @@ TEST(CtlThreads, AreListedAsTheKernelHasThem) {
   EXPECT_EQ(one["tid"], own_thread());
   EXPECT_EQ(one["pid"], ::getpid());
   EXPECT_EQ(one["client_index"], client);
+  EXPECT_EQ(one["executor_count"], 70);
+  EXPECT_EQ(one["executors"].size(), 70u);
+  EXPECT_EQ(one["executors"][69], 69);
   EXPECT_EQ(one["group_count"], 3);
   EXPECT_EQ(one["groups"][0]["name"], "control");
   EXPECT_EQ(one["groups"][2]["node_name"], "filter");
@@ -313,7 +191,7 @@ TEST(CtlThreads, AreListedAsTheKernelHasThem) {
 }
 
 TEST(CtlThreads, AreListedWithTheStateOfTheirRule) {
-  const auto cell = [](const wire::DumpCallbackThread& thread) {
+  const auto cell = [](const SaidThread& thread) {
     Answers answers = this_process();
     answers.threads = {thread};
     const SaidDaemon daemon(answers);
@@ -321,12 +199,12 @@ TEST(CtlThreads, AreListedWithTheStateOfTheirRule) {
     const std::size_t at = text.find("agnocastd.toml:");
     return at == std::string::npos ? text : text.substr(at, text.find('\n', at) - at);
   };
-  EXPECT_EQ(cell(ruled(0, ThreadSetting::due)), "agnocastd.toml:12: due");
-  EXPECT_EQ(cell(ruled(0, ThreadSetting::not_allowed)), "agnocastd.toml:12: not allowed");
-  EXPECT_EQ(cell(ruled(0, ThreadSetting::not_found)), "agnocastd.toml:12: not found");
+  EXPECT_EQ(cell(ruled(ThreadSetting::due)), "agnocastd.toml:12: due");
+  EXPECT_EQ(cell(ruled(ThreadSetting::not_allowed)), "agnocastd.toml:12: not allowed");
+  EXPECT_EQ(cell(ruled(ThreadSetting::not_found)), "agnocastd.toml:12: not found");
   EXPECT_EQ(cell(refused(ThreadCall::sched_setattr, EPERM)),
             "agnocastd.toml:12: refused: Operation not permitted");
-  auto applied = ruled(0, ThreadSetting::applied);
+  auto applied = ruled(ThreadSetting::applied);
   EXPECT_EQ(cell(applied), "agnocastd.toml:12: changed since");
   applied.scheduling.policy = SCHED_OTHER;
   EXPECT_EQ(cell(applied), "agnocastd.toml:12");
@@ -352,7 +230,7 @@ TEST(CtlThreads, AreListedWithTheWholeRuleAsJson) {
 
 TEST(CtlThreads, AreNotShownUnlessTheyAreOfTheProcess) {
   Answers answers = this_process();
-  answers.threads = {thread(0, static_cast<std::uint32_t>(::getppid())), thread(1, 0x7fffffff)};
+  answers.threads = {thread(static_cast<std::uint32_t>(::getppid())), thread(0x7fffffff)};
   answers.groups = {group(0, 1, "/no\x1b]0;de\n", "\x1b[31m")};
   answers.processes[0].threads_left_out = 5;
   const SaidDaemon daemon(answers);
@@ -409,14 +287,14 @@ std::vector<Finding> findings_of(const Answers& answers) {
   return findings_of(answers, [](ctl::Facts&) {});
 }
 template <class Change>
-Finding finding_of(const wire::DumpCallbackThread& thread, Change change) {
+Finding finding_of(const SaidThread& thread, Change change) {
   Answers answers = this_process();
   answers.threads = {thread};
   const auto found = findings_of(answers, change);
   EXPECT_EQ(found.size(), 1u);
   return found.empty() ? Finding{} : found[0];
 }
-Finding finding_of(const wire::DumpCallbackThread& thread) {
+Finding finding_of(const SaidThread& thread) {
   return finding_of(thread, [](ctl::Facts&) {});
 }
 
@@ -427,17 +305,23 @@ constexpr const char* edit = "sudo \"${EDITOR:-vi}\" +12 /etc/mine.toml && kill 
 
 TEST(DoctorThreads, FindsNothingWhereEveryRuleIsInForce) {
   Answers answers = this_process();
-  answers.threads = {thread(0, own_thread()), ruled(1, ThreadSetting::due),
-                     ruled(2, ThreadSetting::applied)};
-  answers.threads[2].scheduling.policy = SCHED_OTHER;
+  for (const SaidThread& one : {thread(own_thread()), ruled(ThreadSetting::due)}) {
+    answers.threads = {one};
+    EXPECT_THAT(findings_of(answers), IsEmpty());
+  }
+  answers.threads = {ruled(ThreadSetting::applied)};
+  answers.threads[0].scheduling.policy = SCHED_OTHER;
   EXPECT_THAT(findings_of(answers), IsEmpty());
-  answers.threads = {ruled(0, ThreadSetting::not_found), ruled(1, ThreadSetting::applied)};
-  for (auto& one : answers.threads) one.thread = 0x7fffffff;
-  EXPECT_THAT(findings_of(answers), IsEmpty()) << "it has ended meanwhile";
+  answers.threads.assign(3, ruled(ThreadSetting::not_found));
+  answers.threads[1].call = ThreadCall::sched_setattr;
+  answers.threads[2].setting = ThreadSetting::applied;
+  std::uint32_t number = 0x7fffffff;
+  for (SaidThread& one : answers.threads) one.thread = number--;
+  EXPECT_THAT(findings_of(answers), IsEmpty()) << "they have ended meanwhile";
 }
 
 TEST(DoctorThreads, NamesARuleThatIsNotForTheUser) {
-  const Finding found = finding_of(ruled(0, ThreadSetting::not_allowed));
+  const Finding found = finding_of(ruled(ThreadSetting::not_allowed));
   EXPECT_EQ(found.what, subject() + ": rule agnocastd.toml:12 matches, and is not for uid " +
                             std::to_string(::geteuid()));
   EXPECT_EQ(found.remedy, edit);
@@ -446,11 +330,24 @@ TEST(DoctorThreads, NamesARuleThatIsNotForTheUser) {
 TEST(DoctorThreads, NamesThreadsThatTheDaemonDoesNotSee) {
   Answers answers = this_process();
   answers.processes[0].pid = 0;
-  answers.threads = {ruled(0, ThreadSetting::not_found)};
+  answers.threads = {ruled(ThreadSetting::not_found)};
   const auto found = findings_of(answers);
   ASSERT_EQ(found.size(), 1u);
   EXPECT_THAT(found[0].what, HasSubstr("cannot find it, to apply rule agnocastd.toml:12"));
+  EXPECT_THAT(found[0].cause, testing::EndsWith("does not translate numbers of threads"));
   EXPECT_EQ(found[0].remedy, "podman run --pid=host IMAGE");
+  const Finding visible = finding_of(ruled(ThreadSetting::not_found));
+  EXPECT_THAT(visible.cause, HasSubstr("does not translate numbers of threads"));
+  EXPECT_THAT(visible.cause, HasSubstr("the effective user of the thread"));
+  EXPECT_EQ(visible.remedy, "podman run --pid=host IMAGE");
+}
+
+TEST(DoctorThreads, NamesThreadsThatEndedUnderTheirRule) {
+  SaidThread thread = ruled(ThreadSetting::not_found);
+  thread.call = ThreadCall::sched_setattr;
+  const Finding found = finding_of(thread);
+  EXPECT_EQ(found.what, subject() + ": it ended while agnocastd applied rule agnocastd.toml:12");
+  EXPECT_THAT(found.cause, HasSubstr("a new thread with its number"));
 }
 
 TEST(DoctorThreads, NamesTheCauseOfARefusal) {
@@ -468,6 +365,9 @@ TEST(DoctorThreads, NamesTheCauseOfARefusal) {
   EXPECT_THAT(cause(ThreadCall::sched_setattr, EBUSY), HasSubstr("admission control"));
   EXPECT_THAT(cause(ThreadCall::sched_setattr, EINVAL), HasSubstr("sched(7)"));
   EXPECT_EQ(cause(ThreadCall::sched_setattr, EIO), "see sched_setattr(2)");
+  const Finding none = finding_of(refused(ThreadCall::none, EMFILE));
+  EXPECT_THAT(none.cause, HasSubstr("no free descriptor"));
+  EXPECT_EQ(none.remedy, "kill -HUP 5");
 }
 
 TEST(DoctorThreads, NamesWhatAnOperationNeeds) {
@@ -481,11 +381,17 @@ TEST(DoctorThreads, NamesWhatAnOperationNeeds) {
   const auto capable = [](ctl::Facts& facts) { facts.daemon.may_schedule_all = true; };
   EXPECT_EQ(needs(nothing).remedy,
             "sudo prlimit --pid " + std::to_string(::getpid()) + " --rtprio=50 && kill -HUP 5");
-  EXPECT_THAT(needs(nothing, ThreadCall::sched_setaffinity).remedy,
-              testing::StartsWith("sudo setcap cap_sys_nice+ep "));
-  EXPECT_THAT(needs(nothing, ThreadCall::sched_setattr, SCHED_DEADLINE).remedy,
-              testing::StartsWith("sudo setcap cap_sys_nice+ep "));
-  EXPECT_EQ(needs(capable).remedy, "sudo sysctl -w kernel.sched_rt_runtime_us=-1 && kill -HUP 5");
+  for (const Finding& found : {needs(nothing, ThreadCall::sched_setaffinity),
+                               needs(nothing, ThreadCall::sched_setattr, SCHED_DEADLINE)}) {
+    EXPECT_THAT(found.cause, HasSubstr("AmbientCapabilities=CAP_SYS_NICE"));
+    EXPECT_EQ(found.remedy, edit);
+  }
+  const Finding realtime = needs(capable);
+  EXPECT_THAT(realtime.cause, HasSubstr("cpu.rt_runtime_us, with CONFIG_RT_GROUP_SCHED"));
+  EXPECT_EQ(realtime.remedy, edit);
+  const Finding other = needs(capable, ThreadCall::sched_setattr, SCHED_OTHER);
+  EXPECT_THAT(other.cause, HasSubstr("security profile"));
+  EXPECT_EQ(other.remedy, edit);
   const Finding deadline = needs(capable, ThreadCall::sched_setattr, SCHED_DEADLINE);
   EXPECT_THAT(deadline.cause, HasSubstr("root domain"));
   EXPECT_EQ(deadline.remedy, edit);
@@ -495,10 +401,10 @@ TEST(DoctorThreads, NamesWhatAnOperationNeeds) {
 }
 
 TEST(DoctorThreads, NamesValuesThatHaveChangedSince) {
-  Finding found = finding_of(ruled(0, ThreadSetting::applied));
+  Finding found = finding_of(ruled(ThreadSetting::applied));
   EXPECT_EQ(found.what, subject() + ": policy other instead of fifo (rule agnocastd.toml:12)");
   EXPECT_EQ(found.remedy, "kill -HUP 5");
-  auto bound = ruled(0, ThreadSetting::applied);
+  auto bound = ruled(ThreadSetting::applied);
   bound.scheduling.sets_policy = 0;
   bound.scheduling.sets_cpus = 1;
   for (std::uint64_t& word : bound.scheduling.cpus) word = ~std::uint64_t{0};
@@ -511,11 +417,9 @@ TEST(DoctorThreads, NamesValuesThatHaveChangedSince) {
 TEST(DoctorThreads, NamesThreadsOfOneCauseTogether) {
   Answers answers = this_process();
   for (std::uint32_t i = 0; i < 6; ++i) {
-    answers.threads.push_back(ruled(i / 2, ThreadSetting::not_allowed));
+    answers.threads.push_back(ruled(ThreadSetting::not_allowed));
     answers.threads.back().thread = 1000 + i;
   }
-  answers.threads.push_back(answers.threads.back());  // of another executor
-  answers.threads.back().executor = 7;
   const auto found = findings_of(answers);
   ASSERT_EQ(found.size(), 1u);
   EXPECT_THAT(found[0].what, testing::StartsWith("threads 1000, 1001, 1002, 1003 and 2 more of " +
@@ -546,6 +450,13 @@ TEST(DoctorThreads, NamesTheQuotaOfThreadsThatAreUnknown) {
   EXPECT_EQ(found[0].what,
             "1 callback group or thread of " + process_words() + " is unknown to agnocastd");
   EXPECT_THAT(found[0].cause, HasSubstr("1024 threads"));
+  answers.users[0].use.callback_threads = 8;  // and one process has all that it may
+  answers.threads = {thread(77, abi::callback_spin_count_max)};
+  found = findings_of(answers);
+  ASSERT_EQ(found.size(), 1u);
+  EXPECT_THAT(found[0].cause,
+              HasSubstr("32768 pairs of a thread and an executor, which no [quota] raises"));
+  EXPECT_EQ(found[0].remedy, "agnocast-ctl thread list --all-domains");
 }
 
 }  // namespace

@@ -15,10 +15,13 @@
 #include <sys/syscall.h>
 #include <unistd.h>
 
+#include <algorithm>
+#include <atomic>
 #include <cstdint>
 #include <cstring>
 #include <memory>
 #include <string>
+#include <thread>
 
 namespace agnocast::test {
 namespace {
@@ -111,23 +114,49 @@ TEST(DaemonThreads, CountsGroupsAndThreadsOfAUserUntilTheConnectionEnds) {
   EXPECT_EQ(known().users[0].use.callback_groups, 2u);
 }
 
+// As a process of rclcpp with many groups, whose threads have run each of them.
+TEST(DaemonThreads, KnowsAThreadOfManyExecutorsOnce) {
+  DaemonProcess daemon({.config = nice_for_all});
+  Client client(daemon);
+  constexpr std::uint32_t executors = 100, threads = 16;
+  for (std::uint32_t executor = 1; executor <= executors; ++executor) {
+    client.say_group(executor, 1000 + executor);
+    for (std::uint32_t thread = 1; thread <= threads; ++thread)
+      client.say_thread(executor, 4'000'000 + thread);
+  }
+  ASSERT_TRUE(eventually([&] {
+    const auto all = wire_dump(daemon.socket_path());
+    return all.threads.size() == threads && all.threads.back().executor_count == executors;
+  }));
+  EXPECT_EQ(wire_dump(daemon.socket_path()).processes[0].threads_left_out, 0u);
+}
+
 TEST(DaemonThreads, ServesOthersWhileAProcessChangesItsGroupsWithoutEnd) {
   DaemonProcess daemon({.config = nice_for_all});
   Client client(daemon);
   for (std::uint32_t thread = 1; thread <= abi::callback_thread_count_max + 10; ++thread)
     client.say_thread(1, 4'000'000 + thread);
-  for (int round = 0; round < 200; ++round) {
+  std::atomic<bool> is_over{false};
+  std::thread changing([&] {
+    while (!is_over) {
+      client.say_group(1, 10);
+      client.say_group(1, 10, false);
+    }
     client.say_group(1, 10);
-    client.say_group(1, 10, false);
+  });
+  for (int i = 0; i < 20; ++i) {
+    Client other(daemon);
+    EXPECT_EQ(other.create_publisher("/a").opcode(), Opcode::endpoint_created);
   }
-  client.say_group(1, 10);
-  ASSERT_TRUE(eventually([&] {
+  is_over = true;
+  changing.join();
+  EXPECT_TRUE(eventually([&] {
     const auto all = wire_dump(daemon.socket_path());
     return all.threads.size() == abi::callback_thread_count_max && all.groups.size() == 1 &&
-           all.threads.back().setting == ThreadSetting::not_found;
+           std::all_of(all.threads.begin(), all.threads.end(), [](const auto& thread) {
+             return thread.setting == ThreadSetting::not_found;
+           });
   }));
-  Client other(daemon);
-  EXPECT_EQ(other.create_publisher("/a").opcode(), Opcode::endpoint_created);
 }
 
 }  // namespace

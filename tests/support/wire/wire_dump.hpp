@@ -68,6 +68,8 @@ inline WireDump wire_dump(const std::string& socket_path) {
       case wire::Opcode::dump_callback_thread:
         all.threads.push_back(packet.as<wire::DumpCallbackThread>());
         break;
+      case wire::Opcode::dump_thread_executors:
+        break;
       case wire::Opcode::dump_user:
         all.users.push_back(packet.as<wire::DumpUser>());
         break;

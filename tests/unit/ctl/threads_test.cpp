@@ -22,6 +22,7 @@
 #include <optional>
 #include <string>
 #include <thread>
+#include <utility>
 #include <vector>
 
 namespace agnocast::ctl {
@@ -104,6 +105,22 @@ TEST(ThreadDifference, ComparesThePriorityOfThePolicy) {
   both.sets_nice = 1;
   both.nice = -5;
   EXPECT_FALSE(difference_of(both, is)) << "the kernel gives no nice value for fifo";
+}
+
+TEST(ThreadDifference, ComparesNiceValuesOnlyWhereTheyCanBeSet) {
+  wire::ThreadScheduling wanted{};
+  wanted.sets_nice = 1;
+  wanted.nice = 5;
+  const auto differs = [&](std::uint32_t policy) {
+    KernelThread is;
+    is.policy = policy;
+    return static_cast<bool>(difference_of(wanted, is));
+  };
+  EXPECT_TRUE(differs(SCHED_OTHER));
+  EXPECT_TRUE(differs(SCHED_BATCH));
+  EXPECT_FALSE(differs(SCHED_IDLE));
+  EXPECT_FALSE(differs(SCHED_RR));
+  EXPECT_FALSE(differs(SCHED_DEADLINE));
 }
 
 TEST(ThreadDifference, TakesAMissingPeriodForTheDeadline) {
@@ -249,49 +266,90 @@ TEST(ProcessThreads, HaveTheNumbersOfTheirOwnPidNamespace) {
 
 // --- the threads of a system
 
-TEST(ThreadsOfASystem, HaveTheGroupsOfTheirExecutors) {
+void add_group(System& system, std::uint64_t client, std::uint64_t executor, std::uint64_t number) {
+  CallbackGroup group;
+  group.facts.client = client;
+  group.facts.executor = executor;
+  group.facts.group = number;
+  system.callback_groups.push_back(group);
+}
+void add_thread(System& system, std::uint64_t client, std::uint32_t number,
+                std::vector<std::uint64_t> executors) {
+  ThreadFacts thread;
+  thread.facts.client = client;
+  thread.facts.thread = number;
+  thread.facts.executor_count = static_cast<std::uint32_t>(executors.size());
+  thread.executors = std::move(executors);
+  system.callback_threads.push_back(thread);
+}
+Numbers groups_of(const CallbackThread& thread) {
+  Numbers numbers;
+  for (const CallbackGroup* const group : thread.groups)
+    numbers.push_back(static_cast<std::uint32_t>(group->facts.group));
+  return numbers;
+}
+
+TEST(ThreadsOfASystem, HaveTheGroupsOfAllTheirExecutors) {
   System system;
   for (const std::uint64_t client : {1u, 2u}) {
     Process& process = system.processes[client];
     process.facts.client = client;
     process.facts.domain = client;
   }
-  const auto add_group = [&](std::uint64_t client, std::uint64_t executor, std::uint64_t number) {
-    CallbackGroup group;
-    group.facts.client = client;
-    group.facts.executor = executor;
-    group.facts.group = number;
-    system.callback_groups.push_back(group);
-  };
-  const auto add_thread = [&](std::uint64_t client, std::uint64_t executor, std::uint32_t thread) {
-    wire::DumpCallbackThread facts{};
-    facts.client = client;
-    facts.executor = executor;
-    facts.thread = thread;
-    system.callback_threads.push_back(facts);
-  };
-  add_group(1, 0, 0);
-  add_group(1, 2, 1);
-  add_group(1, 2, 3);
-  add_group(2, 2, 0);
-  add_thread(1, 0, 10);
-  add_thread(1, 1, 11);
-  add_thread(1, 2, 12);
-  add_thread(2, 2, 20);
+  add_group(system, 1, 0, 0);
+  add_group(system, 1, 2, 1);
+  add_group(system, 1, 2, 3);
+  add_group(system, 1, 4, 2);
+  add_group(system, 2, 2, 5);
+  add_thread(system, 1, 10, {0});
+  add_thread(system, 1, 11, {1});
+  add_thread(system, 1, 12, {0, 2, 3});
+  add_thread(system, 1, 13, {2, 4});
+  add_thread(system, 2, 10, {0, 2});
   Arguments arguments;
   arguments.all_domains = true;
   const auto threads = threads_of(system, arguments);
-  ASSERT_EQ(threads.size(), 4u);
-  Numbers counts;
-  for (const CallbackThread& thread : threads)
-    counts.push_back(static_cast<std::uint32_t>(thread.groups.size()));
-  EXPECT_THAT(counts, ElementsAre(1, 0, 2, 1));
-  EXPECT_EQ(threads[2].groups[1].facts.group, 3u);
-  EXPECT_EQ(threads[3].process, &system.processes[2]);
+  ASSERT_EQ(threads.size(), 5u);
+  EXPECT_THAT(groups_of(threads[0]), ElementsAre(0));
+  EXPECT_THAT(groups_of(threads[1]), IsEmpty());
+  EXPECT_THAT(groups_of(threads[2]), ElementsAre(0, 1, 3));
+  EXPECT_THAT(groups_of(threads[3]), ElementsAre(1, 3, 2));
+  EXPECT_THAT(groups_of(threads[4]), ElementsAre(5));
+  EXPECT_EQ(threads[3].group_count, 3u);
+  EXPECT_THAT(threads[3].executors, ElementsAre(2, 4));
+  EXPECT_EQ(threads[4].process, &system.processes[2]);
   EXPECT_FALSE(threads[0].kernel.has_value());
   arguments.all_domains = false;
   arguments.domain = 2;
   EXPECT_EQ(threads_of(system, arguments).size(), 1u);
+}
+
+TEST(ThreadsOfASystem, ShareTheGroupsAndExecutorsThatAreShown) {
+  System system;
+  system.processes[1].facts.client = 1;
+  std::vector<std::uint64_t> all;
+  for (std::uint64_t executor = 0; executor < abi::callback_group_count_max; ++executor) {
+    add_group(system, 1, executor, abi::callback_group_count_max - executor);
+    all.push_back(executor);
+  }
+  constexpr std::size_t share = 256, threads_count = shown_of_threads_max / share;
+  constexpr std::size_t some = 100;
+  const std::vector<std::uint64_t> few(all.begin(), all.begin() + some);
+  for (std::uint32_t i = 1; i <= threads_count; ++i) add_thread(system, 1, i, i == 1 ? all : few);
+  Arguments arguments;
+  arguments.all_domains = true;
+  const auto threads = threads_of(system, arguments);
+  ASSERT_EQ(threads.size(), threads_count);
+  EXPECT_EQ(threads[0].group_count, all.size());
+  EXPECT_EQ(threads[0].facts->executor_count, all.size());
+  EXPECT_EQ(threads[0].groups.size(), share);
+  EXPECT_EQ(threads[0].executors.size(), share);
+  EXPECT_EQ(threads[0].groups.back(), &system.callback_groups[share - 1]);
+  for (const std::size_t other : {std::size_t{1}, threads_count - 1}) {
+    EXPECT_EQ(threads[other].group_count, some);
+    EXPECT_EQ(threads[other].groups.size(), some);
+    EXPECT_EQ(threads[other].executors.size(), some);
+  }
 }
 
 }  // namespace

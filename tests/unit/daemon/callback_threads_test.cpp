@@ -31,9 +31,9 @@ class CallbackThreadsTable : public testing::Test {
   /// Takes all due threads and returns their numbers.
   std::vector<std::uint32_t> due() {
     std::vector<std::uint32_t> numbers;
-    while (const auto* const next = threads.next_due()) {
-      numbers.push_back(next->first);
-      threads.note_outcome(next->first, {ThreadSetting::applied});
+    while (const auto next = threads.next_due()) {
+      numbers.push_back(next->thread);
+      threads.note_outcome(*next, {ThreadSetting::applied});
     }
     return numbers;
   }
@@ -105,7 +105,7 @@ TEST_F(CallbackThreadsTable, AThreadOfTwoExecutorsGetsTheEarliestRuleOfBoth) {
   add_group(other_executor, 11, 1);
   threads.add_thread(executor, 100);
   threads.add_thread(other_executor, 100);
-  EXPECT_EQ(threads.thread_count(), 2u);
+  EXPECT_EQ(threads.spin_count(), 2u);
   EXPECT_THAT(due(), ElementsAre(100)) << "once, although it became due twice";
   EXPECT_EQ(thread(100).rule, 1u);
   EXPECT_TRUE(threads.remove_thread(other_executor, 100));
@@ -119,9 +119,34 @@ TEST_F(CallbackThreadsTable, AThreadThatHasEndedIsNotDue) {
   EXPECT_TRUE(threads.remove_thread(executor, 100));
   EXPECT_FALSE(threads.remove_thread(executor, 100));
   EXPECT_THAT(due(), IsEmpty());
-  EXPECT_EQ(threads.thread_count(), 0u);
+  EXPECT_EQ(threads.spin_count(), 0u);
   threads.add_thread(executor, 100);  // another thread with its number
   EXPECT_THAT(due(), ElementsAre(100));
+}
+
+TEST_F(CallbackThreadsTable, AThreadThatEndsAndBeginsAgainAndAgainIsDueOnce) {
+  add_group(executor, 10, 0);
+  for (int i = 0; i < 100; ++i) {
+    threads.add_thread(executor, 100);
+    EXPECT_TRUE(threads.remove_thread(executor, 100));
+  }
+  threads.add_thread(executor, 100);
+  EXPECT_THAT(due(), ElementsAre(100));
+}
+
+TEST_F(CallbackThreadsTable, AnOutcomeOfAnEarlierTurnIsForgotten) {
+  add_group(executor, 10, 1);
+  threads.add_thread(executor, 100);
+  const auto first = threads.next_due();
+  ASSERT_TRUE(first);
+  add_group(executor, 11, 0);
+  threads.note_outcome(*first, {ThreadSetting::refused});
+  EXPECT_EQ(thread(100).outcome.setting, ThreadSetting::due);
+  const auto second = threads.next_due();
+  ASSERT_TRUE(second);
+  EXPECT_EQ(second->rule, 0u);
+  threads.note_outcome(*second, {ThreadSetting::applied});
+  EXPECT_EQ(thread(100).outcome.setting, ThreadSetting::applied);
 }
 
 TEST_F(CallbackThreadsTable, RepeatedStatementsChangeNothing) {
@@ -130,7 +155,7 @@ TEST_F(CallbackThreadsTable, RepeatedStatementsChangeNothing) {
   threads.add_thread(executor, 100);
   threads.add_thread(executor, 100);
   EXPECT_EQ(threads.groups().size(), 1u);
-  EXPECT_EQ(threads.thread_count(), 1u);
+  EXPECT_EQ(threads.spin_count(), 1u);
   EXPECT_THAT(due(), ElementsAre(100));
   EXPECT_TRUE(threads.remove_group({executor, 10}));
   EXPECT_EQ(thread(100).outcome.setting, ThreadSetting::no_rule);

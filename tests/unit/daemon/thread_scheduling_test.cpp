@@ -77,8 +77,10 @@ class SetScheduling : public testing::Test {
     return may;
   }
   CallbackThreads::Outcome set(const WaitingThread& thread, const ThreadScheduling& wanted) {
-    return set_scheduling(self, ::getpid(), thread.number(), wanted);
+    return set_scheduling(mine(), thread.number(), wanted);
   }
+
+  ThreadOwner mine() const { return {self, ::getpid(), ::geteuid()}; }
 
   Pidfd self = *Pidfd::open(::getpid());
 };
@@ -86,13 +88,13 @@ class SetScheduling : public testing::Test {
 TEST_F(SetScheduling, SetsAPolicyAndANiceValue) {
   WaitingThread thread;
   EXPECT_EQ(set(thread, policy(SCHED_BATCH)).setting, ThreadSetting::applied);
-  EXPECT_EQ(thread.policy(), SCHED_BATCH | SCHED_RESET_ON_FORK);
+  EXPECT_EQ(thread.policy(), SCHED_BATCH) << "without SCHED_RESET_ON_FORK, which binds the process";
   ThreadScheduling nice{};
   nice.sets_nice = 1;
   nice.nice = 7;
   EXPECT_EQ(set(thread, nice).setting, ThreadSetting::applied);
   EXPECT_EQ(thread.nice(), 7);
-  EXPECT_EQ(thread.policy(), SCHED_BATCH | SCHED_RESET_ON_FORK) << "what it does not set stays";
+  EXPECT_EQ(thread.policy(), SCHED_BATCH) << "what it does not set stays";
 }
 
 TEST_F(SetScheduling, SetsProcessors) {
@@ -128,14 +130,31 @@ TEST_F(SetScheduling, SaysWhichCallTheKernelRefused) {
   EXPECT_EQ(other.os_errno, EINVAL);
 }
 
-TEST_F(SetScheduling, SetsRealTimePoliciesThatTheChildrenOfTheThreadDoNotInherit) {
+/// Returns the policy of a thread that this thread starts.
+int policy_of_child() {
+  int policy = -1;
+  std::thread([&policy] { policy = ::sched_getscheduler(0); }).join();
+  return policy;
+}
+
+TEST_F(SetScheduling, SetsRealTimePoliciesThatTheThreadsOfTheThreadDoNotInherit) {
   if (!may_be_real_time()) GTEST_SKIP() << "this process may not set real-time policies";
-  WaitingThread thread;
-  EXPECT_EQ(set(thread, policy(SCHED_FIFO, 3)).setting, ThreadSetting::applied);
-  EXPECT_EQ(thread.policy(), SCHED_FIFO | SCHED_RESET_ON_FORK);
-  sched_param parameters{};
-  ASSERT_EQ(::sched_getparam(static_cast<pid_t>(thread.number()), &parameters), 0);
-  EXPECT_EQ(parameters.sched_priority, 3);
+  std::thread([this] {
+    const auto number = static_cast<std::uint32_t>(thread_id());
+    ThreadScheduling nice{};
+    nice.sets_nice = 1;
+    nice.nice = 9;
+    ASSERT_EQ(set_scheduling(mine(), number, nice).setting, ThreadSetting::applied);
+    EXPECT_EQ(set_scheduling(mine(), number, policy(SCHED_FIFO, 3)).setting,
+              ThreadSetting::applied);
+    EXPECT_EQ(::sched_getscheduler(0), SCHED_FIFO | SCHED_RESET_ON_FORK);
+    sched_param parameters{};
+    ASSERT_EQ(::sched_getparam(0, &parameters), 0);
+    EXPECT_EQ(parameters.sched_priority, 3);
+    EXPECT_EQ(policy_of_child(), SCHED_OTHER);
+    EXPECT_EQ(set_scheduling(mine(), number, policy(SCHED_OTHER)).setting, ThreadSetting::applied);
+    EXPECT_EQ(::getpriority(PRIO_PROCESS, 0), 9) << "what it does not set stays";
+  }).join();
 }
 
 TEST_F(SetScheduling, SetsADeadlineAlsoForAThreadThatWasBoundToAProcessor) {
@@ -160,6 +179,15 @@ TEST_F(SetScheduling, SetsADeadlineAlsoForAThreadThatWasBoundToAProcessor) {
   EXPECT_EQ(thread.policy(), SCHED_DEADLINE | SCHED_RESET_ON_FORK);
 }
 
+TEST_F(SetScheduling, DoesNotTouchAThreadOfAnotherUser) {
+  WaitingThread thread;
+  EXPECT_EQ(
+      set_scheduling({self, ::getpid(), ::geteuid() + 1}, thread.number(), policy(SCHED_BATCH))
+          .setting,
+      ThreadSetting::not_found);
+  EXPECT_EQ(thread.policy(), SCHED_OTHER);
+}
+
 TEST_F(SetScheduling, DoesNotTouchAThreadThatHasEnded) {
   WaitingThread thread;
   thread.join();
@@ -173,14 +201,13 @@ TEST_F(SetScheduling, DoesNotTouchAThreadOfAnotherProcess) {
   }
   const Pidfd its = *Pidfd::open(child);
   const auto number = static_cast<std::uint32_t>(child);
-  EXPECT_EQ(set_scheduling(self, ::getpid(), number, policy(SCHED_BATCH)).setting,
-            ThreadSetting::not_found);
+  EXPECT_EQ(set_scheduling(mine(), number, policy(SCHED_BATCH)).setting, ThreadSetting::not_found);
   EXPECT_EQ(::sched_getscheduler(child), SCHED_OTHER);
-  EXPECT_EQ(set_scheduling(its, child, number, policy(SCHED_BATCH)).setting,
+  EXPECT_EQ(set_scheduling({its, child, ::geteuid()}, number, policy(SCHED_BATCH)).setting,
             ThreadSetting::applied);
   ::kill(child, SIGKILL);
   ::waitpid(child, nullptr, 0);
-  EXPECT_EQ(set_scheduling(its, child, number, policy(SCHED_BATCH)).setting,
+  EXPECT_EQ(set_scheduling({its, child, ::geteuid()}, number, policy(SCHED_BATCH)).setting,
             ThreadSetting::not_found);
 }
 
