@@ -2,14 +2,14 @@
 
 #include <bench/conductor.hpp>
 
+#include <bench/role.hpp>
+
 #include <unistd.h>
 
 #include <algorithm>
 #include <chrono>
 #include <csignal>
-#include <cstdlib>
 #include <memory>
-#include <sstream>
 #include <stdexcept>
 #include <string>
 #include <thread>
@@ -19,7 +19,6 @@ namespace {
 
 constexpr auto look_again = std::chrono::milliseconds(2);
 constexpr std::chrono::seconds patience{30};  // for everything except the messages' own time
-constexpr std::string_view descriptors_variable = "AGNOCAST_BENCH_DESCRIPTORS";
 
 std::string new_topic() {
   static unsigned count = 0;
@@ -151,29 +150,6 @@ void conduct_roles(const System& system, Lane& lane, Services& services, std::st
   Company company(system, lane, services);
   start_all(company, lane.plan(), sender, receiver);
   company.wait_for("the run", std::chrono::seconds(300), [&] { return company.have_all_ended(); });
-}
-
-Carriage carriage_of(const Lane& lane, std::size_t index) {
-  const Plan& plan = lane.plan();
-  Carriage carriage{.topic = lane.head().topic,
-                    .bytes = plan.bytes,
-                    .receivers = plan.receivers,
-                    .index = index,
-                    .depth = plan.depth,
-                    .scratch = lane.scratch(),
-                    .scratch_bytes = Lane::scratch_bytes,
-                    .descriptors = {}};
-  const char* const inherited = std::getenv(descriptors_variable.data());
-  std::istringstream numbers(inherited == nullptr ? "" : inherited);
-  for (int descriptor = -1; numbers >> descriptor;) carriage.descriptors.push_back(descriptor);
-  return carriage;
-}
-
-const System& system_of(const Lane& lane) {
-  for (const System& system : systems()) {
-    if (system.name == lane.head().system) return system;
-  }
-  throw std::runtime_error("no such system");
 }
 
 }  // namespace agnocast::bench

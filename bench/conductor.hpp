@@ -40,17 +40,4 @@ Times conduct(const System& system, const Plan& plan, Services& services);
 void conduct_roles(const System& system, Lane& lane, Services& services, std::string_view sender,
                    std::string_view receiver);
 
-// --- for such roles
-
-/// Makes the argument of System's makers from a lane and the inherited descriptors.
-Carriage carriage_of(const Lane& lane, std::size_t index);
-/// Returns the system named in the lane.
-const System& system_of(const Lane& lane);
-/// Pins the calling thread, and threads it starts, as the plan requires, and makes it real-time
-/// if required and permitted. Call it before the side is made. Polling receivers stay ordinary:
-/// the kernel stops a real-time thread that never sleeps.
-void take_place(const Lane& lane, const System& system, bool is_sender);
-/// Becomes the user that the plan requires.
-void become_receiver_user(const Lane& lane);
-
 }  // namespace agnocast::bench

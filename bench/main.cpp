@@ -14,7 +14,6 @@
 
 #include <fcntl.h>
 #include <signal.h>
-#include <sys/prctl.h>
 #include <unistd.h>
 
 #include <algorithm>
@@ -33,16 +32,6 @@
 
 namespace agnocast::bench {
 namespace {
-
-int be(const std::string& role, const std::vector<std::string>& arguments) {
-  const RoleMain main = find_role(role);
-  if (main == nullptr) {
-    std::fprintf(stderr, "agnocast-bench: no role '%s'\n", role.c_str());
-    return 2;
-  }
-  ::prctl(PR_SET_NAME, ("bench-" + role).substr(0, 15).c_str());
-  return main(arguments);
-}
 
 int refuse(const std::string& what) {
   std::fprintf(stderr, "agnocast-bench: %s\nhint: agnocast-bench --help\n", what.c_str());
@@ -213,7 +202,7 @@ int main(int argc, char** argv) {
   try {
     const std::vector<std::string> arguments(argv + 1, argv + argc);
     if (!arguments.empty() && arguments[0].starts_with('%'))
-      return be(arguments[0].substr(1), {arguments.begin() + 1, arguments.end()});
+      return run_role(arguments[0].substr(1), {arguments.begin() + 1, arguments.end()});
     const Options options = parse(arguments, cases());
     if (!options.help.empty()) return std::fputs(options.help.c_str(), stdout), 0;
     if (!options.error.empty()) return refuse(options.error);

@@ -11,6 +11,7 @@
 
 #include <algorithm>
 #include <cerrno>
+#include <cstdio>
 #include <cstdlib>
 #include <cstring>
 #include <map>
@@ -195,6 +196,16 @@ RegisterRole::RegisterRole(std::string_view name, RoleMain main) { roles().empla
 RoleMain find_role(std::string_view name) {
   const auto found = roles().find(name);
   return found == roles().end() ? nullptr : found->second;
+}
+
+int run_role(const std::string& name, const std::vector<std::string>& arguments) {
+  const RoleMain main = find_role(name);
+  if (main == nullptr) {
+    std::fprintf(stderr, "agnocast-bench: no role '%s'\n", name.c_str());
+    return 2;
+  }
+  ::prctl(PR_SET_NAME, ("bench-" + name).substr(0, 15).c_str());
+  return main(arguments);
 }
 
 }  // namespace agnocast::bench

@@ -81,5 +81,8 @@ struct RegisterRole {
 };
 /// Returns null if there is no such role.
 RoleMain find_role(std::string_view name);
+/// Runs a role in this process, which gets its name. Returns its exit status; 2 if there is no
+/// such role.
+int run_role(const std::string& name, const std::vector<std::string>& arguments);
 
 }  // namespace agnocast::bench

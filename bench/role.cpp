@@ -10,7 +10,8 @@
 // returns; that is intended: the comparison there excludes the interrupt from one core to the
 // other.
 
-#include <bench/conductor.hpp>
+#include <bench/role.hpp>
+
 #include <bench/cpus.hpp>
 #include <bench/process.hpp>
 
@@ -22,9 +23,11 @@
 
 #include <cerrno>
 #include <csignal>
+#include <cstdlib>
 #include <cstring>
 #include <exception>
 #include <functional>
+#include <sstream>
 #include <stdexcept>
 #include <string>
 #include <thread>
@@ -158,6 +161,29 @@ const RegisterRole sender_role("sender", be_sender);
 const RegisterRole receiver_role("receiver", be_receiver);
 
 }  // namespace
+
+Carriage carriage_of(const Lane& lane, std::size_t index) {
+  const Plan& plan = lane.plan();
+  Carriage carriage{.topic = lane.head().topic,
+                    .bytes = plan.bytes,
+                    .receivers = plan.receivers,
+                    .index = index,
+                    .depth = plan.depth,
+                    .scratch = lane.scratch(),
+                    .scratch_bytes = Lane::scratch_bytes,
+                    .descriptors = {}};
+  const char* const inherited = std::getenv(descriptors_variable.data());
+  std::istringstream numbers(inherited == nullptr ? "" : inherited);
+  for (int descriptor = -1; numbers >> descriptor;) carriage.descriptors.push_back(descriptor);
+  return carriage;
+}
+
+const System& system_of(const Lane& lane) {
+  for (const System& system : systems()) {
+    if (system.name == lane.head().system) return system;
+  }
+  throw std::runtime_error("no such system");
+}
 
 void take_place(const Lane& lane, const System& system, bool is_sender) {
   const Plan& plan = lane.plan();

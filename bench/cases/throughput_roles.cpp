@@ -10,8 +10,8 @@
 // The sender checks for unread messages only when it would exceed the number that it knows of.
 
 #include <bench/cases/throughput.hpp>
-#include <bench/conductor.hpp>
 #include <bench/process.hpp>
+#include <bench/role.hpp>
 
 #include <sched.h>
 #include <time.h>
