@@ -54,7 +54,9 @@ class Company {
     arguments.insert(arguments.begin(), std::to_string(lane_.descriptor()));
     std::vector<int> inherited = descriptors_.all;
     inherited.push_back(lane_.descriptor());
-    all_.emplace_back(Process::Options{.command = as_role(role, std::move(arguments)),
+    std::vector<std::string> command = as_role(role, std::move(arguments));
+    if (system_.program != nullptr) command.front() = system_.program();
+    all_.emplace_back(Process::Options{.command = std::move(command),
                                        .environment = environment_,
                                        .descriptors = std::move(inherited)});
   }
@@ -121,7 +123,11 @@ std::vector<double> Times::slowest_ns() const {
 Times conduct(const System& system, const Plan& plan, Services& services) {
   Lane lane(plan, system.name, new_topic());
   Company company(system, lane, services);
-  start_all(company, plan, "sender", "receiver");
+  if (system.is_one_process) {
+    company.start("sender-and-receiver", {});
+  } else {
+    start_all(company, plan, "sender", "receiver");
+  }
   const Lane::Head& head = lane.head();
   company.wait_for("starting and matching", patience,
                    [&] { return head.ready == 1 + plan.receivers && head.has_matched != 0; });

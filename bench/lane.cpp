@@ -49,6 +49,10 @@ std::int64_t now_ns() noexcept {
   return std::int64_t{1'000'000'000} * time.tv_sec + time.tv_nsec;
 }
 
+constexpr std::uint64_t meaning = 1;
+const std::uint64_t Lane::layout =
+    ((meaning * 4096 + sizeof(Head)) * 4096 + sizeof(Plan)) * 4096 + scratch_bytes / page;
+
 Lane::Lane(const Plan& plan, std::string_view system, std::string_view topic)
     : descriptor_(::memfd_create("agnocast-bench", MFD_CLOEXEC)) {
   const std::size_t bytes = places_of(plan).end;
@@ -56,6 +60,7 @@ Lane::Lane(const Plan& plan, std::string_view system, std::string_view topic)
     throw std::runtime_error(std::string("memory for a run: ") + std::strerror(errno));
   map(bytes);
   head_ = new (base_) Head{};
+  head_->layout = layout;
   head_->plan = plan;
   system.copy(head_->system, sizeof head_->system - 1);
   topic.copy(head_->topic, sizeof head_->topic - 1);
@@ -68,6 +73,9 @@ Lane::Lane(int descriptor) : descriptor_(descriptor) {
     throw std::runtime_error("this role was not started by agnocast-bench");
   map(static_cast<std::size_t>(state.st_size));
   head_ = static_cast<Head*>(base_);
+  if (bytes_ < sizeof(Head) || head_->layout != layout)
+    throw std::runtime_error(
+        "this program and agnocast-bench were built from different sources; build both again");
   place(head_->plan);
 }
 

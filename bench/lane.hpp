@@ -12,7 +12,7 @@
 //   state:  waiting ──conductor: go──▶ running ──sender: all seen──▶ over
 //
 // The conductor makes it (a memfd), the others attach by the inherited descriptor. All are
-// processes of one program and one run, so the layout needs no version.
+// processes of one run, of programs that were built from the same sources: others are refused.
 #pragma once
 
 #include <bench/system.hpp>
@@ -66,6 +66,7 @@ class Lane {
     std::int64_t begin_ns, end_ns;
   };
   struct Head {
+    std::uint64_t layout;  ///< Lane::layout of the program that made it
     Plan plan;
     char system[64];
     char topic[128];
@@ -77,6 +78,9 @@ class Lane {
     std::int64_t sender_cpu_ns;  ///< of all threads of its process, for the measured messages
     char error[512];
   };
+
+  /// Changes with the sizes of what follows; a change of meaning alone needs a new number.
+  static const std::uint64_t layout;
 
   /// Makes a new one. Throws std::runtime_error.
   Lane(const Plan& plan, std::string_view system, std::string_view topic);

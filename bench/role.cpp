@@ -1,6 +1,7 @@
 // SPDX-License-Identifier: Apache-2.0
 //
-// Roles "sender" and "receiver": the processes of a run.
+// Roles "sender" and "receiver": the processes of a run. "sender-and-receiver" has both as threads
+// of one process.
 //
 //   sender     makes its side, waits for the match and the start, then for each message: prepare
 //              and mark (not measured), stamp, send, stamp, wait until every receiver has seen it
@@ -15,6 +16,7 @@
 #include <bench/cpus.hpp>
 #include <bench/process.hpp>
 
+#include <fcntl.h>
 #include <grp.h>
 #include <sched.h>
 #include <sys/prctl.h>
@@ -36,6 +38,7 @@ namespace agnocast::bench {
 namespace {
 
 constexpr std::int64_t patience_ns = 10'000'000'000;
+constexpr std::int64_t start_patience_ns = 3 * patience_ns;  // processes start and find each other
 
 /// Returns the processor time of the whole process.
 std::int64_t cpu_ns() noexcept {
@@ -52,8 +55,9 @@ void sleep_until(std::int64_t when_ns) noexcept {
 // Repeats `attempt` until it succeeds. Without a pause it only yields to processes on the same
 // core.
 template <class Attempt>
-void insist(const std::string& what, std::int64_t pause_ns, Attempt attempt) {
-  const std::int64_t end_ns = now_ns() + patience_ns;
+void insist(const std::string& what, std::int64_t pause_ns, Attempt attempt,
+            std::int64_t at_most_ns = patience_ns) {
+  const std::int64_t end_ns = now_ns() + at_most_ns;
   while (!attempt()) {
     const std::int64_t time_ns = now_ns();
     if (time_ns > end_ns) throw std::runtime_error(what);
@@ -110,8 +114,10 @@ int be_sender(const std::vector<std::string>& arguments) {
     take_place(lane, system, true);
     const auto sender = system.make_sender(carriage_of(lane, 0));
     lane.head().ready.fetch_add(1);
-    insist("no match between sender and receivers", 2'000'000,
-           [&] { return lane.head().ready == 1 + lane.plan().receivers && sender->is_matched(); });
+    insist(
+        "no match between sender and receivers", 2'000'000,
+        [&] { return lane.head().ready == 1 + lane.plan().receivers && sender->is_matched(); },
+        start_patience_ns);
     lane.head().has_matched.store(1);
     lane.wait_while(Lane::waiting);
     send_all(lane, *sender);
@@ -157,8 +163,20 @@ int be_receiver(const std::vector<std::string>& arguments) {
   }
 }
 
+int be_sender_and_receiver(const std::vector<std::string>& arguments) {
+  // Each of them closes its descriptor.
+  const int other = ::fcntl(std::stoi(arguments.at(0)), F_DUPFD_CLOEXEC, 0);
+  if (other < 0) throw std::runtime_error(std::string("memory for a run: ") + std::strerror(errno));
+  int received = 1;
+  std::thread receiver([&] { received = be_receiver({std::to_string(other), "0"}); });
+  const int sent = be_sender(arguments);
+  receiver.join();
+  return sent != 0 ? sent : received;
+}
+
 const RegisterRole sender_role("sender", be_sender);
 const RegisterRole receiver_role("receiver", be_receiver);
+const RegisterRole both_role("sender-and-receiver", be_sender_and_receiver);
 
 }  // namespace
 

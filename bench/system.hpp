@@ -74,6 +74,12 @@ struct System {
   bool is_spinning = false;
   /// Makes descriptors that all its processes inherit, in the conductor. May be null.
   std::vector<int> (*descriptors)(const Carriage&) = nullptr;
+  /// Returns the path of the program that has its makers and the roles of role.cpp, built from the
+  /// same sources; here its makers are null. Null: this program.
+  std::string (*program)() = nullptr;
+  /// Sender and receiver are threads of one process, and the sender's processor time includes the
+  /// receiver's.
+  bool is_one_process = false;
 };
 
 /// Returns all systems of this build, in the order of the tables. absent() has those without

@@ -9,6 +9,7 @@
 #include <unistd.h>
 
 #include <set>
+#include <stdexcept>
 #include <thread>
 #include <vector>
 
@@ -49,6 +50,12 @@ TEST(Lane, KeepsEveryTimeInItsOwnCell) {
   }
   for (std::size_t i = 0; i < Lane::scratch_bytes; ++i)
     ASSERT_EQ(static_cast<const unsigned char*>(attached.scratch())[i], 0);
+}
+
+TEST(Lane, RefusesThatOfAnotherBuild) {
+  Lane lane(plan, "s", "t");
+  ++lane.head().layout;
+  EXPECT_THROW(Lane(::dup(lane.descriptor())), std::runtime_error);
 }
 
 TEST(Lane, WaitsForTheSlowestReceiver) {

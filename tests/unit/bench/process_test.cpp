@@ -104,6 +104,7 @@ TEST(Process, AllEndWhereNoDestructorRuns) {
 TEST(Role, IsFoundByName) {
   EXPECT_NE(find_role("sender"), nullptr);
   EXPECT_NE(find_role("receiver"), nullptr);
+  EXPECT_NE(find_role("sender-and-receiver"), nullptr);
   EXPECT_EQ(find_role("nobody"), nullptr);
 }
 
