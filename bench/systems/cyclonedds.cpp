@@ -1,29 +1,23 @@
 // SPDX-License-Identifier: Apache-2.0
 //
 // Eclipse Cyclone DDS: ROS 2's type for point clouds, with sequences of any length, through the C
-// interface. Reliable, keep-last; the callback is a listener's. The configuration uses only the
-// loopback interface, finds peers without multicast, and is separate from other DDS traffic of
-// this host; everything else is Cyclone's default.
+// interface. Reliable, keep-last; the callback is a listener's. The systems differ only in the
+// configuration (cyclonedds_settings.hpp). There is nothing to set for latency: the receiving
+// thread calls the listener itself, which is the default for any latency budget
+// (SynchronousDeliveryLatencyBound is infinite).
 //
-// "cyclonedds-tuned" has the recommended settings for large messages: packets and fragments of 64
-// KB, as large as UDP permits, instead of 14 and 1.3, and as much of a receive buffer as
-// net.core.rmem_max allows. There is nothing to set for latency: the receiving thread calls the
-// listener itself, which is the default for any latency budget (SynchronousDeliveryLatencyBound
-// is infinite).
-//
-// "cyclonedds-iceoryx" differs only in the configuration. Cyclone silently falls back to the
-// network if it cannot use shared memory (no memory of RouDi, an incompatible quality of
-// service), so both sides check that the entity has a port of iceoryx, and throw if it has none.
-// A message through iceoryx that arrives before its reader has discovered the writer is dropped,
-// though the writer knows the reader: so readers count themselves as well.
+// "cyclonedds-iceoryx": Cyclone silently falls back to the network if it cannot use shared memory
+// (no memory of RouDi, an incompatible quality of service), so both sides check that the entity has
+// a port of iceoryx, and throw if it has none. A message through iceoryx that arrives before its
+// reader has discovered the writer is dropped, though the writer knows the reader: so readers count
+// themselves as well.
 
+#include <bench/systems/cyclonedds_settings.hpp>
 #include <bench/systems/ready_count.hpp>
 
 #include <dds/dds.h>
 #include <dds/ddsc/dds_loan_api.h>
 #include <point_cloud2.h>
-
-#include <unistd.h>
 
 #include <atomic>
 #include <cstdlib>
@@ -184,33 +178,6 @@ std::unique_ptr<Receiver> make_receiver(const Carriage& carriage) {
   return std::make_unique<CycloneReceiver>(carriage);
 }
 
-/// Returns a value of CYCLONEDDS_URI, which may be the text itself. Called by the process that
-/// starts the roles: its pid is the tag of all of them. 32 participants: a sender and the
-/// receivers of the widest fan-out.
-std::vector<std::string> configuration(const std::string& general, const std::string& more) {
-  return {
-      "CYCLONEDDS_URI=<CycloneDDS><Domain id=\"any\">"
-      "<General><Interfaces><NetworkInterface name=\"lo\" multicast=\"false\"/></Interfaces>"
-      "<AllowMulticast>false</AllowMulticast>" +
-      general +
-      "</General>"
-      "<Discovery><ParticipantIndex>auto</ParticipantIndex>"
-      "<MaxAutoParticipantIndex>32</MaxAutoParticipantIndex>"
-      "<Tag>agnocast-bench-" +
-      std::to_string(::getpid()) +
-      "</Tag><Peers><Peer address=\"127.0.0.1\"/></Peers></Discovery>" + more +
-      "</Domain></CycloneDDS>"};
-}
-std::vector<std::string> over_network() { return configuration("", ""); }
-std::vector<std::string> tuned() {
-  return configuration("<MaxMessageSize>65500B</MaxMessageSize><FragmentSize>65000B</FragmentSize>",
-                       "<Internal><SocketReceiveBufferSize max=\"16MiB\"/></Internal>");
-}
-std::vector<std::string> over_iceoryx() {
-  return configuration(
-      "", "<SharedMemory><Enable>true</Enable><LogLevel>off</LogLevel></SharedMemory>");
-}
-
 }  // namespace
 
 std::vector<System> cyclonedds_systems() {
@@ -220,19 +187,19 @@ std::vector<System> cyclonedds_systems() {
        .make_sender = make_sender,
        .make_receiver = make_receiver,
        .service = "",
-       .environment = over_network},
+       .environment = cyclonedds_over_network},
       {.name = "cyclonedds-tuned",
        .summary = "the same with packets of 64 KB and a large receive buffer",
        .make_sender = make_sender,
        .make_receiver = make_receiver,
        .service = "",
-       .environment = tuned},
+       .environment = cyclonedds_tuned},
       {.name = "cyclonedds-iceoryx",
        .summary = "Cyclone DDS through iceoryx' shared memory, reliable, in its listener",
        .make_sender = make_sender,
        .make_receiver = make_receiver,
        .service = "iox-roudi",
-       .environment = over_iceoryx},
+       .environment = cyclonedds_over_iceoryx},
   };
 }
 
