@@ -8,6 +8,7 @@
 #include <algorithm>
 #include <cmath>
 #include <cstdio>
+#include <map>
 #include <set>
 #include <stdexcept>
 #include <utility>
@@ -84,6 +85,13 @@ std::vector<double> Series::sender_cpu_ratios_to(const Series& other) const {
   return ratios(rounds, other.rounds, sender_cpu_of);
 }
 
+std::vector<double> Series::differences_to(const Series& other) const {
+  std::vector<double> differences;
+  for (std::size_t i = 0; i < std::min(rounds.size(), other.rounds.size()); ++i)
+    differences.push_back(p50_of(rounds[i]) - p50_of(other.rounds[i]));
+  return differences;
+}
+
 double Series::p99_ratio_to(const Series& other) const { return p99_ns() / other.p99_ns(); }
 
 Interval Series::p99_ratio_interval(const Series& other) const {
@@ -128,7 +136,8 @@ std::vector<std::string_view> all_names() {
 }
 
 bool is_peer(const System& system) {
-  return system.name.starts_with("iceoryx") || system.name.starts_with("cyclonedds");
+  return system.name.starts_with("iceoryx") || system.name.starts_with("cyclonedds") ||
+         system.name.starts_with("rclcpp");
 }
 
 bool takes_its_turn(const System& system, const std::function<void()>& turn) {
@@ -248,6 +257,30 @@ nlohmann::json violins(const Comparison& comparison) {
     series.push_back({{"label", one.system->name}, {"values", values_us}});
   }
   return series;
+}
+
+Plot lines_by_size(const std::vector<Comparison>& by_size, const std::string& name,
+                   const std::string& title) {
+  std::map<std::string, nlohmann::json> lines;
+  for (const Comparison& one : by_size) {
+    for (const Series& series : one.series) {
+      nlohmann::json& line = lines[std::string(series.system->name)];
+      line["x"].push_back(one.plan.bytes);
+      line["y"].push_back(series.p50_ns() / 1000);
+    }
+  }
+  Plot plot{.name = name,
+            .kind = "lines",
+            .title = title,
+            .x_label = "payload, bytes",
+            .y_label = "microseconds",
+            .log_x = true,
+            .log_y = true};
+  for (auto& [system, line] : lines) {
+    line["label"] = system;
+    plot.series.push_back(line);
+  }
+  return plot;
 }
 
 Basis basis_of(const Comparison& comparison, std::size_t enough) {

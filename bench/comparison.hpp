@@ -40,7 +40,9 @@ struct Series {
   std::vector<double> ratios_to(const Series& other) const;
   std::vector<double> publish_ratios_to(const Series& other) const;
   std::vector<double> sender_cpu_ratios_to(const Series& other) const;
-  /// Return medians of these over the rounds.
+  /// Returns, for each round, this system's p50 less the other's, in nanoseconds.
+  std::vector<double> differences_to(const Series& other) const;
+  /// Return medians of the ratios over the rounds.
   double ratio_to(const Series& other) const { return median(ratios_to(other)); }
   double publish_ratio_to(const Series& other) const { return median(publish_ratios_to(other)); }
   /// Returns p99_ns() over the other's, with its 95 % interval.
@@ -114,6 +116,9 @@ std::vector<Comparison> compare_and_tell(const Measurement& measurement, Service
 
 /// Returns one violin for each system.
 nlohmann::json violins(const Comparison& comparison);
+/// Returns a plot of the medians by size, a line for each system. One comparison a size.
+Plot lines_by_size(const std::vector<Comparison>& by_size, const std::string& name,
+                   const std::string& title);
 
 /// The basis of a figure. If it is too small, an aim is not judged.
 struct Basis {

@@ -22,7 +22,6 @@
 #include <unistd.h>
 
 #include <algorithm>
-#include <map>
 #include <optional>
 #include <string>
 #include <tuple>
@@ -82,7 +81,8 @@ class Latency {
     aims_.add_information(text_of(where, spinning, "floor-chain"),
                           ratios(smallest, spinning, "floor-chain"));
     tell_quotients(by_size);
-    if (!by_size.empty()) draw_by_size(by_size);
+    if (!by_size.empty())
+      report_.add(lines_by_size(by_size, "latency-by-size", "Two cores: median latency by size"));
   }
 
   void bare_calls() {
@@ -172,29 +172,6 @@ class Latency {
                      .y_label = "microseconds",
                      .log_y = true,
                      .series = violins(result)});
-  }
-
-  void draw_by_size(const std::vector<Comparison>& by_size) {
-    std::map<std::string, nlohmann::json> lines;
-    for (const Comparison& one : by_size) {
-      for (const Series& series : one.series) {
-        nlohmann::json& line = lines[std::string(series.system->name)];
-        line["x"].push_back(one.plan.bytes);
-        line["y"].push_back(series.p50_ns() / 1000);
-      }
-    }
-    Plot plot{.name = "latency-by-size",
-              .kind = "lines",
-              .title = "Two cores: median latency by size",
-              .x_label = "payload, bytes",
-              .y_label = "microseconds",
-              .log_x = true,
-              .log_y = true};
-    for (auto& [name, line] : lines) {
-      line["label"] = name;
-      plot.series.push_back(line);
-    }
-    report_.add(std::move(plot));
   }
 
   /// Returns the comparison of a size; empty if it was not measured.

@@ -37,6 +37,7 @@ TEST(Series, IsComparedWithinEachRound) {
   EXPECT_DOUBLE_EQ(one.ratio_to(other), 2);
   EXPECT_DOUBLE_EQ(one.publish_ratio_to(other), 2);
   EXPECT_DOUBLE_EQ(one.ratio_to(one), 1);
+  EXPECT_THAT(one.differences_to(other), ElementsAre(2, 20, 8));
 }
 
 TEST(Series, LeavesOutARoundWithoutTime) {
