@@ -120,5 +120,6 @@ void run_scale(const Run&, Report&);
 void run_death(const Run&, Report&);
 void run_bridge(const Run&, Report&);
 void run_pipeline(const Run&, Report&);
+void run_ros2(const Run&, Report&);
 
 }  // namespace agnocast::bench

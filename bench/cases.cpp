@@ -4,6 +4,7 @@
 // that each of them reads.
 
 #include <bench/cases.hpp>
+#include <bench/cases/ros2.hpp>
 #include <bench/cases/throughput.hpp>
 #include <bench/pipeline/edge.hpp>
 #include <bench/system.hpp>
@@ -25,6 +26,7 @@ std::vector<SystemName> of_fanout() {
   return names;
 }
 std::vector<SystemName> of_throughput() { return named(throughput::systems()); }
+std::vector<SystemName> of_ros2() { return named(ros2::systems()); }
 std::vector<SystemName> of_pipeline() {
   std::vector<SystemName> names;
   for (const pipeline::Edge& edge : pipeline::edges()) names.push_back({edge.name, {}});
@@ -116,6 +118,14 @@ const std::vector<Case>& cases() {
        run_pipeline,
        {"--messages", "--period", "--systems", "--scan"},
        of_pipeline},
+#endif
+#ifdef AGNOCAST_BENCH_HAS_ROS2
+      {"ros2",
+       "agnocast_rclcpp beside our own executor, rclcpp over DDS and within a process",
+       seconds(300),
+       run_ros2,
+       {"--rounds", "--messages", "--period", "--sizes", "--systems"},
+       of_ros2},
 #endif
   };
   return all;

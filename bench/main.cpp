@@ -56,7 +56,7 @@ void clean_up_on_signals() {
 }
 
 std::string padded(std::string_view name) {
-  return "  " + std::string(name) + std::string(name.size() < 20 ? 20 - name.size() : 1, ' ');
+  return "  " + std::string(name) + std::string(name.size() < 24 ? 24 - name.size() : 1, ' ');
 }
 
 void list() {

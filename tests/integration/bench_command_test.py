@@ -69,6 +69,13 @@ document = document_of(ran)
 if "memory" not in document.get("failed", {}) or "/nowhere" not in ran.stderr:
     errors.append(f"a case that fails: {document.get('failed')}, {ran.stderr}")
 
+# --- a case whose processes are those of a package that is not there
+ran = run("ros2", "--small", "--json", "-", status=0, environment={"AMENT_PREFIX_PATH": "/nowhere"})
+document = document_of(ran)
+left_out = " ".join(document.get("environment", {}).get("left_out", []))
+if document.get("results") != [] or "build the package agnocast_rclcpp" not in left_out:
+    errors.append(f"a case without its processes: {document.get('results')}, {left_out}")
+
 # --- standard output, with processes of all kinds
 ran = run("latency", "alloc", "--small", "--rounds", "1", "--json", "-", status=0)
 document = document_of(ran)
