@@ -21,11 +21,12 @@ std::shared_ptr<GroupWaitable> GroupWaitable::make(const rclcpp::Context::Shared
 
 GroupWaitable::GroupWaitable(const rclcpp::Context::SharedPtr& context,
                              agnocast::CallbackGroup& group)
-    : callbacks_(group), guard_(context) {}
+    : context_(context), callbacks_(group), guard_(context) {}
 
 void GroupWaitable::leave() noexcept { GuardThread::instance().remove(number_, callbacks_.fd()); }
 
 bool GroupWaitable::prepare() noexcept {
+  if (is_over()) return false;
   if (callbacks_.prepare()) return true;
   GuardThread::instance().arm(number_, callbacks_.fd());
   return false;
@@ -55,7 +56,7 @@ void GroupWaitable::add_to_wait_set(rcl_wait_set_t* wait_set) {
     rclcpp::exceptions::throw_from_rcl_error(added, "adding agnocast's guard condition");
 }
 
-bool GroupWaitable::is_ready(rcl_wait_set_t*) { return callbacks_.has_work(); }
+bool GroupWaitable::is_ready(rcl_wait_set_t*) { return !is_over() && callbacks_.has_work(); }
 
 void GroupWaitable::execute(std::shared_ptr<void>&) {
   // An events executor does not wait again, so it must be told of what is left.
@@ -70,6 +71,7 @@ void GroupWaitable::execute(std::shared_ptr<void>&) {
       if (has_events_executor) self.ring();
     }
   };
+  if (is_over()) return;  // since is_ready()
   const Telling telling{*this};
   (void)callbacks_.run_one();
 }

@@ -47,7 +47,10 @@ class GroupWaitable final : public rclcpp::Waitable {
   /// Returns true if there is something to do; otherwise ring() comes later.
   bool prepare() noexcept;
   void tell() noexcept;
+  /// Returns whether the context was shut down; then no callback begins.
+  bool is_over() const noexcept { return !context_->is_valid(); }
 
+  const rclcpp::Context::SharedPtr context_;
   agnocast::CallbackGroupWaitable callbacks_;
   rclcpp::GuardCondition guard_;
   std::uint64_t number_ = 0;  // of GuardThread
