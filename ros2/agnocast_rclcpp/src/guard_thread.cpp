@@ -10,6 +10,7 @@
 #include <sys/eventfd.h>
 
 #include <cerrno>
+#include <chrono>
 #include <cstdlib>
 #include <system_error>
 
@@ -18,6 +19,7 @@ namespace {
 
 constexpr std::uint64_t end_number = 0;
 constexpr std::uint32_t once = EPOLLIN | EPOLLONESHOT;
+constexpr std::chrono::milliseconds usually{1'000}, if_deaf{10};
 
 int checked(int result, const char* what) {
   if (result < 0) throw std::system_error(errno, std::generic_category(), what);
@@ -45,8 +47,8 @@ GuardThread& GuardThread::instance() {
 
 GuardThread::GuardThread()
     : epoll_(checked(::epoll_create1(EPOLL_CLOEXEC), "epoll_create1")),
-      ended_(checked(::eventfd(0, EFD_CLOEXEC), "eventfd")) {
-  epoll_event event = event_of(end_number, EPOLLIN);
+      ended_(checked(::eventfd(1, EFD_CLOEXEC), "eventfd")) {
+  epoll_event event = event_of(end_number, 0);
   checked(::epoll_ctl(epoll_, EPOLL_CTL_ADD, ended_, &event), "epoll_ctl");
   // Signals are for the threads of the user.
   sigset_t all, before;
@@ -78,40 +80,71 @@ std::uint64_t GuardThread::add(const std::shared_ptr<GroupWaitable>& waitable, i
 void GuardThread::arm(std::uint64_t number, int fd) noexcept {
   if (!is_here()) return;
   epoll_event event = event_of(number, once);
-  ::epoll_ctl(epoll_, EPOLL_CTL_MOD, fd, &event);
+  if (::epoll_ctl(epoll_, EPOLL_CTL_MOD, fd, &event) == 0) return;
+  const std::lock_guard lock(mutex_);
+  if (waitables_.count(number) != 0) is_deaf_.store(true);  // it was not removed meanwhile
 }
 
 void GuardThread::remove(std::uint64_t number, int fd) noexcept {
   if (!is_here()) return;
+  {
+    const std::lock_guard lock(mutex_);
+    waitables_.erase(number);
+  }
   epoll_event event{};
   ::epoll_ctl(epoll_, EPOLL_CTL_DEL, fd, &event);
-  const std::lock_guard lock(mutex_);
-  waitables_.erase(number);
 }
 
 void GuardThread::run() noexcept {
+  using Clock = std::chrono::steady_clock;
+  auto next_look = Clock::now() + usually;
   while (!is_over_.load(std::memory_order_acquire)) {
     epoll_event events[16];
-    const int count = ::epoll_wait(epoll_, events, 16, -1);
-    // The program has closed descriptors that are not its own: nothing can ring any more.
-    if (count < 0 && errno != EINTR) ::usleep(10'000);
+    const auto pause = is_deaf_ ? if_deaf : usually;
+    const int count = ::epoll_wait(epoll_, events, 16, static_cast<int>(pause.count()));
+    if (count < 0 && errno != EINTR) {
+      is_deaf_.store(true);
+      std::this_thread::sleep_for(if_deaf);
+    }
     for (int i = 0; i < count; ++i) {
       if (events[i].data.u64 == end_number) return;
-      std::shared_ptr<GroupWaitable> waitable;
-      {
-        const std::lock_guard lock(mutex_);
-        const auto found = waitables_.find(events[i].data.u64);
-        if (found != waitables_.end()) waitable = found->second.lock();
-      }
-      if (waitable != nullptr) waitable->ring();
+      ring_one(events[i].data.u64);
     }
+    if (Clock::now() < next_look && !is_deaf_) continue;
+    ring_all();
+    next_look = Clock::now() + usually;
+  }
+}
+
+void GuardThread::ring_one(std::uint64_t number) noexcept {
+  std::shared_ptr<GroupWaitable> waitable;
+  {
+    const std::lock_guard lock(mutex_);
+    const auto found = waitables_.find(number);
+    if (found != waitables_.end()) waitable = found->second.lock();
+  }
+  if (waitable != nullptr) waitable->ring();
+}
+
+void GuardThread::ring_all() noexcept {
+  for (std::uint64_t number = 0;; ++number) {
+    {
+      const std::lock_guard lock(mutex_);
+      const auto next = waitables_.lower_bound(number);
+      if (next == waitables_.end()) return;
+      number = next->first;
+    }
+    ring_one(number);
   }
 }
 
 void GuardThread::end() noexcept {
   if (!is_here()) return;
   is_over_.store(true, std::memory_order_release);
-  ::eventfd_write(ended_, 1);
+  // The descriptor is readable from the beginning, and nothing is written to it: it may be a file
+  // of the program by now. Without this ring, the thread ends within a second.
+  epoll_event event = event_of(end_number, EPOLLIN);
+  ::epoll_ctl(epoll_, EPOLL_CTL_MOD, ended_, &event);
   if (thread_.get_id() != std::this_thread::get_id()) thread_.join();
 }
 

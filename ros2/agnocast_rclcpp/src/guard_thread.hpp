@@ -3,6 +3,9 @@
 // GuardThread: the one thread of the process that wakes rclcpp's executors. It sleeps on the
 // descriptors of all adapted groups, and triggers a guard condition when a group has something to
 // do. It runs no callback.
+//
+// If the program has closed a descriptor that it did not open, a group may never ring again. So the
+// thread asks every group once a second, and every 10 ms when it has noticed that.
 #pragma once
 
 #include <sys/types.h>
@@ -36,11 +39,14 @@ class GuardThread {
  private:
   GuardThread();
   void run() noexcept;
+  void ring_one(std::uint64_t number) noexcept;
+  void ring_all() noexcept;
   void end() noexcept;
 
   const pid_t owner_ = ::getpid();
   int epoll_, ended_;
   std::atomic<bool> is_over_{false};
+  std::atomic<bool> is_deaf_{false};  // a descriptor is closed
   std::mutex mutex_;
   std::map<std::uint64_t, std::weak_ptr<GroupWaitable>> waitables_;
   std::uint64_t last_ = 0;
