@@ -40,7 +40,11 @@ Groups& groups() {
 }
 
 AdaptedGroup::~AdaptedGroup() {
-  if (!GuardThread::instance().is_here()) return;  // the locks may be the parent's
+  if (!GuardThread::instance().is_here()) {
+    // Threads of the parent may hold the locks here and of the guard condition.
+    (void)new std::shared_ptr<GroupWaitable>(std::move(waitable));
+    return;
+  }
   {
     Groups& all = groups();
     const std::lock_guard lock(all.mutex);
