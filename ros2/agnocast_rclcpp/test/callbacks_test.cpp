@@ -1,12 +1,10 @@
 // SPDX-License-Identifier: Apache-2.0
 //
-// When callbacks of agnocast run in an rclcpp node: never before somebody spins, never after
-// rclcpp::shutdown, and whatever ends first.
+// When callbacks of agnocast run in an rclcpp node: never before somebody spins, then each of them,
+// whatever comes and goes meanwhile. Their end: endings_test.cpp.
 
 #include "test_node.hpp"
 
-#include <algorithm>
-#include <stdexcept>
 #include <vector>
 
 namespace agnocast_rclcpp {
@@ -15,39 +13,8 @@ namespace {
 using namespace std::chrono_literals;
 using Message = agnocast::ipc_shared_ptr<const String>;
 
-class CallbacksTest : public RclcppTest, public testing::WithParamInterface<const ExecutorKind*> {
- protected:
-  std::unique_ptr<rclcpp::Executor> executor_;
-  void SetUp() override {
-    RclcppTest::SetUp();
-    executor_ = GetParam()->make();
-  }
-  void TearDown() override {
-    executor_.reset();
-    RclcppTest::TearDown();
-  }
-};
-INSTANTIATE_TEST_SUITE_P(Executors, CallbacksTest,
-                         testing::Values(&single_threaded, &static_single_threaded,
-                                         &multi_threaded(4)),
-                         [](const auto& info) { return std::string(info.param->name); });
-
-/// Publishes when something listens.
-class Source {
- public:
-  explicit Source(const std::string& topic = "topic")
-      : node_(std::make_shared<rclcpp::Node>("source_of_" + topic)),
-        publisher_(agnocast::create_publisher<String>(node_, topic, rclcpp::QoS(1000))) {}
-  void publish(int count = 1) {
-    ASSERT_TRUE(eventually([&] { return publisher_->get_subscription_count() != 0; }));
-    for (int i = 0; i < count; ++i)
-      ASSERT_EQ(publisher_->publish(String()).code, agnocast::Errc::ok);
-  }
-
- private:
-  rclcpp::Node::SharedPtr node_;
-  agnocast::Publisher<String>::SharedPtr publisher_;
-};
+class CallbacksTest : public EveryExecutorTest {};
+AGNOCAST_TEST_EXECUTORS(CallbacksTest);
 
 /// A node as people write them: the handle is a member, and callbacks use shared_from_this().
 class Listener : public rclcpp::Node {
@@ -78,42 +45,6 @@ TEST_P(CallbacksTest, NothingRunsBeforeTheSpin) {
   EXPECT_EQ(listener->heard, 0);
   const SpinningThread spinning(*executor_);
   EXPECT_TRUE(eventually([&] { return listener->heard == 100; }));
-}
-
-TEST_P(CallbacksTest, NothingRunsAfterShutdown) {
-  Source source;
-  std::atomic<int> heard{0};
-  const auto node = std::make_shared<rclcpp::Node>("node");
-  const auto subscription =
-      agnocast::create_subscription<String>(node, "topic", 1000, [&](const Message&) { ++heard; });
-  executor_->add_node(node);
-  std::thread spinning([&] { executor_->spin(); });
-  source.publish(10);
-  EXPECT_TRUE(eventually([&] { return heard == 10; }));
-  rclcpp::shutdown();
-  spinning.join();
-  source.publish(10);
-  std::this_thread::sleep_for(50ms);
-  EXPECT_EQ(heard, 10);
-}
-
-TEST_P(CallbacksTest, AnExceptionLeavesTheSpin) {
-  Source source;
-  const auto node = std::make_shared<rclcpp::Node>("node");
-  std::atomic<int> heard{0};
-  const auto subscription =
-      agnocast::create_subscription<String>(node, "topic", 1000, [&](const Message&) {
-        if (++heard == 1) throw std::runtime_error("from a callback");
-      });
-  executor_->add_node(node);
-  source.publish(2);
-  if (GetParam() == &multi_threaded(4)) {
-    // Humble's other threads end with std::terminate(), so only the spinning one is asked.
-    EXPECT_THROW(while (heard < 2) executor_->spin_once(), std::runtime_error);
-  } else {
-    EXPECT_THROW(executor_->spin(), std::runtime_error);
-  }
-  EXPECT_EQ(heard, 1);
 }
 
 TEST_P(CallbacksTest, MessagesWaitWhileAnExclusiveGroupIsBusy) {
@@ -201,39 +132,6 @@ TEST_P(CallbacksTest, NodesAreAddedAndRemovedWhileMessagesFlow) {
     }
     executor_->remove_node(node);
   }
-}
-
-TEST_F(RclcppTest, DestructionInEveryOrder) {
-  enum What { node, subscription, group, executor, what_count };
-  std::vector<int> order{node, subscription, group, executor};
-  do {
-    Source source;
-    auto owner = std::make_shared<rclcpp::Node>("owner");
-    auto callback_group =
-        owner->create_callback_group(rclcpp::CallbackGroupType::MutuallyExclusive);
-    rclcpp::SubscriptionOptions options;
-    options.callback_group = callback_group;
-    std::atomic<int> heard{0};
-    auto made = agnocast::create_subscription<String>(
-        owner, "topic", 10, [&](const Message&) { ++heard; }, options);
-    auto spinner = std::make_unique<rclcpp::executors::SingleThreadedExecutor>();
-    spinner->add_node(owner);
-    source.publish(2);
-    while (heard == 0) spinner->spin_once(10ms);
-    for (const int what : order) {
-      if (what == node) owner.reset();
-      if (what == subscription) made.reset();
-      if (what == group) {
-        callback_group.reset();
-        options.callback_group.reset();
-      }
-      if (what == executor) {
-        spinner.reset();
-      } else if (spinner != nullptr) {
-        spinner->spin_some(1ms);
-      }
-    }
-  } while (std::next_permutation(order.begin(), order.end()));
 }
 
 }  // namespace

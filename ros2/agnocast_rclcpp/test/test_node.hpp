@@ -31,13 +31,14 @@ class RclcppTest : public testing::Test {
 /// How to make an executor, by name.
 struct ExecutorKind {
   const char* name;
-  std::function<std::unique_ptr<rclcpp::Executor>()> make;
+  std::function<std::unique_ptr<rclcpp::Executor>(const rclcpp::ExecutorOptions&)> make_with;
+  std::unique_ptr<rclcpp::Executor> make() const { return make_with(rclcpp::ExecutorOptions()); }
 };
 inline const ExecutorKind& multi_threaded(std::size_t threads) {
   static const auto of = [](const char* name, std::size_t count) {
-    return ExecutorKind{name, [count] {
-                          return std::make_unique<rclcpp::executors::MultiThreadedExecutor>(
-                              rclcpp::ExecutorOptions(), count);
+    return ExecutorKind{name, [count](const rclcpp::ExecutorOptions& options) {
+                          return std::make_unique<rclcpp::executors::MultiThreadedExecutor>(options,
+                                                                                            count);
                         }};
   };
   static const ExecutorKind two = of("multi_2", 2), four = of("multi_4", 4),
@@ -45,10 +46,34 @@ inline const ExecutorKind& multi_threaded(std::size_t threads) {
   return threads == 2 ? two : threads == 4 ? four : eight;
 }
 inline const ExecutorKind single_threaded{
-    "single", [] { return std::make_unique<rclcpp::executors::SingleThreadedExecutor>(); }};
+    "single", [](const rclcpp::ExecutorOptions& options) {
+      return std::make_unique<rclcpp::executors::SingleThreadedExecutor>(options);
+    }};
 inline const ExecutorKind static_single_threaded{
-    "static_single",
-    [] { return std::make_unique<rclcpp::executors::StaticSingleThreadedExecutor>(); }};
+    "static_single", [](const rclcpp::ExecutorOptions& options) {
+      return std::make_unique<rclcpp::executors::StaticSingleThreadedExecutor>(options);
+    }};
+
+/// A test for each of three executors of rclcpp's, which executor_ is. In the same file:
+///   AGNOCAST_TEST_EXECUTORS(Test);
+class EveryExecutorTest : public RclcppTest,
+                          public testing::WithParamInterface<const ExecutorKind*> {
+ protected:
+  void SetUp() override {
+    RclcppTest::SetUp();
+    executor_ = GetParam()->make();
+  }
+  void TearDown() override {
+    executor_.reset();
+    RclcppTest::TearDown();
+  }
+  std::unique_ptr<rclcpp::Executor> executor_;
+};
+#define AGNOCAST_TEST_EXECUTORS(Test)                                                 \
+  INSTANTIATE_TEST_SUITE_P(                                                           \
+      Executors, Test,                                                                \
+      testing::Values(&single_threaded, &static_single_threaded, &multi_threaded(4)), \
+      [](const auto& info) { return std::string(info.param->name); })
 
 class SpinningThread {
  public:
@@ -72,5 +97,25 @@ template <class Condition>
   }
   return false;
 }
+
+class Source {
+ public:
+  explicit Source(const std::string& topic = "topic")
+      : node_(std::make_shared<rclcpp::Node>("source_of_" + topic)),
+        publisher_(agnocast::create_publisher<String>(node_, topic, rclcpp::QoS(1000))) {}
+  /// Publishes when so many listen.
+  void publish(int count = 1, std::size_t listeners = 1) {
+    ASSERT_TRUE(eventually([&] { return publisher_->get_subscription_count() >= listeners; }));
+    publish_to_any(count);
+  }
+  void publish_to_any(int count = 1) {
+    for (int i = 0; i < count; ++i)
+      ASSERT_EQ(publisher_->publish(String()).code, agnocast::Errc::ok);
+  }
+
+ private:
+  rclcpp::Node::SharedPtr node_;
+  agnocast::Publisher<String>::SharedPtr publisher_;
+};
 
 }  // namespace agnocast_rclcpp
