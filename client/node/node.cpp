@@ -44,17 +44,17 @@ void require(const std::optional<NameProblem>& problem, const char* what, const 
 
 }  // namespace
 
-void init(int argc, char const* const* argv, const InitOptions& options) {
+void core::init(int argc, char const* const* argv, const InitOptions& options) {
   Arguments arguments = parse_or_throw({argv, argv + argc});
   if (options.warns_of_ignored_arguments()) warn_of(arguments);
   set_global_arguments(std::move(arguments));
 }
 
-std::vector<std::string> remove_ros_arguments(int argc, char const* const* argv) {
+std::vector<std::string> core::remove_ros_arguments(int argc, char const* const* argv) {
   return parse_or_throw({argv, argv + argc}).others;
 }
 
-std::vector<std::string> ignored_ros_arguments(int argc, char const* const* argv) {
+std::vector<std::string> core::ignored_ros_arguments(int argc, char const* const* argv) {
   return parse_or_throw({argv, argv + argc}).ignored;
 }
 

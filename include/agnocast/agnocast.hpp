@@ -4,6 +4,11 @@
 // errors.
 #pragma once
 
+#if defined(AGNOCASTLIB)
+// A target that uses the package agnocastlib, whose users write this path as well.
+#include <agnocastlib/agnocast.hpp>
+#else
+
 #include <agnocast/callback_group.hpp>
 #include <agnocast/client.hpp>
 #include <agnocast/connection_state.hpp>
@@ -26,4 +31,6 @@
 
 #if __has_include(<rosidl_typesupport_introspection_cpp/message_introspection.hpp>)
 #include <agnocast/rosidl.hpp>
+#endif
+
 #endif

@@ -5,6 +5,7 @@
 // service is built from topics, and what happens when a side dies: docs/services.md.
 #pragma once
 
+#include <agnocast/core_namespace.hpp>
 #include <agnocast/heap.hpp>
 #include <agnocast/service_message.hpp>
 #include <agnocast/subscription.hpp>
@@ -256,6 +257,8 @@ Result<std::shared_ptr<Made>> make_client(Node& node, const std::string& service
 
 }  // namespace detail
 
+AGNOCAST_CORE_BEGIN
+
 /// A client of services of type ServiceT: any type with a Request and a Response that can be
 /// messages (message_traits.hpp), such as example_interfaces::srv::AddTwoInts with
 /// <agnocast/rosidl.hpp>.
@@ -287,5 +290,7 @@ typename Client<ServiceT>::SharedPtr create_client(Node&& node, const std::strin
   if (!client) detail::throw_error(client.error());
   return std::move(*client);
 }
+
+AGNOCAST_CORE_END
 
 }  // namespace agnocast

@@ -9,6 +9,7 @@
 // package has. Generic and typed endpoints of one type match each other and cost the same.
 #pragma once
 
+#include <agnocast/core_namespace.hpp>
 #include <agnocast/publisher.hpp>
 #include <agnocast/rosidl.hpp>
 #include <agnocast/subscription.hpp>
@@ -233,6 +234,8 @@ using GenericMessage = BasicGenericMessage<const std::byte>;
 /// A message to fill through the functions of its table.
 using GenericLoan = BasicGenericMessage<std::byte>;
 
+AGNOCAST_CORE_BEGIN
+
 /// A Publisher of a type found at run time: publish(), publish_for(), pause() and the rest are
 /// the same. Any thread may call any function.
 class GenericPublisher : public detail::LendingPublisher<std::byte, detail::CodeByTable> {
@@ -284,12 +287,14 @@ class GenericSubscription : public SubscriptionBase {
   const MessageMembers* members_;
 };
 
+AGNOCAST_CORE_END
+
 using GenericCallback = std::function<void(GenericMessage)>;
 
 namespace detail {
 
 template <class Node>
-Result<GenericSubscription::SharedPtr> make_generic_subscription(
+Result<core::GenericSubscription::SharedPtr> make_generic_subscription(
     Node& node, const std::string& topic, const Result<MessageType>& type,
     const MessageMembers* members, const QoS& qos, GenericCallback callback,
     const SubscriptionOptionsOf<Node>& options) {
@@ -303,15 +308,17 @@ Result<GenericSubscription::SharedPtr> make_generic_subscription(
     };
   }
   QoS used = qos;
-  const SubscriptionOptions& adapted =
+  const core::SubscriptionOptions& adapted =
       AdapterOf<Node>::options(dereference(node), *name, used, options);
   auto untyped =
       UntypedSubscription::create(*name, *type, used, adapted, std::move(untyped_callback));
   if (!untyped) return tl::unexpected<Failure>(untyped.error());
-  return std::make_shared<GenericSubscription>(std::move(*untyped), members);
+  return std::make_shared<core::GenericSubscription>(std::move(*untyped), members);
 }
 
 }  // namespace detail
+
+AGNOCAST_CORE_BEGIN
 
 /// Creates a publisher of a type found at run time. Errors as of try_create_publisher.
 template <class Node>
@@ -389,5 +396,7 @@ GenericSubscription::SharedPtr create_generic_subscription(
   if (!subscription) detail::throw_error(subscription.error());
   return std::move(*subscription);
 }
+
+AGNOCAST_CORE_END
 
 }  // namespace agnocast

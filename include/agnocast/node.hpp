@@ -7,6 +7,7 @@
 
 #include <agnocast/callback_group.hpp>
 #include <agnocast/client.hpp>
+#include <agnocast/core_namespace.hpp>
 #include <agnocast/export.hpp>
 #include <agnocast/publisher.hpp>
 #include <agnocast/qos.hpp>
@@ -23,6 +24,8 @@
 #include <vector>
 
 namespace agnocast {
+
+AGNOCAST_CORE_BEGIN
 
 /// Options of init(), with setters.
 class InitOptions {
@@ -113,43 +116,45 @@ class AGNOCAST_PUBLIC Node {
   WallTimer::SharedPtr create_wall_timer(std::chrono::duration<Rep, Period> period,
                                          Callback&& callback,
                                          const CallbackGroup::SharedPtr& group = nullptr) {
-    return agnocast::create_wall_timer(*this, period, std::forward<Callback>(callback), group);
+    return core::create_wall_timer(*this, period, std::forward<Callback>(callback), group);
   }
   template <class T>
   typename Publisher<T>::SharedPtr create_publisher(const std::string& topic, const QoS& qos,
                                                     const PublisherOptions& options = {}) {
-    return agnocast::create_publisher<T>(*this, topic, qos, options);
+    return core::create_publisher<T>(*this, topic, qos, options);
   }
   template <class T, class Callback,
             class = std::enable_if_t<!std::is_same_v<std::decay_t<Callback>, SubscriptionOptions>>>
   typename Subscription<T>::SharedPtr create_subscription(const std::string& topic, const QoS& qos,
                                                           Callback&& callback,
                                                           const SubscriptionOptions& options = {}) {
-    return agnocast::create_subscription<T>(*this, topic, qos, std::forward<Callback>(callback),
-                                            options);
+    return core::create_subscription<T>(*this, topic, qos, std::forward<Callback>(callback),
+                                        options);
   }
   template <class T>
   typename PollingSubscriber<T>::SharedPtr create_subscription(
       const std::string& topic, const QoS& qos, const SubscriptionOptions& options = {}) {
-    return agnocast::create_subscription<T>(*this, topic, qos, options);
+    return core::create_subscription<T>(*this, topic, qos, options);
   }
   template <class ServiceT, class Callback>
   typename Service<ServiceT>::SharedPtr create_service(
       const std::string& service, Callback&& callback, const QoS& qos = ServicesQoS(),
       const CallbackGroup::SharedPtr& group = nullptr) {
-    return agnocast::create_service<ServiceT>(*this, service, std::forward<Callback>(callback), qos,
-                                              group);
+    return core::create_service<ServiceT>(*this, service, std::forward<Callback>(callback), qos,
+                                          group);
   }
   template <class ServiceT>
   typename Client<ServiceT>::SharedPtr create_client(
       const std::string& service, const QoS& qos = ServicesQoS(),
       const CallbackGroup::SharedPtr& group = nullptr) {
-    return agnocast::create_client<ServiceT>(*this, service, qos, group);
+    return core::create_client<ServiceT>(*this, service, qos, group);
   }
 
  private:
   struct Names;
   std::shared_ptr<const Names> names_;
 };
+
+AGNOCAST_CORE_END
 
 }  // namespace agnocast

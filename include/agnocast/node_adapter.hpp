@@ -5,6 +5,7 @@
 #pragma once
 
 #include <agnocast/callback_group.hpp>
+#include <agnocast/core_namespace.hpp>
 #include <agnocast/ipc_shared_ptr.hpp>
 #include <agnocast/node_like.hpp>
 
@@ -13,8 +14,10 @@
 
 namespace agnocast {
 
+AGNOCAST_CORE_BEGIN
 class PublisherOptions;
 class SubscriptionOptions;
+AGNOCAST_CORE_END
 
 namespace detail {
 
@@ -25,8 +28,8 @@ struct NodeAdapter {
                 "agnocast: the callbacks of an rclcpp node run in rclcpp's executors: include "
                 "<agnocast_rclcpp/agnocast_rclcpp.hpp>, of the package agnocast_rclcpp");
   using Group = CallbackGroup::SharedPtr;
-  using PublisherOptions = agnocast::PublisherOptions;
-  using SubscriptionOptions = agnocast::SubscriptionOptions;
+  using PublisherOptions = core::PublisherOptions;
+  using SubscriptionOptions = core::SubscriptionOptions;
   /// What callbacks may take besides agnocast::MessageInfo.
   using Info = MessageInfo;
   static const Info& info(const MessageInfo& info) noexcept { return info; }

@@ -6,6 +6,7 @@
 #pragma once
 
 #include <agnocast/callback_group.hpp>
+#include <agnocast/core_namespace.hpp>
 #include <agnocast/events.hpp>
 #include <agnocast/ipc_shared_ptr.hpp>
 #include <agnocast/message_type.hpp>
@@ -32,10 +33,14 @@ class PublisherEndpoint;
 class CallbackSource;
 class Watch;
 
+AGNOCAST_CORE_BEGIN
+
 /// Options of a publisher: its event callbacks (events.hpp) and their callback group
 /// (callback_group.hpp).
 class PublisherOptions : public detail::EventOptions<PublisherOptions>,
                          public detail::CallbackGroupOption<PublisherOptions> {};
+
+AGNOCAST_CORE_END
 
 /// Outcome of publish. Converts to true when the message was committed and belongs to the queue;
 /// otherwise the caller still owns it.
@@ -110,8 +115,8 @@ struct MessageCode {
 class AGNOCAST_PUBLIC UntypedPublisher {
  public:
   [[nodiscard]] static Result<std::shared_ptr<UntypedPublisher>> create(
-      const EndpointName& name, MessageType type, const QoS& qos, const PublisherOptions& options,
-      const MessageCode& code);
+      const EndpointName& name, MessageType type, const QoS& qos,
+      const core::PublisherOptions& options, const MessageCode& code);
   ~UntypedPublisher();
   UntypedPublisher(const UntypedPublisher&) = delete;
   UntypedPublisher& operator=(const UntypedPublisher&) = delete;
@@ -415,6 +420,8 @@ struct CheckedCode : TypedCode<T> {
 
 }  // namespace detail
 
+AGNOCAST_CORE_BEGIN
+
 /// Any thread may call any function; a private mutex orders the publishes of one publisher.
 template <class T>
 class Publisher : public detail::LendingPublisher<T, detail::TypedCode<T>> {
@@ -510,5 +517,7 @@ typename Publisher<T>::SharedPtr create_publisher(
   if (!publisher) detail::throw_error(publisher.error());
   return std::move(*publisher);
 }
+
+AGNOCAST_CORE_END
 
 }  // namespace agnocast

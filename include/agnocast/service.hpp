@@ -5,6 +5,7 @@
 // messages, responses are loans, so nothing is copied. See docs/services.md.
 #pragma once
 
+#include <agnocast/core_namespace.hpp>
 #include <agnocast/service_message.hpp>
 #include <agnocast/subscription.hpp>
 
@@ -241,6 +242,8 @@ Result<std::shared_ptr<Made>> make_service(Node& node, const std::string& servic
 
 }  // namespace detail
 
+AGNOCAST_CORE_BEGIN
+
 /// The argument of a callback that answers later, with Service::send_response(): from any thread,
 /// in any order, or never.
 template <class ServiceT>
@@ -278,5 +281,7 @@ typename Service<ServiceT>::SharedPtr create_service(Node&& node, const std::str
   if (!made) detail::throw_error(made.error());
   return std::move(*made);
 }
+
+AGNOCAST_CORE_END
 
 }  // namespace agnocast

@@ -6,6 +6,7 @@
 #pragma once
 
 #include <agnocast/callback_group.hpp>
+#include <agnocast/core_namespace.hpp>
 #include <agnocast/events.hpp>
 #include <agnocast/ipc_shared_ptr.hpp>
 #include <agnocast/message_type.hpp>
@@ -30,6 +31,8 @@ namespace agnocast {
 class SubscriptionEndpoint;
 class CallbackSource;
 class Watch;
+
+AGNOCAST_CORE_BEGIN
 
 /// Options of a subscription, with setters; the event callbacks are in events.hpp, the callback
 /// group in callback_group.hpp.
@@ -72,6 +75,8 @@ class SubscriptionOptions : public detail::EventOptions<SubscriptionOptions>,
   bool ignore_local_publications_ = false;
 };
 
+AGNOCAST_CORE_END
+
 namespace detail {
 
 class AGNOCAST_PUBLIC UntypedSubscription {
@@ -81,7 +86,7 @@ class AGNOCAST_PUBLIC UntypedSubscription {
   /// group runs callbacks.
   [[nodiscard]] static Result<std::shared_ptr<UntypedSubscription>> create(
       const EndpointName& name, const MessageType& type, const QoS& qos,
-      const SubscriptionOptions& options, Callback callback);
+      const core::SubscriptionOptions& options, Callback callback);
   ~UntypedSubscription();
   UntypedSubscription(const UntypedSubscription&) = delete;
   UntypedSubscription& operator=(const UntypedSubscription&) = delete;
@@ -233,6 +238,8 @@ class SubscriptionBase {
   std::shared_ptr<detail::UntypedSubscription> untyped_;
 };
 
+AGNOCAST_CORE_BEGIN
+
 /// Any thread may call any function.
 template <class T>
 class Subscription : public SubscriptionBase {
@@ -292,6 +299,8 @@ class PollingSubscriber : public Subscription<T> {
   ipc_shared_ptr<const T> newest_;
 };
 
+AGNOCAST_CORE_END
+
 namespace detail {
 
 template <class Made, class T, class Node>
@@ -304,7 +313,7 @@ Result<std::shared_ptr<Made>> make_subscription(Node& node, const std::string& t
   const Result<MessageType> type = message_type_of<T>();
   if (!type) return tl::unexpected<Failure>(type.error());
   QoS used = qos;
-  const SubscriptionOptions& adapted =
+  const core::SubscriptionOptions& adapted =
       AdapterOf<Node>::options(dereference(node), *name, used, options);
   auto untyped = UntypedSubscription::create(*name, *type, used, adapted, std::move(callback));
   if (!untyped) return tl::unexpected<Failure>(untyped.error());
@@ -312,6 +321,8 @@ Result<std::shared_ptr<Made>> make_subscription(Node& node, const std::string& t
 }
 
 }  // namespace detail
+
+AGNOCAST_CORE_BEGIN
 
 /// Creates a subscription that calls `callback` for each message, in the executor of its callback
 /// group. `callback` takes ipc_shared_ptr<const T> (or of T), by value, const reference or rvalue,
@@ -354,5 +365,7 @@ typename PollingSubscriber<T>::SharedPtr create_subscription(
   if (!subscription) detail::throw_error(subscription.error());
   return std::move(*subscription);
 }
+
+AGNOCAST_CORE_END
 
 }  // namespace agnocast

@@ -5,6 +5,7 @@
 #pragma once
 
 #include <agnocast/callback_group.hpp>
+#include <agnocast/core_namespace.hpp>
 #include <agnocast/exceptions.hpp>
 #include <agnocast/export.hpp>
 #include <agnocast/node_like.hpp>
@@ -19,6 +20,8 @@
 #include <utility>
 
 namespace agnocast {
+
+AGNOCAST_CORE_BEGIN
 
 /// Made by create_wall_timer(). Times are those of std::chrono::steady_clock. The n-th callback is
 /// due n periods after the creation or the last reset(): delays do not add up. Periods that are
@@ -49,13 +52,17 @@ class AGNOCAST_PUBLIC WallTimer {
   Source& source_;  // of which it is a part
 };
 
+AGNOCAST_CORE_END
+
 namespace detail {
 
-[[nodiscard]] AGNOCAST_PUBLIC Result<WallTimer::SharedPtr> make_wall_timer(
+[[nodiscard]] AGNOCAST_PUBLIC Result<core::WallTimer::SharedPtr> make_wall_timer(
     const std::string& node, std::chrono::nanoseconds period,
-    std::function<void(WallTimer&)> callback, const CallbackGroup::SharedPtr& group);
+    std::function<void(core::WallTimer&)> callback, const CallbackGroup::SharedPtr& group);
 
 }  // namespace detail
+
+AGNOCAST_CORE_BEGIN
 
 /// Creates a timer of `node` (by reference or pointer) that calls `callback`, which takes nothing
 /// or the WallTimer&, in `group` of that node (null: its default group). A period of 0: once in
@@ -95,5 +102,7 @@ WallTimer::SharedPtr create_wall_timer(Node&& node, std::chrono::duration<Rep, P
   if (!timer) throw Error(timer.error());
   return std::move(*timer);
 }
+
+AGNOCAST_CORE_END
 
 }  // namespace agnocast

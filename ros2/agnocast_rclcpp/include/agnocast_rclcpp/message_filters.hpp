@@ -20,7 +20,7 @@ template <class M>
 class Subscriber : public ::message_filters::SimpleFilter<M> {
  public:
   /// A filter keeps messages: up to its queue size of each input, which the hold quota
-  /// (agnocast::SubscriptionOptions) must allow.
+  /// (agnocast::core::SubscriptionOptions) must allow.
   using Options = agnocast_rclcpp::SubscriptionOptions;
 
   Subscriber() = default;
@@ -34,14 +34,14 @@ class Subscriber : public ::message_filters::SimpleFilter<M> {
   void subscribe(Node&& node, const std::string& topic, const rclcpp::QoS& qos = rclcpp::QoS(10),
                  const Options& options = {}) {
     unsubscribe();
-    subscription_ = agnocast::create_subscription<M>(
+    subscription_ = agnocast::core::create_subscription<M>(
         std::forward<Node>(node), topic, qos,
         [this](std::shared_ptr<const M> message) { this->signalMessage(std::move(message)); },
         options);
   }
   /// Waits for a running callback, unless it is called inside one.
   void unsubscribe() { subscription_.reset(); }
-  const typename agnocast::Subscription<M>::SharedPtr& getSubscriber() const {
+  const typename agnocast::core::Subscription<M>::SharedPtr& getSubscriber() const {
     return subscription_;
   }
   /// Called by filters that have this one as their input; there is nothing before it.
@@ -50,7 +50,7 @@ class Subscriber : public ::message_filters::SimpleFilter<M> {
   void add(const ::message_filters::MessageEvent<M const>&) {}
 
  private:
-  typename agnocast::Subscription<M>::SharedPtr subscription_;
+  typename agnocast::core::Subscription<M>::SharedPtr subscription_;
 };
 
 }  // namespace agnocast::message_filters

@@ -50,12 +50,12 @@ struct NodeAdapter<Node, std::enable_if_t<is_rclcpp_node<Node>>> {
     return agnocast_rclcpp::adapt_group(node.get_node_base_interface(),
                                         node.get_node_waitables_interface(), named);
   }
-  static agnocast::SubscriptionOptions options(Node& node, const EndpointName& name, QoS& qos,
-                                               const SubscriptionOptions& options) {
+  static agnocast::core::SubscriptionOptions options(Node& node, const EndpointName& name, QoS& qos,
+                                                     const SubscriptionOptions& options) {
     return adapt<rclcpp::detail::SubscriptionQosParametersTraits>(node, name, qos, options);
   }
-  static agnocast::PublisherOptions options(Node& node, const EndpointName& name, QoS& qos,
-                                            const PublisherOptions& options) {
+  static agnocast::core::PublisherOptions options(Node& node, const EndpointName& name, QoS& qos,
+                                                  const PublisherOptions& options) {
     return adapt<rclcpp::detail::PublisherQosParametersTraits>(node, name, qos, options);
   }
 

@@ -21,10 +21,10 @@ class SubscriptionOptions {
   SubscriptionOptions(const rclcpp::SubscriptionOptionsWithAllocator<Allocator>& options)
       : ros(options) {}
   /// Throws agnocast::Error (invalid_argument): it names a callback group of agnocast's.
-  SubscriptionOptions(agnocast::SubscriptionOptions options);
+  SubscriptionOptions(agnocast::core::SubscriptionOptions options);
 
   rclcpp::SubscriptionOptionsBase ros;
-  agnocast::SubscriptionOptions own;
+  agnocast::core::SubscriptionOptions own;
 };
 
 class PublisherOptions {
@@ -33,17 +33,18 @@ class PublisherOptions {
   template <class Allocator>
   PublisherOptions(const rclcpp::PublisherOptionsWithAllocator<Allocator>& options)
       : ros(options) {}
-  PublisherOptions(agnocast::PublisherOptions options);
+  PublisherOptions(agnocast::core::PublisherOptions options);
 
   rclcpp::PublisherOptionsBase ros;
-  agnocast::PublisherOptions own;
+  agnocast::core::PublisherOptions own;
 };
 
 /// Returns the options for the library: what `options` says, with rclcpp's event callbacks, or its
 /// default ones, which warn of incompatible QoS. Warns of what has no effect here.
-agnocast::SubscriptionOptions translate(const SubscriptionOptions& options,
-                                        const std::string& topic, const rclcpp::Logger& logger);
-agnocast::PublisherOptions translate(const PublisherOptions& options, const std::string& topic,
-                                     const rclcpp::Logger& logger);
+agnocast::core::SubscriptionOptions translate(const SubscriptionOptions& options,
+                                              const std::string& topic,
+                                              const rclcpp::Logger& logger);
+agnocast::core::PublisherOptions translate(const PublisherOptions& options,
+                                           const std::string& topic, const rclcpp::Logger& logger);
 
 }  // namespace agnocast_rclcpp
