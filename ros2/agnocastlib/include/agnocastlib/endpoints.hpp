@@ -1,0 +1,83 @@
+// SPDX-License-Identifier: Apache-2.0
+//
+// What publishers and subscriptions of every message type share.
+#pragma once
+
+#include <agnocastlib/core.hpp>
+
+#include <agnocast/connection_state.hpp>
+
+#include <rmw/types.h>
+#include <rclcpp/callback_group.hpp>
+#include <rclcpp/logger.hpp>
+#include <rclcpp/node_interfaces/node_base_interface.hpp>
+#include <rclcpp/qos.hpp>
+#include <rclcpp/qos_overriding_options.hpp>
+
+#include <cstddef>
+#include <cstdint>
+#include <string>
+#include <vector>
+
+namespace agnocast {
+
+/// The options of a publisher.
+struct PublisherOptions {
+  bool do_always_ros2_publish = false;  ///< without effect; true is logged
+  rclcpp::QosOverridingOptions qos_overriding_options{};
+};
+
+/// The options of a subscription.
+struct SubscriptionOptions {
+  rclcpp::CallbackGroup::SharedPtr callback_group{nullptr};  ///< null: the default group
+  bool ignore_local_publications{false};                     ///< as rclcpp's
+  rclcpp::QosOverridingOptions qos_overriding_options{};
+};
+
+}  // namespace agnocast
+
+namespace agnocastlib {
+
+/// Return the options for the library below. Log what has no effect in the options and in `qos`;
+/// callback groups that are spun log later that the process has lost agnocastd.
+agnocast_rclcpp::PublisherOptions translate(const agnocast::PublisherOptions& options,
+                                            const rclcpp::QoS& qos, const std::string& topic,
+                                            const rclcpp::Logger& logger);
+agnocast_rclcpp::SubscriptionOptions translate(const agnocast::SubscriptionOptions& options,
+                                               const rclcpp::QoS& qos, const std::string& topic,
+                                               const rclcpp::Logger& logger);
+
+/// Logs that the process has lost agnocastd, at most once a second for the process.
+void report_lost_daemon() noexcept;
+/// Calls it if that is so. Costs no system call otherwise.
+inline void report_if_daemon_is_lost() noexcept {
+  if (agnocast::connection_state() != agnocast::ConnectionState::connected) report_lost_daemon();
+}
+
+/// Keeps `group`, unless it is null, as long as the node lives. rclcpp's nodes do not: a group that
+/// nobody keeps ends, and its callbacks never run. Any thread.
+void keep_group(const rclcpp::node_interfaces::NodeBaseInterface::SharedPtr& node,
+                const rclcpp::CallbackGroup::SharedPtr& group);
+
+/// Returns an id that no other publisher of this host has.
+rmw_gid_t gid_of(std::uint64_t persistent_id) noexcept;
+
+/// Counts a subscription of this process as long as it lives.
+class LocalSubscription {
+ public:
+  explicit LocalSubscription(std::uint64_t persistent_id);
+  ~LocalSubscription();
+  LocalSubscription(const LocalSubscription&) = delete;
+  LocalSubscription& operator=(const LocalSubscription&) = delete;
+
+ private:
+  const std::uint64_t persistent_id_;
+};
+/// Returns how many of `persistent_ids` are subscriptions of this process. Any thread.
+std::size_t count_local(const std::vector<std::uint64_t>& persistent_ids);
+
+/// Throws std::runtime_error if the library of the kernel-module system is in this process: see
+/// exclusion.cpp. Called whenever an endpoint is created. Any thread.
+void refuse_other_system();
+
+}  // namespace agnocastlib

@@ -1,0 +1,155 @@
+// SPDX-License-Identifier: Apache-2.0
+
+#include <agnocastlib/endpoints.hpp>
+
+#include <agnocastlib/failure_log.hpp>
+
+#include <rclcpp/logging.hpp>
+
+#include <unistd.h>
+
+#include <cstring>
+#include <map>
+#include <memory>
+#include <mutex>
+#include <set>
+#include <utility>
+
+namespace agnocastlib {
+namespace {
+
+/// The same durations that rclcpp has by default, or "infinite".
+bool is_unset(const rmw_time_t& duration) noexcept {
+  return (duration.sec == 0 && duration.nsec == 0) || duration.sec >= 9'223'372'036;
+}
+
+void warn_of(bool given, const char* what, const std::string& topic, const rclcpp::Logger& logger) {
+  if (given)
+    RCLCPP_WARN(logger, "%s has no effect on '%s', which agnocast serves", what, topic.c_str());
+}
+
+void warn_of_policies(const rclcpp::QoS& qos, const std::string& topic,
+                      const rclcpp::Logger& logger) {
+  const rmw_qos_profile_t& profile = qos.get_rmw_qos_profile();
+  warn_of(!is_unset(profile.deadline), "the QoS policy deadline", topic, logger);
+  warn_of(!is_unset(profile.lifespan), "the QoS policy lifespan", topic, logger);
+  warn_of(profile.liveliness == RMW_QOS_POLICY_LIVELINESS_MANUAL_BY_TOPIC ||
+              !is_unset(profile.liveliness_lease_duration),
+          "the QoS policy liveliness", topic, logger);
+}
+
+/// One line a second is enough for the process; the two states come one after the other.
+void report_state(agnocast::ConnectionState state, agnocast::Errc reason) noexcept {
+  static const auto make_log = [] {
+    return new FailureLog(rclcpp::get_logger("agnocast"), "the connection to agnocastd");
+  };
+  static FailureLog* const reconnecting = make_log();
+  static FailureLog* const orphaned = make_log();
+  if (state == agnocast::ConnectionState::reconnecting)
+    reconnecting->report(agnocast::Errc::daemon_not_running);
+  if (state == agnocast::ConnectionState::orphaned) orphaned->report(reason);
+}
+void report_connection(agnocast::ConnectionInfo& info) { report_state(info.state, info.reason); }
+
+using Groups = std::set<rclcpp::CallbackGroup::SharedPtr>;
+using WeakNode = rclcpp::node_interfaces::NodeBaseInterface::WeakPtr;
+
+/// Groups are not kept by the endpoints: Humble's executors use a condition of each group that they
+/// have, which ends with it, so a group must not end with an endpoint while they spin.
+struct KeptGroups {
+  std::mutex mutex;
+  std::map<WeakNode, Groups, std::owner_less<WeakNode>> groups;
+};
+KeptGroups& kept_groups() {
+  static auto* const all = new KeptGroups;
+  return *all;
+}
+
+/// Never destroyed, for endpoints in statics.
+struct Locals {
+  std::mutex mutex;
+  std::map<std::uint64_t, std::size_t> counts;  // by persistent id
+};
+Locals& locals() {
+  static auto* const all = new Locals;
+  return *all;
+}
+
+}  // namespace
+
+agnocast_rclcpp::PublisherOptions translate(const agnocast::PublisherOptions& options,
+                                            const rclcpp::QoS& qos, const std::string& topic,
+                                            const rclcpp::Logger& logger) {
+  warn_of(options.do_always_ros2_publish, "do_always_ros2_publish", topic, logger);
+  warn_of_policies(qos, topic, logger);
+  rclcpp::PublisherOptions ros;
+  ros.qos_overriding_options = options.qos_overriding_options;
+  agnocast_rclcpp::PublisherOptions translated(ros);
+  translated.own.connection_callback(report_connection);
+  return translated;
+}
+
+agnocast_rclcpp::SubscriptionOptions translate(const agnocast::SubscriptionOptions& options,
+                                               const rclcpp::QoS& qos, const std::string& topic,
+                                               const rclcpp::Logger& logger) {
+  warn_of_policies(qos, topic, logger);
+  rclcpp::SubscriptionOptions ros;
+  ros.callback_group = options.callback_group;
+  ros.ignore_local_publications = options.ignore_local_publications;
+  ros.qos_overriding_options = options.qos_overriding_options;
+  agnocast_rclcpp::SubscriptionOptions translated(ros);
+  translated.own.connection_callback(report_connection);
+  return translated;
+}
+
+void keep_group(const rclcpp::node_interfaces::NodeBaseInterface::SharedPtr& node,
+                const rclcpp::CallbackGroup::SharedPtr& group) {
+  if (group == nullptr) return;
+  std::vector<Groups> ended;  // outside the lock
+  KeptGroups& kept = kept_groups();
+  const std::lock_guard lock(kept.mutex);
+  for (auto at = kept.groups.begin(); at != kept.groups.end();) {
+    if (at->first.expired()) {
+      ended.push_back(std::move(at->second));
+      at = kept.groups.erase(at);
+    } else {
+      ++at;
+    }
+  }
+  kept.groups[node].insert(group);
+}
+
+void report_lost_daemon() noexcept {
+  report_state(agnocast::connection_state(), agnocast::orphan_reason());
+}
+
+rmw_gid_t gid_of(std::uint64_t persistent_id) noexcept {
+  rmw_gid_t gid{};
+  gid.implementation_identifier = "agnocast";
+  const auto process = static_cast<std::uint32_t>(::getpid());
+  static_assert(2 + sizeof process + sizeof persistent_id <= RMW_GID_STORAGE_SIZE);
+  gid.data[0] = 'A';  // no DDS vendor's guid begins so
+  gid.data[1] = 'G';
+  std::memcpy(gid.data + 2, &process, sizeof process);
+  std::memcpy(gid.data + 2 + sizeof process, &persistent_id, sizeof persistent_id);
+  return gid;
+}
+
+LocalSubscription::LocalSubscription(std::uint64_t persistent_id) : persistent_id_(persistent_id) {
+  const std::lock_guard lock(locals().mutex);
+  ++locals().counts[persistent_id_];
+}
+LocalSubscription::~LocalSubscription() {
+  const std::lock_guard lock(locals().mutex);
+  const auto found = locals().counts.find(persistent_id_);
+  if (found != locals().counts.end() && --found->second == 0) locals().counts.erase(found);
+}
+
+std::size_t count_local(const std::vector<std::uint64_t>& persistent_ids) {
+  const std::lock_guard lock(locals().mutex);
+  std::size_t count = 0;
+  for (const std::uint64_t id : persistent_ids) count += id != 0 ? locals().counts.count(id) : 0;
+  return count;
+}
+
+}  // namespace agnocastlib
