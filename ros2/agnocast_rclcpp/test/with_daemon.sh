@@ -1,6 +1,7 @@
 #!/usr/bin/env bash
 # SPDX-License-Identifier: Apache-2.0
-# Runs a program under agnocast-run with an agnocastd of its own: with_daemon.sh PROGRAM [ARGUMENTS]
+# Runs a program under agnocast-run with an agnocastd of its own, and in a ROS domain that tests of
+# other workspaces on this machine hardly have: with_daemon.sh PROGRAM [ARGUMENTS]
 # AGNOCAST_TEST_CONFIG: its configuration.
 set -euo pipefail
 
@@ -17,4 +18,5 @@ for ((i = 0; i < 100; ++i)); do
   sleep 0.1
 done
 [ -S "$AGNOCAST_SOCKET" ] || { cat "$directory/log" >&2; exit 1; }
+export ROS_DOMAIN_ID=$((1 + $$ % 100))
 AGNOCAST_DAEMON_UID=$(id -u) agnocast-run "$@"
