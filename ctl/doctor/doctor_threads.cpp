@@ -262,7 +262,10 @@ void add_left_out(const Facts& facts, Ailments& found) {
                            " callback groups, " + std::to_string(abi::callback_thread_count_max) +
                            " threads and " + std::to_string(abi::callback_spin_count_max) +
                            " pairs of a thread and an executor, which no [quota] raises: its nodes "
-                           "can be moved to several processes"});
+                           "can be moved to several processes" +
+                           (is_at_limit(process) ? ""
+                                                 : ". [quota] callback_threads also limits how "
+                                                   "many executors the threads of a user spin")});
     }
   }
 }

@@ -450,6 +450,7 @@ TEST(DoctorThreads, NamesTheQuotaOfThreadsThatAreUnknown) {
   EXPECT_EQ(found[0].what,
             "1 callback group or thread of " + process_words() + " is unknown to agnocastd");
   EXPECT_THAT(found[0].cause, HasSubstr("1024 threads"));
+  EXPECT_THAT(found[0].cause, HasSubstr("[quota] callback_threads also limits"));
   answers.users[0].use.callback_threads = 8;  // and one process has all that it may
   answers.threads = {thread(77, abi::callback_spin_count_max)};
   found = findings_of(answers);
