@@ -15,13 +15,16 @@ namespace agnocast_rclcpp {
 std::shared_ptr<GroupWaitable> GroupWaitable::make(const rclcpp::Context::SharedPtr& context,
                                                    agnocast::CallbackGroup& group) {
   auto made = std::make_shared<GroupWaitable>(context, group);
-  made->number_ = GuardThread::instance().add(made, made->callbacks_.fd());
+  GuardThread::instance().add(made->number_, made, made->callbacks_.fd());
   return made;
 }
 
 GroupWaitable::GroupWaitable(const rclcpp::Context::SharedPtr& context,
                              agnocast::CallbackGroup& group)
-    : context_(context), callbacks_(group), guard_(context) {}
+    : context_(context),
+      callbacks_(group),
+      guard_(context),
+      number_(GuardThread::instance().next_number()) {}
 
 void GroupWaitable::leave() noexcept { GuardThread::instance().remove(number_, callbacks_.fd()); }
 

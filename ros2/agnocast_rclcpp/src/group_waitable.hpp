@@ -53,7 +53,7 @@ class GroupWaitable final : public rclcpp::Waitable {
   const rclcpp::Context::SharedPtr context_;
   agnocast::CallbackGroupWaitable callbacks_;
   rclcpp::GuardCondition guard_;
-  std::uint64_t number_ = 0;  // of GuardThread
+  const std::uint64_t number_;  // of GuardThread, which may ring as soon as it knows the group
   std::mutex mutex_;
   std::function<void(std::size_t, int)> on_ready_;  // of an events executor
 };

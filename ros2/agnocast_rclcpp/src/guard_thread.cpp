@@ -19,7 +19,8 @@ namespace {
 
 constexpr std::uint64_t end_number = 0;
 constexpr std::uint32_t once = EPOLLIN | EPOLLONESHOT;
-constexpr std::chrono::milliseconds usually{1'000}, if_deaf{10};
+// Intervals of asking every group: usually, and when the program has closed a descriptor of ours.
+constexpr std::chrono::milliseconds look_interval{1'000}, polling_interval{10};
 
 int checked(int result, const char* what) {
   if (result < 0) throw std::system_error(errno, std::generic_category(), what);
@@ -64,9 +65,13 @@ GuardThread::GuardThread()
   ::pthread_setname_np(thread_.native_handle(), "agnocast-guard");
 }
 
-std::uint64_t GuardThread::add(const std::shared_ptr<GroupWaitable>& waitable, int fd) {
+std::uint64_t GuardThread::next_number() noexcept {
+  return last_.fetch_add(1, std::memory_order_relaxed) + 1;
+}
+
+void GuardThread::add(std::uint64_t number, const std::shared_ptr<GroupWaitable>& waitable,
+                      int fd) {
   const std::lock_guard lock(mutex_);
-  const std::uint64_t number = ++last_;
   waitables_.emplace(number, waitable);
   epoll_event event = event_of(number, 0);
   if (::epoll_ctl(epoll_, EPOLL_CTL_ADD, fd, &event) != 0) {
@@ -74,7 +79,6 @@ std::uint64_t GuardThread::add(const std::shared_ptr<GroupWaitable>& waitable, i
     waitables_.erase(number);
     throw std::system_error(error, std::generic_category(), "epoll_ctl");
   }
-  return number;
 }
 
 void GuardThread::arm(std::uint64_t number, int fd) noexcept {
@@ -82,7 +86,8 @@ void GuardThread::arm(std::uint64_t number, int fd) noexcept {
   epoll_event event = event_of(number, once);
   if (::epoll_ctl(epoll_, EPOLL_CTL_MOD, fd, &event) == 0) return;
   const std::lock_guard lock(mutex_);
-  if (waitables_.count(number) != 0) is_deaf_.store(true);  // it was not removed meanwhile
+  if (waitables_.count(number) != 0)
+    has_lost_descriptor_.store(true);  // it was not removed meanwhile
 }
 
 void GuardThread::remove(std::uint64_t number, int fd) noexcept {
@@ -97,22 +102,22 @@ void GuardThread::remove(std::uint64_t number, int fd) noexcept {
 
 void GuardThread::run() noexcept {
   using Clock = std::chrono::steady_clock;
-  auto next_look = Clock::now() + usually;
+  auto next_look = Clock::now() + look_interval;
   while (!is_over_.load(std::memory_order_acquire)) {
     epoll_event events[16];
-    const auto pause = is_deaf_ ? if_deaf : usually;
+    const auto pause = has_lost_descriptor_ ? polling_interval : look_interval;
     const int count = ::epoll_wait(epoll_, events, 16, static_cast<int>(pause.count()));
     if (count < 0 && errno != EINTR) {
-      is_deaf_.store(true);
-      std::this_thread::sleep_for(if_deaf);
+      has_lost_descriptor_.store(true);
+      std::this_thread::sleep_for(polling_interval);
     }
     for (int i = 0; i < count; ++i) {
-      if (events[i].data.u64 == end_number) return;
+      if (events[i].data.u64 == end_number) continue;  // is_over_ is set
       ring_one(events[i].data.u64);
     }
-    if (Clock::now() < next_look && !is_deaf_) continue;
+    if (Clock::now() < next_look && !has_lost_descriptor_) continue;
     ring_all();
-    next_look = Clock::now() + usually;
+    next_look = Clock::now() + look_interval;
   }
 }
 

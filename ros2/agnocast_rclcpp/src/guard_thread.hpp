@@ -30,9 +30,11 @@ class GuardThread {
   /// Returns whether this process made it; otherwise it is a forked child.
   bool is_here() const noexcept { return ::getpid() == owner_; }
 
-  /// From the next arm() on, calls ring() of the waitable once when `fd` is readable. Returns the
-  /// number for the other functions. Throws std::system_error.
-  std::uint64_t add(const std::shared_ptr<GroupWaitable>& waitable, int fd);
+  /// Returns a number for the other functions.
+  std::uint64_t next_number() noexcept;
+  /// From the next arm() on, calls ring() of the waitable once when `fd` is readable, and at times
+  /// by itself. Throws std::system_error.
+  void add(std::uint64_t number, const std::shared_ptr<GroupWaitable>& waitable, int fd);
   void arm(std::uint64_t number, int fd) noexcept;
   void remove(std::uint64_t number, int fd) noexcept;
 
@@ -46,10 +48,10 @@ class GuardThread {
   const pid_t owner_ = ::getpid();
   int epoll_, ended_;
   std::atomic<bool> is_over_{false};
-  std::atomic<bool> is_deaf_{false};  // a descriptor is closed
+  std::atomic<bool> has_lost_descriptor_{false};  // the program has closed one
   std::mutex mutex_;
   std::map<std::uint64_t, std::weak_ptr<GroupWaitable>> waitables_;
-  std::uint64_t last_ = 0;
+  std::atomic<std::uint64_t> last_{0};
   std::thread thread_;
 };
 
