@@ -280,6 +280,7 @@ class Performance {
     run.answers[at_] = "lost";
     if (windows_before_.empty()) windows_before_ = windows();
     stage_.end_daemon();
+    stage_.daemon_control().end_count();
     // A daemon that dies before it served ends its supervisor: from the first connection on.
     if (daemon_deadly_)
       stage_.daemon_control().arm_from(steps::B_accepted, daemon_deadly_->first,

@@ -75,6 +75,11 @@ class ControlPage {
     words().until.store(static_cast<std::uint64_t>(until) + 1);
     words().deadly.store(n);
   }
+  /// The daemon has ended: if counting had begun, it ends too. The next one would die before it
+  /// serves, and its supervisor would end then.
+  void end_count() {
+    if (words().from.load() == 0 && words().until.load() != 0) disarm();
+  }
   void disarm() {
     words().deadly.store(0);
     words().then.store(0);
