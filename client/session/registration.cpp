@@ -58,7 +58,8 @@ std::string from_here(std::string path) {
 /// thread, whichever connects.
 std::string process_name() {
   char name[16] = "";
-  const UniqueFd comm(::open("/proc/self/comm", O_RDONLY | O_CLOEXEC));
+  const std::string path = "/proc/self/task/" + std::to_string(::getpid()) + "/comm";
+  const UniqueFd comm(::open(path.c_str(), O_RDONLY | O_CLOEXEC));
   const ssize_t count = comm ? ::read(comm.get(), name, sizeof name) : 0;
   if (count > 0) return {name, static_cast<std::size_t>(count - 1)};  // without the newline
   ::pthread_getname_np(::pthread_self(), name, sizeof name);
