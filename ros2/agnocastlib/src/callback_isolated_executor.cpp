@@ -6,6 +6,8 @@
 
 #include <agnocast/agnocast_callback_isolated_executor.hpp>
 
+#include <rclcpp/exceptions.hpp>
+
 #include <pthread.h>
 
 #include <algorithm>
@@ -15,6 +17,7 @@
 #include <exception>
 #include <list>
 #include <map>
+#include <memory>
 #include <mutex>
 #include <stdexcept>
 #include <string>
@@ -28,29 +31,50 @@ namespace {
 using Group = rclcpp::CallbackGroup;
 using NodeBase = rclcpp::node_interfaces::NodeBaseInterface;
 
+/// A group that is to have a thread, and its node.
+struct Wanted {
+  Group::SharedPtr group;
+  NodeBase::SharedPtr node;
+};
+
 /// The thread of one group.
 struct Child {
-  explicit Child(const rclcpp::ExecutorOptions& options) : executor(options) {}
+  explicit Child(const rclcpp::ExecutorOptions& options)
+      : executor(std::make_unique<rclcpp::executors::SingleThreadedExecutor>(options)) {}
 
-  Group::WeakPtr group;
-  rclcpp::executors::SingleThreadedExecutor executor;
+  Group::WeakPtr group;  // none: it has never had a thread
+  std::unique_ptr<rclcpp::executors::SingleThreadedExecutor> executor;
   std::thread thread;
-  bool is_done = false;  // under the executor's mutex; the thread takes it no more
+  // Under the mutex of State, which the thread takes no more afterwards.
+  bool is_done = true;
 
   /// Asks the thread to end after the running callback. Lost if the thread has not begun to spin.
   void cancel() noexcept {
     try {
-      executor.cancel();
+      executor->cancel();
     } catch (const std::exception&) {
       // The context was shut down, which ends the thread as well.
     }
   }
 };
 
+/// Releases a mutex for a scope.
+class Unlocked {
+ public:
+  explicit Unlocked(std::unique_lock<std::mutex>& lock) : lock_(lock) { lock_.unlock(); }
+  ~Unlocked() { lock_.lock(); }
+  Unlocked(const Unlocked&) = delete;
+  Unlocked& operator=(const Unlocked&) = delete;
+
+ private:
+  std::unique_lock<std::mutex>& lock_;
+};
+
 /// How long the thread in spin() waits for children that it has asked to end before it asks again.
 constexpr std::chrono::milliseconds pause_of_ending{1};
 
-bool is_same(const Group::WeakPtr& a, const Group::WeakPtr& b) noexcept {
+template <class A, class B>
+bool is_same(const A& a, const B& b) noexcept {
   return !a.owner_before(b) && !b.owner_before(a);
 }
 
@@ -66,7 +90,10 @@ struct CallbackIsolatedAgnocastExecutor::State {
   rclcpp::Context::SharedPtr context;
   std::chrono::milliseconds interval;
 
-  std::mutex mutex;  // never held while a callback is waited for
+  // Never held while a callback is waited for, nor while executors, nodes or groups are made or
+  // destroyed: those take locks that rclcpp::shutdown() holds while it calls functions of the user,
+  // and such a function may call cancel().
+  std::mutex mutex;
   std::condition_variable changed;
   bool is_woken = false;  // something for the thread in spin()
   std::list<NodeBase::WeakPtr> nodes;
@@ -80,92 +107,103 @@ struct CallbackIsolatedAgnocastExecutor::State {
   }
   bool has_node(const NodeBase::SharedPtr& node) const {
     return std::any_of(nodes.begin(), nodes.end(),
-                       [&](const NodeBase::WeakPtr& weak) { return weak.lock() == node; });
+                       [&](const NodeBase::WeakPtr& weak) { return is_same(weak, node); });
   }
   Child* child_of(const Group::WeakPtr& group) const {
     for (const auto& child : children)
       if (is_same(child->group, group)) return child.get();
     return nullptr;
   }
-  /// Calls see(group, node) for every group that is to have a thread.
-  template <class See>
-  void for_each_group(See see) const {
+  /// Returns the groups that are to have a thread. Destroy the result without the mutex: it may be
+  /// the last owner of a node.
+  std::vector<Wanted> wanted_groups() const {
+    std::vector<Wanted> wanted;
     for (const auto& [weak_group, weak_node] : groups) {
-      const auto group = weak_group.lock();
-      const auto node = weak_node.lock();
-      if (group != nullptr && node != nullptr) see(group, node);
+      Wanted one{weak_group.lock(), weak_node.lock()};
+      if (one.group != nullptr && one.node != nullptr) wanted.push_back(std::move(one));
     }
     for (const NodeBase::WeakPtr& weak : nodes) {
       const auto node = weak.lock();
       if (node == nullptr) continue;
       node->for_each_callback_group([&](const Group::SharedPtr& group) {
         if (group->automatically_add_to_executor_with_node() && groups.count(group) == 0)
-          see(group, node);
+          wanted.push_back({group, node});
       });
     }
-  }
-  std::vector<Group::WeakPtr> wanted_groups() const {
-    std::vector<Group::WeakPtr> wanted;
-    for_each_group([&](const Group::SharedPtr& group, const NodeBase::SharedPtr&) {
-      wanted.push_back(group);
-    });
     return wanted;
+  }
+  bool is_wanted(const Wanted& one) const {
+    return groups.count(one.group) != 0 ||
+           (one.group->automatically_add_to_executor_with_node() && has_node(one.node));
   }
   /// Erases the children that have ended and asks those of no `wanted` group to end. Returns
   /// whether some have not ended yet. Does not wait for them: a callback of one may itself wait for
   /// the end of another, in remove_node().
-  bool end_all_but(const std::vector<Group::WeakPtr>& wanted) {
+  bool end_all_but(std::unique_lock<std::mutex>& lock, const std::vector<Wanted>& wanted) {
+    std::vector<Child*> ended;
     bool some_run = false;
-    const auto has_ended = [](const auto& child) {
-      if (child->is_done) child->thread.join();
-      return child->is_done;
-    };
-    const std::size_t before = children.size();
-    children.remove_if(has_ended);
-    if (children.size() != before) changed.notify_all();
     for (const auto& child : children) {
-      const bool is_wanted = std::any_of(wanted.begin(), wanted.end(), [&](const auto& group) {
-        return is_same(group, child->group);
+      if (child->is_done) {
+        ended.push_back(child.get());
+        continue;
+      }
+      const bool is_wanted = std::any_of(wanted.begin(), wanted.end(), [&](const Wanted& one) {
+        return is_same(one.group, child->group);
       });
       if (is_wanted) continue;
       child->cancel();
       some_run = true;
     }
+    if (ended.empty()) return some_run;
+    {
+      // They stay in the list meanwhile: until then their groups are in an executor.
+      const Unlocked unlocked(lock);
+      for (Child* const child : ended) {
+        if (child->thread.joinable()) child->thread.join();
+        child->executor.reset();
+      }
+    }
+    children.remove_if([](const auto& child) { return child->executor == nullptr; });
+    changed.notify_all();
     return some_run;
   }
-  void start_missing() {
-    for_each_group([&](const Group::SharedPtr& group, const NodeBase::SharedPtr& node) {
+  void start_missing(std::unique_lock<std::mutex>& lock, const std::vector<Wanted>& wanted) {
+    for (const Wanted& one : wanted) {
       // A group of a node of ours may be in another executor.
-      if (child_of(group) == nullptr && !group->get_associated_with_executor_atomic())
-        start(group, node);
-    });
+      if (child_of(one.group) != nullptr || one.group->get_associated_with_executor_atomic())
+        continue;
+      children.push_back(make_child(lock));
+      // Removed meanwhile: the child ends without a thread.
+      if (is_wanted(one)) start(*children.back(), one);
+    }
   }
-  void start(const Group::SharedPtr& group, const NodeBase::SharedPtr& node) {
+  std::unique_ptr<Child> make_child(std::unique_lock<std::mutex>& lock) const {
+    const Unlocked unlocked(lock);
     rclcpp::ExecutorOptions options;  // each with a memory strategy of its own
     options.context = context;
-    auto child = std::make_unique<Child>(options);
-    child->group = group;
-    child->executor.add_callback_group(group, node, false);
-    Child& run = *child;
-    children.push_back(std::move(child));
-    try {
-      run.thread = std::thread([this, &run] {
-        try {
-          run.executor.spin();
-        } catch (...) {
-          const std::lock_guard lock(mutex);
-          if (failure == nullptr) failure = std::current_exception();
-        }
-        const std::lock_guard lock(mutex);
-        run.is_done = true;
-        wake();
-      });
-    } catch (...) {
-      children.pop_back();
-      throw;
-    }
-    const std::string name = std::string(node->get_name()).substr(0, 15);
-    ::pthread_setname_np(run.thread.native_handle(), name.c_str());
+    return std::make_unique<Child>(options);
+  }
+  void start(Child& child, const Wanted& one) {
+    child.executor->add_callback_group(one.group, one.node, false);
+    child.group = one.group;
+    child.thread = std::thread([this, &child] {
+      std::exception_ptr thrown;
+      try {
+        child.executor->spin();
+      } catch (const rclcpp::exceptions::RCLErrorBase&) {
+        // After rclcpp::shutdown() there may be nothing left to wait with.
+        if (rclcpp::ok(context)) thrown = std::current_exception();
+      } catch (...) {
+        thrown = std::current_exception();
+      }
+      const std::lock_guard lock(mutex);
+      if (failure == nullptr) failure = std::move(thrown);
+      child.is_done = true;
+      wake();
+    });
+    child.is_done = false;
+    const std::string name = std::string(one.node->get_name()).substr(0, 15);
+    ::pthread_setname_np(child.thread.native_handle(), name.c_str());
   }
   /// Waits until none of `ended` has a thread, but for the calling one.
   void wait_for_end_of(std::unique_lock<std::mutex>& lock,
@@ -174,7 +212,9 @@ struct CallbackIsolatedAgnocastExecutor::State {
     changed.wait(lock, [&] {
       return std::none_of(ended.begin(), ended.end(), [&](const auto& group) {
         const Child* const child = child_of(group);
-        return child != nullptr && child->thread.get_id() != std::this_thread::get_id();
+        // The thread in spin() joins those that are done.
+        return child != nullptr &&
+               (child->is_done || child->thread.get_id() != std::this_thread::get_id());
       });
     });
   }
@@ -193,23 +233,33 @@ CallbackIsolatedAgnocastExecutor::~CallbackIsolatedAgnocastExecutor() {
 }
 
 void CallbackIsolatedAgnocastExecutor::spin() {
-  if (spinning.exchange(true)) throw std::runtime_error("spin() called while already spinning");
+  if (spinning.exchange(true))
+    throw std::runtime_error("CallbackIsolatedAgnocastExecutor: another thread is in spin()");
   State& state = *state_;
   std::unique_lock lock(state.mutex);
   state.failure = nullptr;
   while (rclcpp::ok(context_) && spinning && state.failure == nullptr) {
-    const bool some_end = state.end_all_but(state.wanted_groups());
+    bool some_end = false;
+    std::vector<Wanted> wanted;
     try {
-      state.start_missing();
+      wanted = state.wanted_groups();
+      some_end = state.end_all_but(lock, wanted);
+      state.start_missing(lock, wanted);
     } catch (...) {
-      state.failure = std::current_exception();
-      break;
+      // After rclcpp::shutdown() no executor can be made.
+      if (rclcpp::ok(context_) && state.failure == nullptr)
+        state.failure = std::current_exception();
     }
+    {
+      const Unlocked unlocked(lock);
+      wanted.clear();
+    }
+    if (state.failure != nullptr || !rclcpp::ok(context_)) break;
     state.changed.wait_for(lock, some_end ? pause_of_ending : state.interval,
                            [&] { return state.is_woken; });
     state.is_woken = false;
   }
-  while (state.end_all_but({})) state.changed.wait_for(lock, pause_of_ending);
+  while (state.end_all_but(lock, {})) state.changed.wait_for(lock, pause_of_ending);
   spinning = false;
   const std::exception_ptr failure = std::exchange(state.failure, nullptr);
   lock.unlock();
@@ -226,7 +276,8 @@ void CallbackIsolatedAgnocastExecutor::add_callback_group(Group::SharedPtr group
                                                           NodeBase::SharedPtr node_ptr, bool) {
   const std::lock_guard lock(state_->mutex);
   if (group_ptr->get_associated_with_executor_atomic() || state_->groups.count(group_ptr) != 0)
-    throw std::runtime_error("Callback group has already been added to an executor.");
+    throw std::runtime_error(
+        "CallbackIsolatedAgnocastExecutor: an executor has this callback group already");
   state_->groups.emplace(group_ptr, node_ptr);
   state_->wake();
 }
@@ -234,13 +285,14 @@ void CallbackIsolatedAgnocastExecutor::add_callback_group(Group::SharedPtr group
 void CallbackIsolatedAgnocastExecutor::remove_callback_group(Group::SharedPtr group_ptr, bool) {
   std::unique_lock lock(state_->mutex);
   if (state_->groups.erase(group_ptr) == 0)
-    throw std::runtime_error("Callback group needs to be associated with executor.");
+    throw std::runtime_error(
+        "CallbackIsolatedAgnocastExecutor: this callback group was not added to it");
   state_->wait_for_end_of(lock, {group_ptr});
 }
 
 void CallbackIsolatedAgnocastExecutor::add_node(NodeBase::SharedPtr node_ptr, bool) {
   if (node_ptr->get_associated_with_executor_atomic().exchange(true))
-    throw std::runtime_error("Node has already been added to an executor.");
+    throw std::runtime_error("CallbackIsolatedAgnocastExecutor: an executor has this node already");
   const std::lock_guard lock(state_->mutex);
   state_->nodes.push_back(node_ptr);
   state_->wake();
@@ -252,12 +304,12 @@ void CallbackIsolatedAgnocastExecutor::add_node(rclcpp::Node::SharedPtr node_ptr
 void CallbackIsolatedAgnocastExecutor::remove_node(NodeBase::SharedPtr node_ptr, bool) {
   std::unique_lock lock(state_->mutex);
   if (!state_->has_node(node_ptr))
-    throw std::runtime_error("Node needs to be associated with this executor.");
+    throw std::runtime_error("CallbackIsolatedAgnocastExecutor: this node was not added to it");
   std::vector<Group::WeakPtr> ended;
   node_ptr->for_each_callback_group([&](const Group::SharedPtr& group) {
     if (state_->groups.count(group) == 0) ended.emplace_back(group);
   });
-  state_->nodes.remove_if([&](const NodeBase::WeakPtr& weak) { return weak.lock() == node_ptr; });
+  state_->nodes.remove_if([&](const NodeBase::WeakPtr& weak) { return is_same(weak, node_ptr); });
   state_->wait_for_end_of(lock, ended);
   node_ptr->get_associated_with_executor_atomic() = false;
 }
@@ -266,10 +318,11 @@ void CallbackIsolatedAgnocastExecutor::remove_node(rclcpp::Node::SharedPtr node_
 }
 
 std::vector<Group::WeakPtr> CallbackIsolatedAgnocastExecutor::get_all_callback_groups() {
+  std::vector<Wanted> wanted;  // outlives the lock
   const std::lock_guard lock(state_->mutex);
+  wanted = state_->wanted_groups();
   std::vector<Group::WeakPtr> all;
-  state_->for_each_group(
-      [&](const Group::SharedPtr& group, const NodeBase::SharedPtr&) { all.emplace_back(group); });
+  for (const Wanted& one : wanted) all.emplace_back(one.group);
   return all;
 }
 std::vector<Group::WeakPtr> CallbackIsolatedAgnocastExecutor::get_manually_added_callback_groups() {
@@ -280,11 +333,12 @@ std::vector<Group::WeakPtr> CallbackIsolatedAgnocastExecutor::get_manually_added
 }
 std::vector<Group::WeakPtr>
 CallbackIsolatedAgnocastExecutor::get_automatically_added_callback_groups_from_nodes() {
+  std::vector<Wanted> wanted;  // outlives the lock
   const std::lock_guard lock(state_->mutex);
+  wanted = state_->wanted_groups();
   std::vector<Group::WeakPtr> of_nodes;
-  state_->for_each_group([&](const Group::SharedPtr& group, const NodeBase::SharedPtr&) {
-    if (state_->groups.count(group) == 0) of_nodes.emplace_back(group);
-  });
+  for (const Wanted& one : wanted)
+    if (state_->groups.count(one.group) == 0) of_nodes.emplace_back(one.group);
   return of_nodes;
 }
 

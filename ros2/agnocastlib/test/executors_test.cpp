@@ -300,6 +300,46 @@ TEST_F(CallbackIsolated, ANodeIsRemovedWhileTheSpinEnds) {
   EXPECT_THROW(executor.remove_node(node), std::runtime_error) << "it was removed";
 }
 
+// rclcpp::shutdown() holds a lock while it calls the function, which ~Executor needs. The function
+// gives the executor the time to end its threads before it calls cancel().
+TEST_F(CallbackIsolated, IsCancelledWhenTheContextIsShutDown) {
+  const auto node = std::make_shared<rclcpp::Node>("node");
+  agnocast::CallbackIsolatedAgnocastExecutor executor(rclcpp::ExecutorOptions(), 50, 1);
+  std::atomic<int> calls{0};
+  const auto timer = node->create_wall_timer(1ms, [&] { ++calls; });
+  rclcpp::on_shutdown([&] {
+    std::this_thread::sleep_for(300ms);
+    executor.cancel();
+  });
+  executor.add_node(node);
+  std::thread spinning([&] { EXPECT_NO_THROW(executor.spin()); });
+  EXPECT_TRUE(eventually([&] { return calls > 0; }));
+  rclcpp::shutdown();
+  spinning.join();
+}
+
+// The executor makes and ends threads all the time.
+TEST_F(CallbackIsolated, ShutdownWhileNodesComeAndGoLeavesNoException) {
+  const auto node = std::make_shared<rclcpp::Node>("node");
+  agnocast::CallbackIsolatedAgnocastExecutor executor(rclcpp::ExecutorOptions(), 50, 1);
+  rclcpp::on_shutdown([&] { executor.cancel(); });
+  std::thread spinning([&] { EXPECT_NO_THROW(executor.spin()); });
+  std::atomic<bool> is_over{false};
+  std::atomic<int> rounds{0};
+  std::thread changing([&] {
+    for (; !is_over; ++rounds) {
+      executor.add_node(node);
+      std::this_thread::sleep_for(2ms);
+      executor.remove_node(node);
+    }
+  });
+  EXPECT_TRUE(eventually([&] { return rounds > 20; }));
+  rclcpp::shutdown();
+  spinning.join();
+  is_over = true;
+  changing.join();
+}
+
 TEST_F(CallbackIsolated, RefusesToRunSingleCallbacks) {
   agnocast::CallbackIsolatedAgnocastExecutor executor;
   EXPECT_THROW(executor.spin_once(0ms), std::logic_error);
