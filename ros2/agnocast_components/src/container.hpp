@@ -19,9 +19,11 @@ namespace agnocast_components {
 /// `node`. Returns the exit status.
 template <class MakeExecutor>
 int run_container(int argc, char** argv, MakeExecutor make_executor) {
+  // Outlives what is thrown: the code and the type of an exception may be in a component's library.
+  std::shared_ptr<rclcpp_components::ComponentManager> manager;
   try {
     rclcpp::init(argc, argv);
-    auto manager = std::make_shared<rclcpp_components::ComponentManager>(
+    manager = std::make_shared<rclcpp_components::ComponentManager>(
         std::weak_ptr<rclcpp::Executor>(), "ComponentManager",
         rclcpp::NodeOptions()
             .allow_undeclared_parameters(true)

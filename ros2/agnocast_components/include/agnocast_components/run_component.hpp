@@ -11,6 +11,8 @@
 
 #include <algorithm>
 #include <exception>
+#include <memory>
+#include <stdexcept>
 #include <string>
 #include <vector>
 
@@ -22,13 +24,15 @@ template <class Executor>
 int run_component(int argc, char** argv, const std::string& library, const std::string& plugin) {
   const std::vector<std::string> arguments = rclcpp::init_and_remove_ros_arguments(argc, argv);
   int status = 0;
+  // Outlives what is thrown: the code and the type of an exception may be in the library.
+  std::unique_ptr<class_loader::ClassLoader> loader;
   try {
-    class_loader::ClassLoader loader(library);
+    loader = std::make_unique<class_loader::ClassLoader>(library);
     const std::string name = "rclcpp_components::NodeFactoryTemplate<" + plugin + ">";
-    const auto names = loader.getAvailableClasses<rclcpp_components::NodeFactory>();
+    const auto names = loader->getAvailableClasses<rclcpp_components::NodeFactory>();
     if (std::find(names.begin(), names.end(), name) == names.end())
       throw std::runtime_error("the library " + library + " registers no node of class " + plugin);
-    const auto factory = loader.createInstance<rclcpp_components::NodeFactory>(name);
+    const auto factory = loader->createInstance<rclcpp_components::NodeFactory>(name);
     auto node = factory->create_node_instance(rclcpp::NodeOptions().arguments(arguments));
     Executor executor;
     executor.add_node(node.get_node_base_interface());
