@@ -62,8 +62,8 @@ for container in agnocast_component_container agnocast_component_container_mt \
     agnocast_component_container_cie; do
   start $container "$(container_of $container)"
   "$prefix/lib/sample/load" sample Talker Listener OnlyListener
-  wait_for $container "listener.*heard 20"
-  wait_for $container "only.*heard 20"
+  wait_for $container "\[listener\]: heard 20"
+  wait_for $container "only_listener heard 20"
   "$prefix/lib/sample/load" --unload
   stop
 done
