@@ -46,8 +46,9 @@ class Node : public rclcpp::Node {
   std::string get_fully_qualified_name() const { return rclcpp::Node::get_fully_qualified_name(); }
 
   /// Return the number of publishers or subscriptions of agnocast on this host, in this ROS
-  /// domain, now; those of agnocast-bridge, which stand for DDS, count as well. They ask agnocastd
-  /// and may wait for it. Throw Error.
+  /// domain, as it was at most 100 ms ago; those of agnocast-bridge, which stand for DDS, count as
+  /// well. They ask agnocastd and may wait for it. While it has too many observers of this user,
+  /// they return what it said last. Throw Error.
   std::size_t count_publishers(const std::string& topic_name) const;
   std::size_t count_subscribers(const std::string& topic_name) const;
 
