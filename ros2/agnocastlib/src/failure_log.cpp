@@ -34,6 +34,7 @@ bool FailureLog::is_due(std::uint64_t& silent) noexcept {
 void FailureLog::report(agnocast::Errc code) noexcept { report(agnocast::Failure{code, 0, "", 0}); }
 
 void FailureLog::report(const agnocast::Failure& failure) noexcept {
+  if (is_forked_child()) return;
   std::uint64_t silent = 0;
   if (!is_due(silent)) return;
   const agnocast::LoanPause pause;  // what logging allocates is private

@@ -46,22 +46,27 @@ class Client {
 
   const char* get_service_name() const noexcept { return core_->get_service_name(); }
   bool service_is_ready() const { return core_->service_is_ready(); }
-  /// Returns false when `timeout` is over (negative: no limit), or after rclcpp::shutdown().
+  /// Returns false when `timeout` is over (negative: no limit), after rclcpp::shutdown(), and in a
+  /// forked child.
   template <class Rep = std::int64_t, class Period = std::nano>
   bool wait_for_service(
       std::chrono::duration<Rep, Period> timeout = std::chrono::duration<Rep, Period>(-1)) const {
     using Clock = std::chrono::steady_clock;
+    using Given = std::chrono::duration<double>;  // has room for every duration
     constexpr std::chrono::nanoseconds step = std::chrono::milliseconds(100);
-    const Clock::time_point begin = Clock::now();
+    constexpr std::chrono::hours for_ever(24 * 365);
+    const bool is_limited =
+        timeout >= std::chrono::duration<Rep, Period>::zero() && Given(timeout) < Given(for_ever);
+    const Clock::time_point end =
+        Clock::now() +
+        (is_limited ? std::chrono::duration_cast<std::chrono::nanoseconds>(timeout) : for_ever);
     while (context_->is_valid()) {
-      std::chrono::nanoseconds left = step;
-      if (timeout >= std::chrono::duration<Rep, Period>::zero()) {
-        left =
-            std::chrono::duration_cast<std::chrono::nanoseconds>(timeout) - (Clock::now() - begin);
-        if (left.count() <= 0) return core_->service_is_ready();
-      }
-      if (core_->wait_for_service(std::min(left, step))) return true;
-      if (!core_->is_active()) return false;
+      const Clock::time_point begin = Clock::now();
+      if (begin >= end) return core_->service_is_ready();
+      const std::chrono::nanoseconds pause = std::min<std::chrono::nanoseconds>(end - begin, step);
+      if (core_->wait_for_service(pause)) return true;
+      // It waits in vain no more: the process is a forked child, or revoked.
+      if (Clock::now() - begin < pause) return false;
     }
     return false;
   }

@@ -1,11 +1,12 @@
 // SPDX-License-Identifier: Apache-2.0
 //
-// What the functions of this package do not return, because those of the kernel-module system
-// return nothing there, is logged: at most once a second, with the code, its sentence and its
+// FailureLog: logs the failures of functions that return nothing, because they return nothing in
+// the kernel-module system either: at most once a second, with the code, its sentence and its
 // remedy.
 #pragma once
 
 #include <agnocastlib/core.hpp>
+#include <agnocastlib/forked_child.hpp>
 
 #include <rclcpp/logger.hpp>
 
@@ -21,9 +22,11 @@ class FailureLog {
  public:
   /// `what`: what fails, as the beginning of a sentence ("publishing on '/points'").
   FailureLog(rclcpp::Logger logger, std::string what)
-      : logger_(std::move(logger)), what_(std::move(what)) {}
+      : logger_(std::move(logger)), what_(std::move(what)) {
+    (void)is_forked_child();  // its first call is in the process of the endpoint
+  }
   /// Writes one line at level error, or counts the failure for the next line if the last one is
-  /// less than a second old.
+  /// less than a second old. In a forked child, it does nothing.
   void report(agnocast::Errc code) noexcept;
   /// The same, with the detail of a failure of this thread.
   void report(const agnocast::Failure& failure) noexcept;
