@@ -46,6 +46,11 @@ class SubscriptionOptions : public detail::EventOptions<SubscriptionOptions>,
   SubscriptionOptions& hold_quota(std::size_t messages) noexcept {
     return hold_quota_ = messages, is_hold_quota_set_ = true, *this;
   }
+  /// The same without a refusal: for publishers of other users, the daemon grants as many as it
+  /// would of the default.
+  SubscriptionOptions& hold_quota_or_less(std::size_t messages) noexcept {
+    return hold_quota_ = messages, is_hold_quota_set_ = false, *this;
+  }
   std::size_t hold_quota() const noexcept { return hold_quota_; }
   bool is_hold_quota_set() const noexcept { return is_hold_quota_set_; }
   /// Counts keep-last depth for each publisher separately, instead of over all together as a DDS

@@ -3,11 +3,11 @@
 #include <agnocastlib/endpoints.hpp>
 
 #include <agnocastlib/failure_log.hpp>
+#include <agnocastlib/forked_child.hpp>
 
 #include <rclcpp/logging.hpp>
 
-#include <unistd.h>
-
+#include <algorithm>
 #include <cstring>
 #include <map>
 #include <memory>
@@ -24,7 +24,7 @@ bool is_unset(const rmw_time_t& duration) noexcept {
 }
 
 void warn_of(bool given, const char* what, const std::string& topic, const rclcpp::Logger& logger) {
-  if (given)
+  if (given && !is_forked_child())
     RCLCPP_WARN(logger, "%s has no effect on '%s', which agnocast serves", what, topic.c_str());
 }
 
@@ -38,18 +38,23 @@ void warn_of_policies(const rclcpp::QoS& qos, const std::string& topic,
           "the QoS policy liveliness", topic, logger);
 }
 
-/// One line a second is enough for the process; the two states come one after the other.
+/// One line a second is enough for the process, whatever its state and whoever notices.
 void report_state(agnocast::ConnectionState state, agnocast::Errc reason) noexcept {
-  static const auto make_log = [] {
-    return new FailureLog(rclcpp::get_logger("agnocast"), "the connection to agnocastd");
-  };
-  static FailureLog* const reconnecting = make_log();
-  static FailureLog* const orphaned = make_log();
-  if (state == agnocast::ConnectionState::reconnecting)
-    reconnecting->report(agnocast::Errc::daemon_not_running);
-  if (state == agnocast::ConnectionState::orphaned) orphaned->report(reason);
+  const bool is_orphaned = state == agnocast::ConnectionState::orphaned;
+  if ((!is_orphaned && state != agnocast::ConnectionState::reconnecting) || is_forked_child())
+    return;
+  static FailureLog* const log =
+      new FailureLog(rclcpp::get_logger("agnocast"), "the connection to agnocastd");
+  log->report(is_orphaned ? reason : agnocast::Errc::daemon_not_running);
 }
 void report_connection(agnocast::ConnectionInfo& info) { report_state(info.state, info.reason); }
+
+/// A queue of the user is often as long as that of the subscription. Large quotas of many
+/// subscriptions could take all 2048 slots of a publisher together.
+std::size_t hold_quota_for(const agnocast::SubscriptionOptions& options, const rclcpp::QoS& qos) {
+  if (options.hold_quota != 0) return options.hold_quota;
+  return std::clamp<std::size_t>(qos.get_rmw_qos_profile().depth, 64, 512);
+}
 
 using Groups = std::set<rclcpp::CallbackGroup::SharedPtr>;
 using WeakNode = rclcpp::node_interfaces::NodeBaseInterface::WeakPtr;
@@ -98,13 +103,14 @@ agnocast_rclcpp::SubscriptionOptions translate(const agnocast::SubscriptionOptio
   ros.ignore_local_publications = options.ignore_local_publications;
   ros.qos_overriding_options = options.qos_overriding_options;
   agnocast_rclcpp::SubscriptionOptions translated(ros);
+  translated.own.hold_quota_or_less(hold_quota_for(options, qos));
   translated.own.connection_callback(report_connection);
   return translated;
 }
 
 void keep_group(const rclcpp::node_interfaces::NodeBaseInterface::SharedPtr& node,
                 const rclcpp::CallbackGroup::SharedPtr& group) {
-  if (group == nullptr) return;
+  if (group == nullptr || is_forked_child()) return;
   std::vector<Groups> ended;  // outside the lock
   KeptGroups& kept = kept_groups();
   const std::lock_guard lock(kept.mutex);
@@ -124,28 +130,27 @@ void report_lost_daemon() noexcept {
 }
 
 rmw_gid_t gid_of(std::uint64_t persistent_id) noexcept {
-  rmw_gid_t gid{};
+  rmw_gid_t gid{};  // bytes 12 to 15, the entity id of a DDS guid, are zero, which DDS does not use
   gid.implementation_identifier = "agnocast";
-  const auto process = static_cast<std::uint32_t>(::getpid());
-  static_assert(2 + sizeof process + sizeof persistent_id <= RMW_GID_STORAGE_SIZE);
-  gid.data[0] = 'A';  // no DDS vendor's guid begins so
-  gid.data[1] = 'G';
-  std::memcpy(gid.data + 2, &process, sizeof process);
-  std::memcpy(gid.data + 2 + sizeof process, &persistent_id, sizeof persistent_id);
+  static_assert(sizeof persistent_id <= RMW_GID_STORAGE_SIZE);
+  std::memcpy(gid.data, &persistent_id, sizeof persistent_id);
   return gid;
 }
 
 LocalSubscription::LocalSubscription(std::uint64_t persistent_id) : persistent_id_(persistent_id) {
+  if (is_forked_child()) return;
   const std::lock_guard lock(locals().mutex);
   ++locals().counts[persistent_id_];
 }
 LocalSubscription::~LocalSubscription() {
+  if (is_forked_child()) return;
   const std::lock_guard lock(locals().mutex);
   const auto found = locals().counts.find(persistent_id_);
   if (found != locals().counts.end() && --found->second == 0) locals().counts.erase(found);
 }
 
 std::size_t count_local(const std::vector<std::uint64_t>& persistent_ids) {
+  if (is_forked_child()) return 0;
   const std::lock_guard lock(locals().mutex);
   std::size_t count = 0;
   for (const std::uint64_t id : persistent_ids) count += id != 0 ? locals().counts.count(id) : 0;

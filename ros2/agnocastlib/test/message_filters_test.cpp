@@ -195,6 +195,23 @@ TEST_F(MessageFiltersTest, FiltersHoldMessagesAndPassThemOn) {
   EXPECT_EQ(events, (std::vector<double>{7, 8}));
 }
 
+TEST_F(MessageFiltersTest, AFilterMayHold256Messages) {
+  filters::Subscriber<Temperature> source(node_, "topic", profile());
+  std::vector<Pointer> kept;
+  source.registerCallback([&](const Pointer& message) { kept.push_back(message); });
+  const auto publisher = agnocast::create_publisher<Temperature>(node_.get(), "topic", depth);
+  ASSERT_TRUE(eventually([&] { return publisher->get_intra_subscription_count() == 1; }));
+  for (int i = 0; i < 256; ++i) {
+    send(*publisher, i);
+    ASSERT_TRUE(spin_until([&] { return kept.size() == static_cast<std::size_t>(i) + 1; }));
+  }
+  send(*publisher, 256);
+  for (int i = 0; i < 20; ++i) executor_->spin_once(1ms);
+  EXPECT_EQ(kept.size(), 256u) << "further messages stay unread";
+  kept.pop_back();
+  EXPECT_TRUE(spin_until([&] { return kept.size() == 256; })) << "until one is released";
+}
+
 TEST_F(MessageFiltersTest, NodesOfAgnocastAreTaken) {
   const auto node = std::make_shared<agnocast::Node>("ours");
   executor_->add_node(node);

@@ -32,6 +32,10 @@ struct SubscriptionOptions {
   rclcpp::CallbackGroup::SharedPtr callback_group{nullptr};  ///< null: the default group
   bool ignore_local_publications{false};                     ///< as rclcpp's
   rclcpp::QosOverridingOptions qos_overriding_options{};
+  /// Messages of one publisher that may be held at once; further ones stay unread. Of publishers of
+  /// other users it may be less. 0: the depth, but at least 64 and at most 512. Not an option of
+  /// the kernel-module system.
+  std::size_t hold_quota{0};
 };
 
 }  // namespace agnocast
@@ -55,11 +59,12 @@ inline void report_if_daemon_is_lost() noexcept {
 }
 
 /// Keeps `group`, unless it is null, as long as the node lives. rclcpp's nodes do not: a group that
-/// nobody keeps ends, and its callbacks never run. Any thread.
+/// nobody keeps ends, and its callbacks never run. Any thread. This and the functions below do
+/// nothing in a forked child.
 void keep_group(const rclcpp::node_interfaces::NodeBaseInterface::SharedPtr& node,
                 const rclcpp::CallbackGroup::SharedPtr& group);
 
-/// Returns an id that no other publisher of this host has.
+/// Returns an id that no other publisher of this host has. Also in a forked child.
 rmw_gid_t gid_of(std::uint64_t persistent_id) noexcept;
 
 /// Counts a subscription of this process as long as it lives.

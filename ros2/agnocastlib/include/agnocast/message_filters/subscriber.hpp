@@ -37,7 +37,8 @@ template <class T>
 using SubscriberBasePtr = std::shared_ptr<SubscriberBase<T>>;
 
 /// The source of a chain of filters, which run in the subscription's callback. A filter keeps
-/// messages, which then count as held by the subscription.
+/// messages, which then count as held by the subscription: up to 256 of each publisher, unless
+/// SubscriptionOptions::hold_quota says otherwise.
 template <class M, class NodeType = rclcpp::Node>
 class Subscriber : public SubscriberBase<NodeType>, public SimpleFilter<M> {
  public:
@@ -103,6 +104,7 @@ class Subscriber : public SubscriberBase<NodeType>, public SimpleFilter<M> {
     topic_ = std::move(topic);
     qos_ = qos;
     options_ = std::move(options);
+    if (options_.hold_quota == 0) options_.hold_quota = 256;
     const rclcpp::QoS wanted(rclcpp::QoSInitialization::from_rmw(qos_), qos_);
     subscription_ = std::make_shared<Subscription<M>>(
         node_, topic_, wanted,
