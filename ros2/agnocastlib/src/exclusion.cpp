@@ -1,6 +1,6 @@
 // SPDX-License-Identifier: Apache-2.0
 //
-// Keeps the kernel-module system out of the process. Its library defines classes of the same names
+// Keeps the kernel-module system out of the process. That library defines classes of the same names
 // (agnocast::Node, agnocast::Publisher<T>, …), of which the loader and the linker keep one, and its
 // heap hook answers malloc instead of ours: a process with both writes into memory that it
 // misunderstands. So it is ended as soon as this library is loaded beside it. A library that is
@@ -22,8 +22,8 @@
 namespace agnocastlib {
 namespace {
 
-/// What its heap hook calls; no library of ours has it.
-constexpr const char* its_function = "initialize_agnocast";
+/// The heap hook of that system calls this function; no library of ours has it.
+constexpr const char* function_of_other_system = "initialize_agnocast";
 
 struct Loaded {
   unsigned long long loads = 0;         // of this process so far
@@ -39,19 +39,19 @@ int look_at(dl_phdr_info* object, std::size_t, void* found) {
   return 0;
 }
 
-/// Returns the path of its library; empty: it is not loaded. `loads` changes with every library
-/// that is loaded.
+/// Returns the path of the other system's library, or nothing if it is not loaded. `loads` changes
+/// with every library that is loaded.
 std::string find_other_system(unsigned long long& loads) {
   Loaded loaded;
   ::dl_iterate_phdr(look_at, &loaded);
   loads = loaded.loads;
   for (const std::string& path : loaded.candidates) {
-    // Of libraries that were loaded without RTLD_GLOBAL, too.
+    // This also finds the function in libraries that were loaded without RTLD_GLOBAL.
     void* const library = ::dlopen(path.c_str(), RTLD_LAZY | RTLD_NOLOAD);
     if (library == nullptr) continue;
-    const bool is_its = ::dlsym(library, its_function) != nullptr;
+    const bool is_found = ::dlsym(library, function_of_other_system) != nullptr;
     ::dlclose(library);
-    if (is_its) return path;
+    if (is_found) return path;
   }
   return {};
 }

@@ -14,7 +14,7 @@
 namespace agnocast {
 
 TimerBase::TimerBase(rclcpp::Clock::SharedPtr clock) : clock_(std::move(clock)) {
-  if (clock_ == nullptr) throw std::invalid_argument("clock cannot be null");
+  if (clock_ == nullptr) throw std::invalid_argument("agnocast: a timer needs a clock");
 }
 TimerBase::~TimerBase() = default;
 
@@ -23,7 +23,7 @@ void TimerBase::start(const SharedPtr& timer, std::chrono::nanoseconds period, b
                       const rclcpp::node_interfaces::NodeTimersInterface::SharedPtr& timers,
                       const rclcpp::CallbackGroup::SharedPtr& group) {
   if (period < std::chrono::nanoseconds::zero())
-    throw std::invalid_argument("timer period cannot be negative");
+    throw std::invalid_argument("agnocast: the period of a timer is negative");
   std::function<void()> call = [weak = std::weak_ptr<TimerBase>(timer)] {
     if (const SharedPtr alive = weak.lock()) alive->execute_callback();
   };

@@ -1,9 +1,11 @@
 // SPDX-License-Identifier: Apache-2.0
 //
-// RepairedExecutor: an executor of rclcpp's without a defect of Humble's. When a node with several
-// callback groups is removed, Humble's keeps pointers to conditions of these groups, and throws
-// (RCLError, "guard condition implementation is invalid") when they have ended: for instance when
-// such a component is unloaded.
+// RepairedExecutor: an executor of rclcpp's in which a defect of Humble's is mostly mended. When a
+// node with several callback groups is removed, Humble's executors keep pointers to conditions of
+// these groups, and throw (RCLError, "guard condition implementation is invalid") once the groups
+// have ended: for instance when such a component is unloaded. This one removes the pointers. A
+// thread that is already inside rcl_wait() may still have the condition until it wakes, so keep the
+// groups of a removed node until then.
 #pragma once
 
 #include <rclcpp/version.h>
