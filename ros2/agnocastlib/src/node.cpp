@@ -70,8 +70,9 @@ std::size_t count(const rclcpp::Node& node, const std::string& topic, EndpointKi
   auto& writable = const_cast<rclcpp::Node&>(node);  // its getters are not const
   const std::string name = writable.get_node_topics_interface()->resolve_topic_name(topic);
   const std::size_t domain = writable.get_node_base_interface()->get_context()->get_domain_id();
+  const std::shared_ptr<const GraphSnapshot> graph = LastGraph::instance().get();
   std::size_t found = 0;
-  for (const EndpointInfo& endpoint : LastGraph::instance().get()->endpoints)
+  for (const EndpointInfo& endpoint : graph->endpoints)
     found += endpoint.topic == name && endpoint.kind == kind && endpoint.domain == domain;
   return found;
 }
