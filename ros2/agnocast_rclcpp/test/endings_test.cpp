@@ -267,7 +267,9 @@ TEST_P(EndingsTest, TheyComeInEveryOrder) {
       const int before = ends.heard();
       source.publish_to_any();
       ends.spin();
-      if (is_over) ASSERT_EQ(ends.heard(), before) << "after the end of " << what;
+      if (is_over) {
+        ASSERT_EQ(ends.heard(), before) << "after the end of " << what;
+      }
     }
   } while (std::next_permutation(order.begin(), order.end()));
 }

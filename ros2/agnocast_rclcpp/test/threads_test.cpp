@@ -24,6 +24,10 @@ int nice_value() { return ::getpriority(PRIO_PROCESS, static_cast<id_t>(::syscal
 
 class Threads : public RclcppTest {
  protected:
+  void SetUp() override {
+    RclcppTest::SetUp();
+    node = std::make_shared<rclcpp::Node>("scheduled");
+  }
   /// Publishes until a callback of this group has run in a thread with this scheduling.
   bool are_scheduled(rclcpp::Executor& executor, const rclcpp::CallbackGroup::SharedPtr& group,
                      std::pair<int, int> wanted) {
@@ -47,7 +51,7 @@ class Threads : public RclcppTest {
     });
   }
 
-  rclcpp::Node::SharedPtr node = std::make_shared<rclcpp::Node>("scheduled");
+  rclcpp::Node::SharedPtr node;
 };
 
 TEST_F(Threads, TheDefaultGroupHasItsRule) {

@@ -302,12 +302,24 @@ TEST_F(CallbackIsolated, ANodeIsRemovedWhileTheSpinEnds) {
 
 // rclcpp::shutdown() holds a lock while it calls the function, which ~Executor needs. The function
 // gives the executor the time to end its threads before it calls cancel().
+/// As rclcpp::on_shutdown(), until the end of the scope.
+class OnShutdown {
+ public:
+  explicit OnShutdown(std::function<void()> callback)
+      : handle_(context_->add_on_shutdown_callback(std::move(callback))) {}
+  ~OnShutdown() { context_->remove_on_shutdown_callback(handle_); }
+
+ private:
+  const rclcpp::Context::SharedPtr context_ = rclcpp::contexts::get_global_default_context();
+  const rclcpp::OnShutdownCallbackHandle handle_;
+};
+
 TEST_F(CallbackIsolated, IsCancelledWhenTheContextIsShutDown) {
   const auto node = std::make_shared<rclcpp::Node>("node");
   agnocast::CallbackIsolatedAgnocastExecutor executor(rclcpp::ExecutorOptions(), 50, 1);
   std::atomic<int> calls{0};
   const auto timer = node->create_wall_timer(1ms, [&] { ++calls; });
-  rclcpp::on_shutdown([&] {
+  const OnShutdown cancelling([&] {
     std::this_thread::sleep_for(300ms);
     executor.cancel();
   });
@@ -322,7 +334,7 @@ TEST_F(CallbackIsolated, IsCancelledWhenTheContextIsShutDown) {
 TEST_F(CallbackIsolated, ShutdownWhileNodesComeAndGoLeavesNoException) {
   const auto node = std::make_shared<rclcpp::Node>("node");
   agnocast::CallbackIsolatedAgnocastExecutor executor(rclcpp::ExecutorOptions(), 50, 1);
-  rclcpp::on_shutdown([&] { executor.cancel(); });
+  const OnShutdown cancelling([&] { executor.cancel(); });
   std::thread spinning([&] { EXPECT_NO_THROW(executor.spin()); });
   std::atomic<bool> is_over{false};
   std::atomic<int> rounds{0};
