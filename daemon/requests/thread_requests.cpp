@@ -23,7 +23,7 @@ using wire::ThreadSetting;
 
 namespace {
 
-// Threads of one errand: less than a millisecond where no call waits.
+// Threads of one errand. The other processes of its user wait for it.
 constexpr std::size_t threads_per_errand = 32;
 // Executors that each thread of a user may spin on average; a process has a limit of its own.
 constexpr std::uint64_t spins_per_thread = 64;

@@ -3,8 +3,8 @@
 // agnocast::core holds the names to which the package agnocastlib (docs/agnocastlib.md) gives
 // another meaning: nodes, publishers, subscriptions, services, their options, their creation.
 // Everywhere else the namespace is inline, and agnocast::Publisher is agnocast::core::Publisher.
-// A header that agnocastlib includes writes `core::`. A source file uses
-// either this library or agnocastlib, not both.
+// A header that agnocastlib includes writes `core::`. A source file uses either this library or
+// agnocastlib, not both.
 #pragma once
 
 #if defined(AGNOCAST_CORE_IS_HIDDEN)
