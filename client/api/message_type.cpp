@@ -10,10 +10,12 @@
 
 #include <agnocast/heap.hpp>
 #include <agnocast/message_type.hpp>
+#include <agnocast/type_library.hpp>
 
 #include <algorithm>
 #include <cerrno>
 #include <cstring>
+#include <exception>
 #include <limits>
 #include <new>
 #include <string>
@@ -326,12 +328,30 @@ Result<MessageType> make_plain_type(const PlainType& type, std::uint64_t build) 
   });
 }
 
-const void* found_or_null(const void* (*find)(const void*), const void* argument) noexcept {
+Result<const void*> found_table(const void* (*find)(const void*), const void* argument,
+                                const char* name) noexcept {
   const LoanPause pause;  // a library that it loads outlives any loan of this thread
   try {
-    return find(argument);
-  } catch (...) {
-    return nullptr;
+    std::string why;
+    try {
+      if (const void* const table = find(argument)) return table;
+      // rosidl leaves the reason in a variable of rcutils, which is not linked here. Loading the
+      // library by its name fails for the same reason.
+      if (const Result<void*> support = find_type_support(name, {}); !support)
+        return tl::unexpected<Failure>(support.error());
+      // That has loaded libraries which the loader alone does not find.
+      if (const void* const table = find(argument)) return table;
+      why = "the type support that is linked offers no introspection table";
+    } catch (const std::bad_alloc&) {
+      throw;
+    } catch (const std::exception& thrown) {
+      why = thrown.what();
+    } catch (...) {
+      why = "loading its type support threw an exception";
+    }
+    return fail_with(Errc::type_not_found, std::string(name) + ": " + why);
+  } catch (const std::bad_alloc&) {
+    return fail(Errc::os_failure, "finding the table of a message type", ENOMEM);
   }
 }
 

@@ -9,7 +9,7 @@
 //
 // The name may come from a command line or from another process, so only letters, digits and
 // underscores become part of a path or a symbol. Libraries stay loaded, because messages are
-// destroyed by their code at any later time.
+// destroyed by their code at any later time. A failure is not kept: the next call searches again.
 
 #include <agnocast/type_library.hpp>
 #include <client/api/message_plan.hpp>
@@ -80,7 +80,7 @@ class Loader {
     }
   }
 
-  /// Returns the library, or null; then error() has the reason.
+  /// Returns the library, or null; then why(file) has the reason.
   void* load(const std::string& file, std::size_t depth = 0) {
     const std::string path = path_of(file);
     for (;;) {
@@ -96,11 +96,14 @@ class Loader {
       if (load(missing, depth + 1) == nullptr) return nullptr;
     }
   }
-  bool has(const std::string& file) const { return path_of(file) != file; }
-  const std::string& error() const noexcept { return error_; }
-  std::string searched() const {
-    if (directories_.empty()) return " where the loader searches";
-    std::string text = " in ";
+  /// Returns why load(file) returned null.
+  std::string why(const std::string& file) const {
+    // The loader may have found it as well, and refused it or a library that it needs.
+    const std::string absent = file + ": cannot open shared object file: No such file";
+    if (error_.compare(0, absent.size(), absent) != 0) return error_;
+    std::string text = "no " + file;
+    if (directories_.empty()) return text + " where the loader searches";
+    text += " in ";
     for (const std::string& directory : directories_) text += directory + ", ";
     return text + "nor where the loader searches";
   }
@@ -146,11 +149,8 @@ Result<void*> library_of(const TypeName& type, const std::string& file,
   if (void* const known = Loaded::instance().find(type.package)) return known;
   Loader loader(paths);
   void* const library = loader.load(file);
-  if (library == nullptr) {
-    return fail_with(Errc::type_not_found,
-                     type.text() + ": " +
-                         (loader.has(file) ? loader.error() : "no " + file + loader.searched()));
-  }
+  if (library == nullptr)
+    return fail_with(Errc::type_not_found, type.text() + ": " + loader.why(file));
   Loaded::instance().add(type.package, library);
   return library;
 }
@@ -181,7 +181,9 @@ Result<void*> find_type_support(const std::string& name,
                                "__" + type->kind + "__" + type->name;
     void* const function = ::dlsym(*library, symbol.c_str());
     if (function != nullptr) return function;
-    return fail_with(Errc::type_not_found, type->text() + ": " + file + " has no such type");
+    const char* const why = ::dlerror();  // the path of the library, and the symbol
+    return fail_with(Errc::type_not_found, type->text() + ": " + file + " has no such type" +
+                                               (why != nullptr ? std::string(": ") + why : ""));
   });
 }
 

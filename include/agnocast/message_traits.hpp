@@ -108,7 +108,7 @@ inline constexpr bool
 template <class T, class = void>
 inline constexpr bool is_described = false;
 template <class T>
-inline constexpr bool is_described<T, std::void_t<decltype(MessageTraits<T>::table())>> = true;
+inline constexpr bool is_described<T, std::void_t<decltype(MessageTraits<T>::try_table())>> = true;
 
 // Generated message structs declare these names; no other class has all of them.
 template <class T, class = void>

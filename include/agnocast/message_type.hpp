@@ -141,10 +141,12 @@ namespace detail {
                                                                       std::uint64_t build) noexcept;
 [[nodiscard]] AGNOCAST_PUBLIC Result<MessageType> make_plain_type(const PlainType& type,
                                                                   std::uint64_t build) noexcept;
-// Returns what `find` returns, or null if it throws: code that is compiled without exceptions
-// cannot catch those of the libraries that it calls.
-[[nodiscard]] AGNOCAST_PUBLIC const void* found_or_null(const void* (*find)(const void*),
-                                                        const void* argument) noexcept;
+// Returns the table that `find` returns for the type of this ROS name. Errors: type_not_found with
+// the reason, os_failure with ENOMEM. In the library, because code that is compiled without
+// exceptions cannot catch those of the libraries that it calls.
+[[nodiscard]] AGNOCAST_PUBLIC Result<const void*> found_table(const void* (*find)(const void*),
+                                                              const void* argument,
+                                                              const char* name) noexcept;
 
 template <class T>
 void visit_message(const void* message, PointerVisitor& visitor) {
@@ -161,14 +163,17 @@ void visit_message(const void* message, PointerVisitor& visitor) {
 /// a std::vector. So call it when endpoints are created: it allocates, runs the message's
 /// constructors, and costs about a microsecond per member. Errors: type_refused: a member that
 /// only works in this process (rosidl::Buffer), a table that contradicts itself, or a library
-/// built with another standard library than the caller; os_failure with ENOMEM. Throws nothing.
-/// Any thread.
+/// built with another standard library than the caller; type_not_found: the message package has
+/// no introspection table, or its library cannot be loaded, which the next call tries again;
+/// os_failure with ENOMEM. Throws nothing. Any thread.
 template <class T>
 [[nodiscard]] Result<MessageType> message_type_of() noexcept {
   static_assert(detail::require_message<T>());
   if constexpr (detail::is_described<T>) {
-    return detail::make_described_type(MessageTraits<T>::reader(), MessageTraits<T>::table(),
-                                       alignof(T), detail::build_hash);
+    const Result<const void*> table = MessageTraits<T>::try_table();
+    if (!table) return tl::unexpected<Failure>(table.error());
+    return detail::make_described_type(MessageTraits<T>::reader(), *table, alignof(T),
+                                       detail::build_hash);
   } else {
     constexpr bool is_flat = std::is_trivially_copyable_v<T>;
     detail::PlainType type{

@@ -8,12 +8,14 @@
 #include <agnocast/checked_copy.hpp>
 #include <agnocast/message_traits.hpp>
 #include <agnocast/message_type.hpp>
+#include <agnocast/result.hpp>
 #include <agnocast/rosidl_tables.hpp>
 
 #include <rosidl_runtime_c/message_type_support_struct.h>
 #include <rosidl_runtime_cpp/traits.hpp>
 #include <rosidl_typesupport_cpp/message_type_support.hpp>
 
+#include <atomic>
 #include <cstddef>
 #include <type_traits>
 
@@ -38,13 +40,21 @@ struct MessageTraits<T, std::enable_if_t<rosidl_generator_traits::is_message<T>:
     return {&detail::read_ros_message, &detail::read_ros_field, &detail::construct_ros_message,
             &detail::destroy_ros_message};
   }
-  /// Returns the introspection table from the type support linked with the message package; null
-  /// if there is none. Found once.
-  static const void* table() noexcept {
-    static const void* const found = detail::found_or_null(
-        &detail::introspection_table, rosidl_typesupport_cpp::get_message_type_support_handle<T>());
+  /// Returns the introspection table from the type support linked with the message package. It is
+  /// kept; after an error, the next call searches again. Errors: type_not_found with the reason,
+  /// os_failure with ENOMEM. Any thread.
+  static Result<const void*> try_table() noexcept {
+    static std::atomic<const void*> known{nullptr};
+    // [sync:table] acquire; pairs with the release below, after the table's library was loaded.
+    if (const void* const table = known.load(std::memory_order_acquire)) return table;
+    const Result<const void*> found = detail::found_table(
+        &detail::introspection_table, rosidl_typesupport_cpp::get_message_type_support_handle<T>(),
+        rosidl_generator_traits::name<T>());
+    if (found) known.store(*found, std::memory_order_release);  // [sync:table]
     return found;
   }
+  /// The same; null after an error.
+  static const void* table() noexcept { return try_table().value_or(nullptr); }
   /// Copies a message of an untrusted publisher; returns false if it refers to memory outside
   /// `windows`. `to` is a constructed message. Throws std::bad_alloc.
   static bool copy_checked(const T& from, T& to, const WindowSet& windows) {

@@ -4,7 +4,6 @@
 // knows, and is copied as the compiler would copy it; an invalid name never becomes a path.
 // Method: every message type of interfaces/ beside its C++ type; a program without message
 // packages, in chosen environments.
-// package, run with environments of the test's choice.
 
 #include <agnocast/generic.hpp>
 #include <every_message.hpp>
@@ -30,6 +29,7 @@ namespace agnocast {
 namespace {
 
 using testing::AllOf;
+using testing::EndsWith;
 using testing::HasSubstr;
 using testing::StartsWith;
 
@@ -119,9 +119,12 @@ TEST(Generic, ATypeMissingInItsLibraryIsReported) {
   const auto found = try_find_message_type("std_msgs/msg/Strin");
   ASSERT_FALSE(found);
   EXPECT_EQ(found.error().code, Errc::type_not_found);
-  EXPECT_EQ(text_of(found.error()),
-            "there is no support for a message type of this name: std_msgs/msg/Strin: "
-            "libstd_msgs__rosidl_typesupport_introspection_cpp.so has no such type");
+  EXPECT_THAT(
+      text_of(found.error()),
+      AllOf(StartsWith("there is no support for a message type of this name: std_msgs/msg/Strin: "
+                       "libstd_msgs__rosidl_typesupport_introspection_cpp.so has no such type: "),
+            EndsWith("undefined symbol: rosidl_typesupport_introspection_cpp__"
+                     "get_message_type_support_handle__std_msgs__msg__Strin")));
 }
 
 TEST(Generic, AForkedChildOfAProcessWithoutEndpointsMayLookForTypes) {
@@ -193,21 +196,56 @@ TEST(Generic, TheFirstLibraryCountsEvenIfItIsBroken) {
                                  HasSubstr(directory.path() + "/" + library + ": ")));
 }
 
+/// Returns the path of the library in the environment.
+std::string library_path() {
+  std::string where;
+  std::istringstream all(directories());
+  for (std::string path; all >> path;) {
+    path = path.substr(1, path.size() - 2) + "/" + library;
+    if (std::filesystem::exists(path)) where = path;
+  }
+  return where;
+}
+
 TEST(Generic, AMissingDependencyOfALibraryIsNamed) {
   if (directories().empty()) GTEST_SKIP() << "AMENT_PREFIX_PATH is not set";
   const test::TemporaryDirectory directory;
-  std::string where;
-  {
-    std::istringstream all(directories());
-    for (std::string path; all >> path;) {
-      path = path.substr(1, path.size() - 2);
-      if (std::filesystem::exists(path + "/" + library)) where = path;
-    }
-  }
-  std::filesystem::copy_file(where + "/" + library, directory.path() + "/" + library);
+  std::filesystem::copy_file(library_path(), directory.path(library));
   const Answer answer = find({}, "sensor_msgs/msg/PointCloud2 " + directory.path());
   EXPECT_EQ(answer.status, 1);
   EXPECT_THAT(answer.text, HasSubstr("geometry_msgs"));
+  EXPECT_EQ(find({"LD_LIBRARY_PATH=" + directory.path()}, "sensor_msgs/msg/PointCloud2").text,
+            answer.text)
+      << "also if the loader has found the library";
+}
+
+TEST(Generic, ATypeThatWasNotFoundIsSearchedAgain) {
+  if (directories().empty()) GTEST_SKIP() << "AMENT_PREFIX_PATH is not set";
+  const test::TemporaryDirectory directory;
+  // Directories that come to exist between the first search and the second one.
+  std::string links, paths;
+  std::istringstream all(directories());
+  int count = 0;
+  for (std::string path; all >> path; ++count) {
+    const std::string link = directory.path(std::to_string(count));
+    links += "/bin/ln -s " + path.substr(1, path.size() - 2) + " " + link + "; ";
+    paths += " " + link;
+  }
+  const Answer answer = find({}, "--then '" + links + "' sensor_msgs/msg/PointCloud2" + paths);
+  EXPECT_EQ(answer.status, 0);
+  EXPECT_THAT(answer.text, AllOf(HasSubstr("nor where the loader searches\n"), EndsWith(found)));
+}
+
+TEST(Generic, ALibraryThatCouldNotBeLoadedIsTriedAgain) {
+  if (directories().empty()) GTEST_SKIP() << "AMENT_PREFIX_PATH is not set";
+  const test::TemporaryDirectory directory;
+  const std::string broken = directory.path(library);
+  std::ofstream(broken) << "no library";
+  const Answer answer =
+      find({environment("AMENT_PREFIX_PATH")},
+           "--then '/bin/rm " + broken + "' sensor_msgs/msg/PointCloud2 " + directory.path());
+  EXPECT_EQ(answer.status, 0);
+  EXPECT_THAT(answer.text, AllOf(HasSubstr(broken + ": "), EndsWith(found)));
 }
 
 }  // namespace
