@@ -4,7 +4,8 @@
 // answers each line with one line. Linked with the heap hook, so it can publish. Used by the
 // integration tests.
 //
-//   sub TOPIC DEPTH [tl] [all] · pub TOPIC DEPTH [tl] [all]    → ok | error CODE WHAT
+//   sub TOPIC DEPTH [tl] [all] [others] · pub TOPIC DEPTH [tl] [all]    → ok | error CODE WHAT
+//       others: from other processes only
 //   persistent_id                      → persistent endpoint id of the publisher
 //   forge ID                → ok      claims to be that publisher, and to have moved
 //   connect                      → ok | error …
@@ -156,6 +157,7 @@ class Tool {
     for (; !flag.empty(); flag.clear(), line >> flag) {
       request.qos.transient_local = request.qos.transient_local || flag == "tl";
       request.qos.keep_all = request.qos.keep_all || flag == "all";
+      request.qos.ignore_local = request.qos.ignore_local || flag == "others";
     }
     request.quota = 16;
     return request;

@@ -151,6 +151,44 @@ TEST(Rejoin, APublisherIsNotifiedOfSubscriptionsThatCameAndWentMeanwhile) {
   EXPECT_EQ(take_all(comes), "2 ");
 }
 
+TEST(Rejoin, ASubscriptionThatIgnoresItsProcessHearsOnlyOthersAfterwards) {
+  DaemonProcess daemon;
+  ClientTool both(daemon.socket_path()), other(daemon.socket_path());
+  ASSERT_EQ(both.ask("pub /t 10"), "ok");
+  ASSERT_TRUE(meet(both, "sub /t 100 others", other, "pub /t 10"));
+  ASSERT_EQ(other.ask("sub /t 100"), "ok");
+  ASSERT_TRUE(both.eventually("matched", "1"));
+  // Each publishes; the number is that of the other process's message.
+  const auto expect_only_others = [&](int number) {
+    ASSERT_EQ(both.ask("publish 1 10"), "ok") << number;
+    ASSERT_EQ(other.ask("publish 1 10"), "ok") << number;
+    ASSERT_EQ(both.ask("wait 10000"), "news") << number;
+    EXPECT_EQ(take_all(both), std::to_string(number) + " ");
+    EXPECT_EQ(both.ask("links"), "1") << number;
+  };
+  expect_only_others(1);
+  {
+    const Stopped away(daemon.pid());
+    ASSERT_TRUE(end_connection(both.pid()));
+    ASSERT_TRUE(both.eventually("state", "reconnecting"));
+    expect_only_others(2);
+  }
+  ASSERT_TRUE(are_connected({&both}));
+  expect_only_others(3);
+  ASSERT_TRUE(daemon.wait_for_next(daemon.kill_worker()));
+  ASSERT_TRUE(are_connected({&both, &other}));
+  expect_only_others(4);
+  // Publishers that are created after that.
+  ASSERT_EQ(both.ask("unpub"), "ok");
+  ASSERT_EQ(other.ask("unpub"), "ok");
+  ASSERT_TRUE(both.eventually("links", "0"));
+  ASSERT_EQ(both.ask("pub /t 10"), "ok");
+  ASSERT_EQ(other.ask("pub /t 10"), "ok");
+  ASSERT_TRUE(both.eventually("links", "1"));
+  ASSERT_TRUE(both.eventually("matched", "1"));
+  ASSERT_TRUE(other.eventually("matched", "2"));
+}
+
 TEST(Rejoin, AHeapThatGrewMeanwhileIsRead) {
   DaemonProcess daemon;
   ClientTool publisher(daemon.socket_path()), subscriber(daemon.socket_path());

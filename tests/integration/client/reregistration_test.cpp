@@ -86,6 +86,23 @@ TEST_F(Reregistration, AStreamGoesOn) {
   EXPECT_TRUE(publisher.eventually("allocated", "0"));
 }
 
+TEST_F(Reregistration, ASubscriptionThatIgnoresItsProcessStillDoes) {
+  ClientTool both(socket()), other(socket());
+  ASSERT_EQ(both.ask("pub /t 10"), "ok");
+  ASSERT_TRUE(meet(both, "sub /t 100 others", other, "pub /t 10"));
+  for (int number = 1; number <= 3; ++number) {
+    ASSERT_EQ(both.ask("publish 1 10"), "ok") << number;
+    ASSERT_EQ(other.ask("publish 1 10"), "ok") << number;
+    ASSERT_EQ(both.ask("wait 10000"), "news") << number;
+    EXPECT_EQ(take_all(both), std::to_string(number) + " ") << "the other process's message alone";
+    EXPECT_TRUE(both.eventually("links", "1")) << "the previous session has ended";
+    lose();
+    ASSERT_TRUE(are_connected({&both, &other}));
+    ASSERT_TRUE(other.eventually("matched", "1"));
+  }
+  EXPECT_EQ(both.ask("matched"), "0");
+}
+
 TEST_F(Reregistration, NewEndpointsMatchMovedOnes) {
   ClientTool publisher(socket()), subscriber(socket());
   ASSERT_EQ(publisher.ask("pub /a 10"), "ok");
