@@ -9,6 +9,8 @@
 //             notified of the previous one has not acknowledged its end
 //   board     agrees with the tables about every endpoint
 //   restart   a registry opened on the memory finds the same state as the one that wrote it
+//   matching  a new endpoint, and a process that reconnects, are notified of exactly the endpoints
+//             that match; a subscription may ignore those of its own process
 //   rejoin    a process that reconnects after a lost connection is notified of the same as before;
 //             no process gets the place of another, and a revoked one does not get its own
 //   revoke    a revoked process keeps its place and its windows until it ends

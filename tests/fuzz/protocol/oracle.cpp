@@ -2,7 +2,8 @@
 //
 // Oracle: see the header. Rule RU is checked in three places: no client gets a place that another
 // process still knows (greeted), no window is assigned that a process still has (window_given), no
-// extent and no place of an endpoint that a process was notified of (create_served).
+// extent and no place of an endpoint that a process was notified of (create_served). At a creation
+// and at a rejoin, exactly the endpoints that match are announced to each other (check_announced).
 
 #include <tests/fuzz/protocol/oracle.hpp>
 
@@ -54,6 +55,14 @@ auto own_of(const Process& who, std::uint64_t generation) {
                       [&](const Endpoint& endpoint) { return endpoint.generation == generation; });
 }
 
+/// Returns whether an endpoint of `own_client` and one of `client` match.
+bool do_match(const Endpoint& own, std::uint64_t own_client, const abi::Qos& qos,
+              std::uint64_t client) {
+  const abi::QosOf mine{own.qos, own_client}, other{qos, client};
+  return own.kind == Kind::publisher ? abi::endpoints_match(mine, other)
+                                     : abi::endpoints_match(other, mine);
+}
+
 /// Returns whether a statement is about this notification, and not about an older announcement.
 bool is_about(const wire::Unlinked& statement, const Notified& notified) {
   return notified.generation == statement.generation && notified.packet <= statement.seen;
@@ -99,31 +108,44 @@ void Oracle::hear(Process& to, std::uint64_t number, const Outgoing& packet) {
   }
 }
 
-void Oracle::hear_announcement(Process& to, const wire::Announcement& body, std::uint64_t number,
-                               std::size_t fd_count) const {
+void Oracle::hear_announcement(Process& to, const wire::Announcement& body, std::uint64_t packet,
+                               std::size_t fd_count) {
   const bool publisher = body.kind == Kind::publisher;
   AGNOCAST_CHECK(fd_count == 1 + (publisher ? body.window_count : body.doorbell_count));
-  const Notified notified{number, body.generation, body.client, extent_of(body.kind, body.extent),
+  const Notified notified{packet, body.generation, body.client, extent_of(body.kind, body.extent),
                           abi::unpack_qos(body.qos)};
   Notified& place = to.notified[{body.kind, body.topic, body.index}];
   AGNOCAST_CHECK(place.generation == 0 || place.generation == body.generation);
   place = notified;
   Notified& region = to.regions[body.client];
   AGNOCAST_CHECK(region.generation == 0 || region.generation == body.client_generation);
-  region = {number, body.client_generation, body.client, {}, {}};
+  region = {packet, body.client_generation, body.client, {}, {}};
   if (publisher) {
     auto& windows = to.windows[body.client];
     windows.clear();
     for (std::uint32_t w = 0; w < body.window_count; ++w)
       windows.push_back({body.window[w].base, body.window[w].base + body.window[w].bytes});
   }
+  announced_.insert({body.own_generation, body.generation});
   // It is for an endpoint of the addressed process, and the two match.
   const auto own = own_of(to, body.own_generation);
-  if (own == to.own.end()) return;  // it is being created and not in the list yet
+  if (own == to.own.end()) return;  // it is being created: create_served() checks
   AGNOCAST_CHECK(own->topic == body.topic && own->index == body.own_index &&
                  own->kind != body.kind);
-  AGNOCAST_CHECK(publisher ? abi::qos_match(notified.qos, own->qos)
-                           : abi::qos_match(own->qos, notified.qos));
+  AGNOCAST_CHECK(do_match(*own, number(*to.client), notified.qos, notified.owner));
+}
+
+void Oracle::check_announced(const Process& who, const Endpoint& own,
+                             bool in_both_directions) const {
+  for (const Process& process : processes_) {
+    for (const Endpoint& other : process.own) {
+      if (other.topic != own.topic || other.kind == own.kind || other.left) continue;
+      const bool match = do_match(own, number(*who.client), other.qos, number(*process.client));
+      AGNOCAST_CHECK(announced_.contains({own.generation, other.generation}) == match);
+      if (in_both_directions && process.session)
+        AGNOCAST_CHECK(announced_.contains({other.generation, own.generation}) == match);
+    }
+  }
 }
 
 void Oracle::hear_own(const Process& to, const wire::Own& body) {
@@ -172,6 +194,9 @@ void Oracle::begin_welcome_back(Process& who) {
 
 void Oracle::end_welcome_back(const Process& who) const {
   AGNOCAST_CHECK(own_reported_ == who.own.size());
+  for (const Endpoint& own : who.own) {
+    if (!own.left) check_announced(who, own, false);
+  }
   // A process is notified of its own region only with its endpoints.
   for (const auto& [owner, notified] : who.regions)
     AGNOCAST_CHECK(notified.packet != 0 || owner == number(*who.client));
@@ -225,6 +250,7 @@ void Oracle::create_served(Process& who, const CreateRequest& request, bool was_
   who.created.insert(request.request);
   who.own.push_back({request.kind, created_.topic, created_.index, created_.generation, extent,
                      request.qos, request.request, false});
+  check_announced(who, who.own.back(), true);
 }
 
 void Oracle::leave_served(Process& who, const LeaveRequest& request, bool accepted) const {
@@ -251,7 +277,8 @@ void Oracle::drained_served(Process& who, const DrainedRequest& request, bool ac
     bool over = subject.kind == others && subject.topic == endpoint.topic;
     for (const Endpoint& other : who.own) {
       if (!over || other.topic != endpoint.topic || other.kind != endpoint.kind) continue;
-      over = others == Kind::publisher ? !abi::qos_match(notified.qos, other.qos) : false;
+      over = others == Kind::publisher &&
+             !do_match(other, number(*who.client), notified.qos, notified.owner);
     }
     at = over ? who.notified.erase(at) : std::next(at);
   }

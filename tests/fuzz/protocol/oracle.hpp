@@ -15,7 +15,9 @@
 
 #include <cstddef>
 #include <cstdint>
+#include <set>
 #include <span>
+#include <utility>
 #include <vector>
 
 namespace agnocast::daemon::fuzz {
@@ -29,6 +31,7 @@ class Oracle {
   void expect_answer() {
     created_ = {};
     done_ = false;
+    announced_.clear();
   }
   /// `number`: the packet's number on the connection of `to`.
   void hear(Process& to, std::uint64_t number, const Outgoing& packet);
@@ -58,13 +61,18 @@ class Oracle {
   static void revoked(Process& who);
 
  private:
-  void hear_announcement(Process& to, const wire::Announcement& body, std::uint64_t number,
-                         std::size_t fd_count) const;
+  void hear_announcement(Process& to, const wire::Announcement& body, std::uint64_t packet,
+                         std::size_t fd_count);
   void hear_own(const Process& to, const wire::Own& body);
+  /// Checks that `own`, an endpoint of `who`, was just notified of the endpoints that match it and
+  /// of no other one. With `in_both_directions`, that they were notified of it as well.
+  void check_announced(const Process& who, const Endpoint& own, bool in_both_directions) const;
 
   Processes& processes_;
   wire::EndpointCreated created_{};
   bool done_ = false;
+  // Announcements since the request: generation of the notified endpoint, and of the other one.
+  std::set<std::pair<std::uint64_t, std::uint64_t>> announced_;
   std::size_t own_reported_ = 0;  // endpoints reported to a process that has come back
   std::uint64_t last_generation_ = 0;
 };

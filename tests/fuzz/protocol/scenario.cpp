@@ -206,13 +206,17 @@ void Scenario::say_open_executor(Process& process) {
 
 void Scenario::say_create(Process& process) {
   wire::CreateEndpoint body{};
-  const abi::Qos qos{input_.ConsumeIntegralInRange(1u, abi::depth_max), rarely(), !rarely(),
-                     rarely(), false};
-  body.qos = abi::pack_qos(qos);
+  abi::Qos qos{input_.ConsumeIntegralInRange(1u, abi::depth_max), rarely(), !rarely(), rarely(),
+               false};
   body.layout_hash = rarely() ? 2 : 1;
   body.executor = rarely() ? 1 : 0;
   body.quota = input_.ConsumeIntegralInRange<std::uint64_t>(1, 800);
-  const bool publisher = input_.ConsumeBool();
+  // One draw for both. Three of eight subscriptions ignore the publishers of their own process; a
+  // publisher with that bit is refused.
+  const std::uint64_t kind = up_to(15);
+  const bool publisher = kind % 2 == 1;
+  qos.ignore_local = publisher ? kind == 15 : kind >= 10;
+  body.qos = abi::pack_qos(qos);
   body.topic = name_of("/" + std::to_string(up_to(1)));
   body.type = name_of("type");
   std::uint64_t id = 0;
