@@ -6,6 +6,8 @@
 //
 //   pub ID TOPIC QOS · sub ID TOPIC QOS · cb ID TOPIC QOS
 //       QOS: depth, then t (transient local), a (keep-all). cb: a callback thread records messages
+//   others ID TOPIC QOS           like sub, but ignores publishers of its own process: a message of
+//                                 one of them is bad
 //   publish ID COUNT · foreign ID COUNT · big ID COUNT   → how many were committed
 //       foreign: outside the shared heap, so adopted. big: 4 MiB of addresses, mostly untouched
 //   borrow ID · commit ID         a loan stays open; it is filled and published → as publish
@@ -47,6 +49,7 @@
 #include <map>
 #include <memory>
 #include <mutex>
+#include <set>
 #include <sstream>
 #include <string>
 #include <thread>
@@ -92,8 +95,14 @@ class Actor {
     if (what == "pub") {
       publishers_[id].publisher =
           create_publisher<Parcel>(node_, topic, test::qos_from_letters(qos));
+      own_.insert(id);
     } else if (what == "sub") {
       subscriptions_[id] = create_subscription<Parcel>(node_, topic, test::qos_from_letters(qos));
+    } else if (what == "others") {
+      subscriptions_[id] =
+          create_subscription<Parcel>(node_, topic, test::qos_from_letters(qos),
+                                      SubscriptionOptions().ignore_local_publications());
+      ignoring_.insert(id);
     } else if (what == "cb") {
       listen(id, topic, test::qos_from_letters(qos));
     } else {
@@ -169,7 +178,7 @@ class Actor {
   std::string take(std::uint64_t id) {
     Message message = subscriptions_.at(id)->take();
     if (!message) return "none";
-    const std::string name = report(*message);
+    const std::string name = report_to(id, *message);
     held_.push_back(std::move(message));
     return name;
   }
@@ -178,10 +187,15 @@ class Actor {
     std::array<Message, 3> batch;
     while (subscriptions_.at(id)->take_batch(batch.data(), batch.size()) != 0) {
       for (const Message& message : batch) {
-        if (message) names += report(*message) + " ";
+        if (message) names += report_to(id, *message) + " ";
       }
     }
     return names;
+  }
+  std::string report_to(std::uint64_t subscription, const Parcel& parcel) const {
+    if (ignoring_.contains(subscription) && own_.contains(parcel.publisher))
+      return "bad: from its own process";
+    return report(parcel);
   }
   std::string release() {
     if (held_.empty()) return "nothing";
@@ -280,6 +294,7 @@ class Actor {
   std::map<std::uint64_t, OwnPublisher> publishers_;
   std::map<std::uint64_t, Subscription<Parcel>::SharedPtr> subscriptions_;
   std::map<std::uint64_t, Callback> callbacks_;
+  std::set<std::uint64_t> own_, ignoring_;  // ids of all its publishers; of such subscriptions
   std::deque<Message> held_;
   std::thread publishing_;
   std::atomic<bool> is_through_{false};

@@ -261,7 +261,7 @@ class Performance {
     }
     run.answers[at_] = *answer;
     run.last_answer = at_;
-    if (answer->rfind("bad", 0) == 0) return complain(run, *answer);
+    if (answer->find("bad") != std::string::npos) return complain(run, *answer);
     if (command.what == "later") run.interrupted[command.id] = command.count();  // until done
     if (command.what == "done") run.interrupted.erase(command.id);
     if (publishes(command))
@@ -350,7 +350,8 @@ class Performance {
   }
 
   void tell_remaining_peer(const Command& command, Run& run) {
-    if (command.what == "sub" || command.what == "cb") run.joined[command.id] = at_;
+    if (command.what == "sub" || command.what == "others" || command.what == "cb")
+      run.joined[command.id] = at_;
     SweepProcess& remaining_peer = *remaining_peers_.at(command.who);
     std::string answer;
     const auto ask = [&] {

@@ -44,6 +44,12 @@ inline const Script scripts[] = {
      "A take 1; V drain 2; V release; V unsub 2; V publish 3 1; V unpub 3; V sync; V quit; A "
      "release;"
      "A drain 1; A unsub 1"},
+    {"subscriptions that ignore their own process",
+     "V others 2 /s 20; V sub 3 /s 20; V pub 4 /s 20; A pub 5 /s 20; A others 6 /s 20; A sub 7 /s "
+     "20; sync; V publish 4 1; A publish 5 1; V take 2; V drain 3; A take 6; A drain 7; V unsub 3; "
+     "V sync; V publish 4 1; A publish 5 1; V take 2; V release; A take 6; A release; A unsub 7; "
+     "A sync; V publish 4 1; A publish 5 1; V drain 2; A drain 6; V unsub 2; V unpub 4; V sync; "
+     "V release; V quit; A publish 5 1; A release; A drain 6; A unsub 6; A unpub 5"},
     {"callbacks that sleep and are rung",
      "V cb 2 /s 20; V cb 5 /t 20; V pub 3 /u 20; A cb 1 /u 20; A pub 4 /s 20; sync; A publish 4 1;"
      "V sync; A publish 4 1; V publish 3 1; A sync; V publish 3 1; V unsub 5; V unsub 2; V unpub 3;"
