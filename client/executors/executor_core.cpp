@@ -74,8 +74,10 @@ Result<void> ExecutorCore::adopt(std::shared_ptr<GroupCallbacks> group) {
 Result<void> ExecutorCore::listen(const GroupCallbacks& group, std::shared_ptr<WaitSet> wait_set) {
   const std::lock_guard lock(mutex_);
   for (Assigned& assigned : assigned_) {
-    if (assigned.group.get() != &group || assigned.wait_set != nullptr) continue;
+    if (assigned.group.get() != &group || assigned.wait_set == wait_set) continue;
     if (Result<void> listening = begin_listening(wait_set); !listening) return listening;
+    // That of a creation which has failed, but after this core got the group.
+    if (assigned.wait_set != nullptr) end_listening(assigned.wait_set);
     assigned.wait_set = std::move(wait_set);
     wake();
   }

@@ -266,6 +266,35 @@ TEST(ExecutorThreads, EveryExecutorFallsAsleepAndIsWokenAfterAHandOver) {
 
 // A ring wakes every executor that has a group there, and the socket that one of them empties
 // must wake the others all the same.
+// A creation has failed after this core got the group (the isolation model); the next one brings
+// another wait set.
+TEST(ExecutorThreads, AGroupIsRungByTheLastWaitSetThatItWasGiven) {
+  auto core = std::move(ExecutorCore::make().value());
+  Group group;
+  const auto queue = std::make_shared<Queue>(1);
+  group.callbacks->add(queue);
+  ASSERT_TRUE(core->adopt(group.callbacks));
+  ASSERT_FALSE(core->prepare());
+  ASSERT_TRUE(group.is_armed());
+  TestWaitSet next;
+  group.callbacks->set_wait_set(next.wait_set);
+  ASSERT_TRUE(core->listen(*group.callbacks, next.wait_set));
+  EXPECT_FALSE(group.is_armed());
+  core->finish_sleep();  // its wake-up
+  ASSERT_FALSE(core->prepare());
+  EXPECT_FALSE(group.is_armed());
+  EXPECT_TRUE(next.is_armed());
+  queue->push(7);
+  Ringer(next, false).ring();
+  epoll_event event{};
+  EXPECT_EQ(::epoll_wait(core->fd(), &event, 1, 0), 1);
+  core->finish_sleep();
+  EXPECT_TRUE(core->run_next());
+  EXPECT_EQ(queue->received, std::vector<std::uint64_t>{7});
+  core->drop(*group.callbacks);
+  EXPECT_FALSE(next.is_armed());
+}
+
 TEST(ExecutorThreads, ExecutorsThatShareAWaitSetAreAllWoken) {
   const auto deadline = deadline_of_all_rounds();
   const auto waits = std::make_shared<TestWaitSet>();
