@@ -1,9 +1,11 @@
 // SPDX-License-Identifier: Apache-2.0
 //
 // Goal: no message waits while all threads that could run its callback sleep, whatever groups are
-// busy meanwhile. Method: explore the scenario; then leave out each of its statements in turn.
+// busy meanwhile and however groups move between cores. Method: explore the scenarios; then leave
+// out each of their statements in turn.
 
 #include <tests/model/executor_scenario.hpp>
+#include <tests/model/isolation_scenario.hpp>
 
 #include <gtest/gtest.h>
 
@@ -66,6 +68,40 @@ TEST(ExecutorModel, NoticesEachStatementThatIsLeftOut) {
   EXPECT_EQ(violation(shared, ExecutorFault::same_value_armed), waits);
   EXPECT_EQ(violation(shared, ExecutorFault::first_disarms_for_all), waits);
   EXPECT_EQ(violation(one_executor, ExecutorFault::waits_after_nothing), waits);
+}
+
+constexpr IsolationPlan creating = {.name = "an endpoint is created while its group is isolated"};
+constexpr IsolationPlan repeating = {.name = "the same, and listening fails once",
+                                     .first_listening_fails = true};
+
+Report explore(const IsolationPlan& plan) {
+  IsolationScenario scenario(plan);
+  Explorer<IsolationScenario> explorer(scenario, 1'000'000);
+  return explorer.explore(scenario.start());
+}
+
+TEST(IsolationModel, HasNoBadInterleaving) {
+  for (const IsolationPlan& plan : {creating, repeating}) {
+    const Report report = explore(plan);
+    std::printf("%-60s %9llu states %7llu endings\n", plan.name,
+                static_cast<unsigned long long>(report.states),
+                static_cast<unsigned long long>(report.endings));
+    EXPECT_EQ(report.violation, "") << "after\n" << trace_of(report);
+    EXPECT_TRUE(report.complete);
+    EXPECT_GT(report.endings, 0u);
+  }
+}
+
+TEST(IsolationModel, NoticesEachStatementThatIsLeftOut) {
+  const auto violation = [](IsolationPlan plan, IsolationFault fault) {
+    plan.fault = fault;
+    return explore(plan).violation;
+  };
+  const std::string waits = "a message waits while the group's thread sleeps";
+  EXPECT_EQ(violation(creating, IsolationFault::listens_first), waits);
+  EXPECT_EQ(violation(creating, IsolationFault::adopts_deaf), waits);
+  EXPECT_EQ(violation(creating, IsolationFault::listens_silently), waits);
+  EXPECT_EQ(violation(repeating, IsolationFault::keeps_former), waits);
 }
 
 }  // namespace
