@@ -14,9 +14,6 @@
 namespace agnocast::bridge {
 namespace {
 
-// DDS has ports for this many domains (RTPS 2.3, 9.6.1.1), and ROS has the same limit.
-constexpr std::int64_t domain_max = 232;
-
 // DDS keeps this many samples for each reader; a larger depth is a mistake.
 constexpr std::int64_t depth_max = 100'000;
 

@@ -27,6 +27,9 @@
 
 namespace agnocast::bridge {
 
+/// DDS has ports for domains up to this one (RTPS 2.3, 9.6.1.1), and ROS has the same limit.
+inline constexpr std::uint32_t domain_max = 232;
+
 using ConfigError = config::Mistake;
 /// One key, for the manual page and the example.
 struct ConfigKey {

@@ -35,7 +35,6 @@
 namespace agnocast::bridge {
 namespace {
 
-constexpr std::uint32_t domain_max = 232;
 // The loop that answers also moves messages; it answers within milliseconds.
 constexpr std::chrono::milliseconds status_patience(1'000);
 

@@ -4,6 +4,7 @@
 
 #include <agnocast/version.hpp>
 #include <base/text/text.hpp>
+#include <bridge/program/config.hpp>
 
 #include <CLI/CLI.hpp>
 
@@ -16,7 +17,6 @@ namespace agnocast::bridge {
 namespace {
 
 constexpr const char* help_hint = "agnocast-bridge --help";
-constexpr std::uint32_t domain_max = 232;
 
 // The variables that the parser fills.
 struct Values {

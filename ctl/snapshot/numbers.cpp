@@ -31,11 +31,6 @@ const Endpoint* publisher_at(const Topic& topic, std::uint64_t index) {
   return nullptr;
 }
 
-bool takes_messages(const Endpoint& subscription) noexcept {
-  return subscription.state() == abi::BoardState::active ||
-         subscription.state() == abi::BoardState::leaving;
-}
-
 PublisherCounters counters_in(const Words& words, const Endpoint& publisher) {
   using Fields = abi::PublisherEndpoint;
   PublisherCounters counters;
@@ -82,7 +77,7 @@ std::optional<PublisherNumbers> numbers_of_publisher(const System& system, const
     std::uint64_t held = 0;
     for (const Endpoint& subscription : topic.subscriptions) {
       std::byte* const holder = system.region_of(subscription);
-      if (holder == nullptr || !takes_messages(subscription)) continue;
+      if (holder == nullptr || !subscription.takes_messages()) continue;
       const Line line{holder, subscription.facts.extent, publisher.facts.index};
       if (line.publisher_generation().load(acquire) == publisher.facts.generation)
         held |= line.hold(word).load(relaxed);
@@ -99,7 +94,7 @@ std::optional<SubscriptionNumbers> numbers_of_subscription(const System& system,
   if (region == nullptr) return std::nullopt;
   SubscriptionNumbers numbers;
   const std::uint64_t depth = abi::window_of(abi::unpack_qos(subscription.facts.qos));
-  for (std::uint64_t index = 0; takes_messages(subscription) && index < M::publisher_count();
+  for (std::uint64_t index = 0; subscription.takes_messages() && index < M::publisher_count();
        ++index) {
     const Line line{region, subscription.facts.extent, index};
     const std::uint64_t generation = line.publisher_generation().load(acquire);
@@ -177,7 +172,7 @@ std::vector<MessageFacts> messages_of(const System& system, const Topic& topic,
   std::vector<Reader> readers;
   for (const Endpoint& subscription : topic.subscriptions) {
     std::byte* const holder = system.region_of(subscription);
-    if (holder == nullptr || !takes_messages(subscription)) continue;
+    if (holder == nullptr || !subscription.takes_messages()) continue;
     const Line line{holder, subscription.facts.extent, publisher.facts.index};
     if (line.publisher_generation().load(acquire) != publisher.facts.generation) continue;
     const std::uint64_t window = abi::window_of(abi::unpack_qos(subscription.facts.qos));
@@ -254,7 +249,7 @@ KeptNumbers numbers_of_kept(const System& system, const Process& process) {
     const Topic& topic = system.topics.at(index);
     std::vector<const Endpoint*> own;
     for (const Endpoint& subscription : topic.subscriptions) {
-      if (!process.owns(subscription) || !takes_messages(subscription)) continue;
+      if (!process.owns(subscription) || !subscription.takes_messages()) continue;
       const auto numbers = numbers_of_subscription(system, topic, subscription);
       if (!numbers) continue;
       kept.unread += numbers->unread;

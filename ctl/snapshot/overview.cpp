@@ -36,11 +36,6 @@ std::string who(const System& system, const Endpoint& endpoint) {
          " pid " + (process == nullptr ? "gone" : std::to_string(process->facts.pid));
 }
 
-bool takes_messages(const Endpoint& subscription) noexcept {
-  return subscription.state() == abi::BoardState::active ||
-         subscription.state() == abi::BoardState::leaving;
-}
-
 /// The state of one subscription towards all publishers of its topic.
 struct Reading {
   std::uint64_t unread = 0;  // the maximum over the publishers
@@ -52,7 +47,7 @@ Reading reading_of(const System& system, const Topic& topic, const Endpoint& sub
                    std::uint64_t now_ns) {
   Reading reading;
   std::byte* const region = system.region_of(subscription);
-  if (region == nullptr || !takes_messages(subscription)) return reading;
+  if (region == nullptr || !subscription.takes_messages()) return reading;
   const std::uint64_t depth = abi::window_of(abi::unpack_qos(subscription.facts.qos));
   for (const Endpoint& publisher : topic.publishers) {
     std::byte* const queue = system.region_of(publisher);

@@ -53,6 +53,10 @@ struct Endpoint {
 
   abi::BoardState state() const noexcept { return abi::state_of(facts.board_word); }
   bool is_publisher() const noexcept { return facts.kind == wire::Kind::publisher; }
+  /// Of a subscription: publishers count it.
+  bool takes_messages() const noexcept {
+    return state() == abi::BoardState::active || state() == abi::BoardState::leaving;
+  }
 };
 
 struct Topic {

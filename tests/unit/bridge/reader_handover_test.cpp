@@ -9,7 +9,7 @@ namespace {
 
 using namespace std::chrono_literals;
 
-constexpr Time start{100s};
+constexpr Time begin{100s};
 
 ReaderKey dds_reader(std::size_t depth) {
   return {{{"/chatter", "std_msgs/msg/String"}, {}}, depth, false};
@@ -20,13 +20,13 @@ TEST(ReaderHandover, TakesMessagesOnlyFromItsDdsReader) {
   EXPECT_TRUE(handover.takes(dds_reader(1), 10));
   EXPECT_TRUE(handover.takes(dds_reader(1), 10)) << "two messages may have the same time";
   EXPECT_FALSE(handover.takes(dds_reader(2), 20));
-  EXPECT_FALSE(handover.tidy(start)) << "no DDS reader is to be ended";
+  EXPECT_FALSE(handover.tidy(begin)) << "no DDS reader is to be ended";
 }
 
 TEST(ReaderHandover, SwitchesReadersWithoutDuplicatesOrReordering) {
   ReaderHandover handover(dds_reader(1));
   ASSERT_TRUE(handover.takes(dds_reader(1), 10));
-  handover.go_over(dds_reader(5), start + 1s);
+  handover.go_over(dds_reader(5), begin + 1s);
   ASSERT_EQ(handover.former(), dds_reader(1));
   // The new DDS reader repeats a history, while the former one continues.
   EXPECT_FALSE(handover.takes(dds_reader(5), 5));
@@ -41,21 +41,21 @@ TEST(ReaderHandover, SwitchesReadersWithoutDuplicatesOrReordering) {
 TEST(ReaderHandover, UsesTheFormerDdsReaderOnlyForAWhile) {
   ReaderHandover handover(dds_reader(1));
   ASSERT_TRUE(handover.takes(dds_reader(1), 10));
-  handover.go_over(dds_reader(5), start + 1s);
-  EXPECT_EQ(handover.tidy(start), start + 1s);
-  EXPECT_EQ(handover.tidy(start + 1s), start + 1s + linger);
+  handover.go_over(dds_reader(5), begin + 1s);
+  EXPECT_EQ(handover.tidy(begin), begin + 1s);
+  EXPECT_EQ(handover.tidy(begin + 1s), begin + 1s + linger);
   EXPECT_FALSE(handover.former());
   EXPECT_FALSE(handover.takes(dds_reader(1), 20));
   EXPECT_FALSE(handover.takes(dds_reader(5), 5)) << "still older than the last message taken";
-  EXPECT_FALSE(handover.tidy(start + 1s + linger));
+  EXPECT_FALSE(handover.tidy(begin + 1s + linger));
   EXPECT_TRUE(handover.takes(dds_reader(5), 5)) << "the writer's clock was set back";
 }
 
 TEST(ReaderHandover, CanSwitchBackToTheFormerDdsReader) {
   ReaderHandover handover(dds_reader(1));
   ASSERT_TRUE(handover.takes(dds_reader(1), 10));
-  handover.go_over(dds_reader(5), start + 1s);
-  handover.go_over(dds_reader(1), start + 1s);
+  handover.go_over(dds_reader(5), begin + 1s);
+  handover.go_over(dds_reader(1), begin + 1s);
   EXPECT_FALSE(handover.former());
   EXPECT_TRUE(handover.takes(dds_reader(1), 20));
   EXPECT_FALSE(handover.takes(dds_reader(5), 30));
@@ -64,9 +64,9 @@ TEST(ReaderHandover, CanSwitchBackToTheFormerDdsReader) {
 TEST(ReaderHandover, SkipsRepeatedHistoryWhenItsDdsReaderIsRecreated) {
   ReaderHandover handover(dds_reader(1));
   ASSERT_TRUE(handover.takes(dds_reader(1), 10));
-  handover.end_dds_readers({dds_reader(2)}, start + 1s);
+  handover.end_dds_readers({dds_reader(2)}, begin + 1s);
   EXPECT_TRUE(handover.takes(dds_reader(1), 10)) << "another reader ended";
-  handover.end_dds_readers({dds_reader(1)}, start + 1s);
+  handover.end_dds_readers({dds_reader(1)}, begin + 1s);
   EXPECT_FALSE(handover.takes(dds_reader(1), 5)) << "the new reader repeats the history";
   EXPECT_FALSE(handover.takes(dds_reader(1), 10));
   EXPECT_TRUE(handover.takes(dds_reader(1), 20));
@@ -74,7 +74,7 @@ TEST(ReaderHandover, SkipsRepeatedHistoryWhenItsDdsReaderIsRecreated) {
 
 TEST(ReaderHandover, CanBeginWithMessagesOfAnotherDdsReader) {
   ReaderHandover handover(dds_reader(5));
-  handover.begin_with(dds_reader(1), start + 1s);
+  handover.begin_with(dds_reader(1), begin + 1s);
   EXPECT_TRUE(handover.takes(dds_reader(1), 10));
   EXPECT_FALSE(handover.takes(dds_reader(5), 10));
   EXPECT_TRUE(handover.takes(dds_reader(5), 20));
