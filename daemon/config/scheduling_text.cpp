@@ -18,7 +18,7 @@ constexpr std::pair<std::string_view, std::uint32_t> policies[] = {
     {"batch", SCHED_BATCH}, {"idle", SCHED_IDLE}, {"deadline", SCHED_DEADLINE}};
 
 constexpr std::uint64_t nanoseconds_max = std::numeric_limits<std::int64_t>::max();
-constexpr std::pair<std::string_view, std::uint64_t> units[] = {
+constexpr std::pair<std::string_view, std::uint64_t> time_units[] = {
     {"s", 1'000'000'000}, {"ms", 1'000'000}, {"us", 1'000}, {"ns", 1}};
 
 // Takes a number from the front of `text`.
@@ -70,7 +70,7 @@ std::optional<std::uint64_t> parse_duration(std::string_view text) noexcept {
   const auto count = take_number(text);
   if (!count) return std::nullopt;
   if (text.starts_with(' ')) text.remove_prefix(1);
-  for (const auto& [unit, nanoseconds] : units) {
+  for (const auto& [unit, nanoseconds] : time_units) {
     if (text != unit) continue;
     if (*count > nanoseconds_max / nanoseconds) return std::nullopt;
     return *count * nanoseconds;
@@ -79,7 +79,7 @@ std::optional<std::uint64_t> parse_duration(std::string_view text) noexcept {
 }
 
 std::string duration_text(std::uint64_t nanoseconds) {
-  for (const auto& [unit, size] : units) {
+  for (const auto& [unit, size] : time_units) {
     if (nanoseconds >= size && nanoseconds % size == 0)
       return std::to_string(nanoseconds / size) + std::string(unit);
   }

@@ -20,6 +20,10 @@
 
 namespace agnocast::test {
 
+// Nanoseconds.
+inline constexpr std::uint64_t millisecond = 1'000'000;
+inline constexpr std::uint64_t second = 1000 * millisecond;
+
 using Word = std::atomic<std::uint64_t>;
 
 inline std::uint64_t now_ns() noexcept {

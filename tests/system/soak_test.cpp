@@ -45,8 +45,6 @@
 namespace agnocast::test {
 namespace {
 
-constexpr std::uint64_t millisecond = 1'000'000;
-constexpr std::uint64_t second = 1000 * millisecond;
 constexpr std::size_t resident_count = 2;
 // Without any progress for this long the system hangs; the machine may be busy.
 constexpr std::uint64_t watchdog_ns = 30 * second;

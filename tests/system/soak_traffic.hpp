@@ -31,8 +31,6 @@
 
 namespace agnocast::test {
 
-inline constexpr std::uint64_t millisecond = 1'000'000;
-inline constexpr std::uint64_t second = 1000 * millisecond;
 // After this long an expected event no longer comes.
 inline constexpr std::uint64_t patience_ns = 20 * second;
 inline constexpr std::uint64_t keep_all_bound = 20;
