@@ -15,10 +15,12 @@
 //   - pairs of a publish: V dies at each of its steps, the daemon at every 7th point of the
 //     reap, with a different start for each step.
 // AGNOCAST_SWEEP=all: every point, and all pairs of every script. Otherwise a sample;
-// AGNOCAST_SEED chooses another one. The test prints the total number.
+// AGNOCAST_SEED chooses another one, AGNOCAST_ROTATION a part of it (tests/support/rotation.hpp).
+// The test prints the total number.
 
 #include <tests/recovery/sweep_script.hpp>
 #include <tests/recovery/sweep_scripts.hpp>
+#include <tests/support/rotation.hpp>
 #include <tests/support/wire/unix_peers.hpp>
 
 #include <gtest/gtest.h>
@@ -42,6 +44,25 @@ namespace {
 constexpr unsigned worker_count = 2;
 /// Counted from 1; 0: all scripts.
 std::uint64_t only_script() { return number_of("AGNOCAST_SWEEP_SCRIPT", 0); }
+
+/// Every `stride`-th of many points, from AGNOCAST_SEED on, and of these the part of
+/// AGNOCAST_ROTATION.
+class Sample {
+ public:
+  explicit Sample(std::uint64_t stride) : stride_(stride) {
+    std::printf("rotation: %s\n", rotation_.text().c_str());
+  }
+  /// The i-th point, from 0.
+  std::uint64_t at(std::uint64_t i) const {
+    return seed_ % stride_ + (rotation_.part() + i * rotation_.parts()) * stride_;
+  }
+  std::uint64_t seed() const { return seed_; }
+  std::uint64_t parts() const { return rotation_.parts(); }
+
+ private:
+  const test::Rotation rotation_;
+  const std::uint64_t stride_, seed_ = number_of("AGNOCAST_SEED", 0);
+};
 
 struct Totals {
   std::uint64_t points = 0, deaths = 0, both = 0;
@@ -116,28 +137,28 @@ void print_places(const Totals& totals) {
 
 TEST(DaemonSweep, NoProcessNoticesADaemonKilledAtAnyPointOnceOrTwice) {
   const bool all = runs_everything();
-  const std::uint64_t stride = all ? 1 : number_of("AGNOCAST_SWEEP_STRIDE", 47);
-  const std::uint64_t seed = number_of("AGNOCAST_SEED", 0);
-  const Totals sum =
-      sweep_scripts("points", [&](const Script& script, SweepStage& stage, std::uint64_t worker) {
-        Totals totals;
-        Performance performance(stage, script);
-        if (const std::string wrong = performance.rehearse(); !wrong.empty()) {
-          totals.violations.push_back(std::string(script.name) + ": " + wrong);
-          return totals;
-        }
-        totals.points = performance.daemon_points();
-        for (std::uint64_t n = 1 + seed % stride + worker * stride;
-             n <= totals.points && totals.violations.empty(); n += stride * worker_count) {
-          // Every second time the next daemon dies too, sooner or later.
-          const std::uint64_t then = n / stride % 2 == 0 ? 0 : 1 + (n * 7 + seed) % 60;
-          totals.note(script, performance.perform_daemon(n, then),
-                      "the daemon's death at point " + std::to_string(n) + ", then " +
-                          std::to_string(then));
-        }
-        return totals;
-      });
-  EXPECT_GT(sum.deaths, only_script() != 0 ? 0u : 100u);
+  const Sample sample(all ? 1 : number_of("AGNOCAST_SWEEP_STRIDE", 47));
+  const Totals sum = sweep_scripts("points", [&](const Script& script, SweepStage& stage,
+                                                 std::uint64_t worker) {
+    Totals totals;
+    Performance performance(stage, script);
+    if (const std::string wrong = performance.rehearse(); !wrong.empty()) {
+      totals.violations.push_back(std::string(script.name) + ": " + wrong);
+      return totals;
+    }
+    totals.points = performance.daemon_points();
+    for (std::uint64_t i = worker; sample.at(i) < totals.points && totals.violations.empty();
+         i += worker_count) {
+      const std::uint64_t n = 1 + sample.at(i);
+      // Every second time the next daemon dies too, sooner or later.
+      const std::uint64_t then = i / worker_count % 2 == 0 ? 0 : 1 + (n * 7 + sample.seed()) % 60;
+      totals.note(
+          script, performance.perform_daemon(n, then),
+          "the daemon's death at point " + std::to_string(n) + ", then " + std::to_string(then));
+    }
+    return totals;
+  });
+  EXPECT_GT(sum.deaths, only_script() != 0 ? 0u : 100u / sample.parts());
 }
 
 /// Returns the steps at which the daemon can die.
@@ -230,8 +251,7 @@ TEST(DaemonSweep, TheNextDaemonCompletesARevocation) {
 
 TEST(DaemonSweep, AProcessAndTheDaemonThatRecoversItDieTogether) {
   const bool all = runs_everything();
-  const std::uint64_t stride = all ? 1 : number_of("AGNOCAST_SWEEP_PAIR_STRIDE", 1999);
-  const std::uint64_t seed = number_of("AGNOCAST_SEED", 0);
+  const Sample sample(all ? 1 : number_of("AGNOCAST_SWEEP_PAIR_STRIDE", 1999));
   const Totals sum =
       sweep_scripts("pairs", [&](const Script& script, SweepStage& stage, std::uint64_t worker) {
         Totals totals;
@@ -245,8 +265,9 @@ TEST(DaemonSweep, AProcessAndTheDaemonThatRecoversItDieTogether) {
         totals.note(script, counted, "a death in the middle");
         const std::uint64_t recovery_points = std::max<std::uint64_t>(1, counted.reap_points);
         totals.points = performance.points() * recovery_points;
-        for (std::uint64_t pair = seed % stride + worker * stride;
-             pair < totals.points && totals.violations.empty(); pair += stride * worker_count) {
+        for (std::uint64_t i = worker; sample.at(i) < totals.points && totals.violations.empty();
+             i += worker_count) {
+          const std::uint64_t pair = sample.at(i);
           const std::uint64_t n = pair / recovery_points + 1;
           const std::uint64_t m = pair % recovery_points + 1;
           totals.note(script, performance.perform_pair(n, m),
@@ -256,7 +277,7 @@ TEST(DaemonSweep, AProcessAndTheDaemonThatRecoversItDieTogether) {
       });
   std::printf("pairs: in %ju of them both died\n", std::uintmax_t{sum.both});
   print_places(sum);
-  EXPECT_GT(sum.both, only_script() != 0 ? 0u : 50u);
+  EXPECT_GT(sum.both, only_script() != 0 ? 0u : 50u / sample.parts());
 }
 
 // The repaired queue and its records must not depend on how often the daemon started.
