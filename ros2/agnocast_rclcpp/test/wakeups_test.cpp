@@ -72,9 +72,18 @@ class Mover {
       }
       ++spins_;
       executor_->spin();
+      release_groups();
     }
     executor_->remove_node(node_);
     has_ended_ = true;
+  }
+
+  /// Humble's multi-threaded executor that is cancelled between the choice of a callback and its
+  /// start drops the callback and leaves its group taken: nothing of the group would run again,
+  /// rclcpp's own timers neither (Executor::execute_any_executable, MultiThreadedExecutor::run).
+  void release_groups() {
+    node_->for_each_callback_group(
+        [](const auto& group) { group->can_be_taken_from().store(true); });
   }
 
   const ExecutorKind& kind_;
