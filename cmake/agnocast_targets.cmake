@@ -21,8 +21,10 @@ endif()
 
 add_library(agnocast_warnings INTERFACE)
 target_compile_options(agnocast_warnings INTERFACE
-  -Wall -Wextra -Wpedantic -Wshadow -Wconversion -Wsign-conversion -Wformat=2 -Wundef
+  -Wall -Wextra -Wpedantic -Wconversion -Wsign-conversion -Wformat=2 -Wundef
   -Werror=unused-result
+  # Names of other sources are no shadows: agnocast_compile_by_rooms().
+  $<$<NOT:$<BOOL:$<TARGET_PROPERTY:UNITY_BUILD>>>:-Wshadow>
   $<$<COMPILE_LANGUAGE:CXX>:-Wnon-virtual-dtor -Woverloaded-virtual -Wold-style-cast>
   $<$<CXX_COMPILER_ID:GNU>:-Wduplicated-cond -Wlogical-op>
   # False alarms of GCC 12: it takes atomics at computed addresses for out of bounds, and
@@ -49,17 +51,47 @@ if(AGNOCAST_COVERAGE)
   target_link_options(agnocast_sanitizers INTERFACE --coverage)
 endif()
 
+# agnocast_compile_by_rooms(TARGET): compiles the sources of each directory together. Reading headers
+# and making templates takes most of the time of a compiler, so this saves two fifths of it. Names in
+# anonymous namespaces must be unique within a directory; agnocast_compile_alone() takes sources out.
+function(agnocast_compile_by_rooms target)
+  get_target_property(sources ${target} SOURCES)
+  get_property(alone GLOBAL PROPERTY agnocast_compile_alone)
+  foreach(source ${sources})
+    cmake_path(ABSOLUTE_PATH source NORMALIZE OUTPUT_VARIABLE path)
+    if(path IN_LIST alone)
+      set_property(SOURCE ${source} PROPERTY SKIP_UNITY_BUILD_INCLUSION ON)
+    elseif(source MATCHES "\\.cpp$")
+      string(REPLACE "${PROJECT_SOURCE_DIR}/" "" room ${source})
+      cmake_path(GET room PARENT_PATH room)
+      string(MAKE_C_IDENTIFIER "room_${room}" room)
+      set_property(SOURCE ${source} PROPERTY UNITY_GROUP ${room})
+    endif()
+  endforeach()
+  set_target_properties(${target} PROPERTIES UNITY_BUILD ON UNITY_BUILD_MODE GROUP)
+endfunction()
+# agnocast_compile_alone(SOURCES…): keeps sources apart in which one name fits several things.
+function(agnocast_compile_alone)
+  foreach(source ${ARGN})
+    cmake_path(ABSOLUTE_PATH source)
+    set_property(GLOBAL APPEND PROPERTY agnocast_compile_alone ${source})
+  endforeach()
+endfunction()
+
 # agnocast_target_defaults(TARGET): warnings and sanitizers for one of our own targets, privately.
 # Sanitizers produce much code, so short-lived programs are not optimised under them: their
 # directories set AGNOCAST_SANITIZED_LEVEL. That, and debug information with line numbers only
 # (-g1), reduces the compile time to three quarters.
 set(AGNOCAST_SANITIZED_LEVEL 1)
 function(agnocast_target_defaults target)
+  string(FIND "${CMAKE_CURRENT_SOURCE_DIR}" "${PROJECT_SOURCE_DIR}/tests" place)
+  if(AGNOCAST_SANITIZE OR place EQUAL 0)
+    agnocast_compile_by_rooms(${target})
+  endif()
   if(AGNOCAST_SANITIZE)
     target_compile_options(${target} PRIVATE -O${AGNOCAST_SANITIZED_LEVEL} -g1)
     # Only what a test runs: programs for users, as far as tests depend on them.
     get_target_property(type ${target} TYPE)
-    string(FIND "${CMAKE_CURRENT_SOURCE_DIR}" "${PROJECT_SOURCE_DIR}/tests" place)
     if(type STREQUAL EXECUTABLE AND place EQUAL -1)
       set_target_properties(${target} PROPERTIES EXCLUDE_FROM_ALL ON)
     endif()
