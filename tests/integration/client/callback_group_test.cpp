@@ -5,6 +5,7 @@
 // Method: executor_fixture.hpp.
 
 #include <tests/integration/client/executor_fixture.hpp>
+#include <tests/integration/client/spinning_thread.hpp>
 
 #include <gmock/gmock.h>
 
@@ -39,21 +40,6 @@ struct TwoGroups {
   }
   Node node;
   CallbackGroup::SharedPtr groups[2];
-};
-
-/// Runs `spin` in a thread until the end of the scope.
-class SpinningThread {
- public:
-  explicit SpinningThread(Executor& executor)
-      : executor_(executor), thread_([&executor] { executor.spin(); }) {}
-  ~SpinningThread() {
-    executor_.cancel();
-    thread_.join();
-  }
-
- private:
-  Executor& executor_;
-  std::thread thread_;
 };
 
 TEST_F(CallbackGroups, AGroupThatIsInNoExecutorRunsNothing) {

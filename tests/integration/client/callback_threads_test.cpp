@@ -7,13 +7,13 @@
 // which reads back from the kernel. Real-time policies are tested where the kernel allows them.
 
 #include <tests/integration/client/executor_fixture.hpp>
+#include <tests/integration/client/spinning_thread.hpp>
 #include <tests/support/processes/ctl.hpp>
 
 #include <gmock/gmock.h>
 
 #include <sched.h>
 #include <sys/resource.h>
-#include <sys/syscall.h>
 #include <unistd.h>
 
 #include <atomic>
@@ -86,7 +86,6 @@ users = ["*"]
 cpus = "1023"
 )";
 
-pid_t this_thread() { return static_cast<pid_t>(::syscall(SYS_gettid)); }
 int nice_of(pid_t thread) { return ::getpriority(PRIO_PROCESS, static_cast<id_t>(thread)); }
 
 class Threads : public ExecutorFixture {
@@ -116,38 +115,20 @@ class Threads : public ExecutorFixture {
   }
 };
 
-/// Runs `spin` in a thread until the end of the scope.
-class Spinning {
- public:
-  explicit Spinning(Executor& executor)
-      : executor_(executor), thread_([this] {
-          number = this_thread();
-          executor_.spin();
-        }) {}
-  ~Spinning() {
-    executor_.cancel();
-    thread_.join();
-  }
-  std::atomic<pid_t> number{0};
-
- private:
-  Executor& executor_;
-  std::thread thread_;
-};
-
 TEST_F(Threads, TheRuleOfANodeIsInForceForTheThreadOfItsExecutor) {
   Node node("camera");
   auto subscription = node.create_subscription<Number>(own("topic"), 1, [](const Message&) {});
   SingleThreadedExecutor executor;
   executor.add_node(node);
-  const Spinning spinning(executor);
-  ASSERT_TRUE(eventually([&] { return spinning.number != 0 && nice_of(spinning.number) == 7; }));
+  const SpinningThread spinning(executor);
+  ASSERT_TRUE(
+      eventually([&] { return spinning.number() != 0 && nice_of(spinning.number()) == 7; }));
   json listed;
   ASSERT_TRUE(eventually([&] {
     listed = listed_of("/", "camera");
     return listed.size() == 1 && listed[0]["rule"]["state"] == "applied";
   }));
-  EXPECT_EQ(listed[0]["tid"], spinning.number.load());
+  EXPECT_EQ(listed[0]["tid"], spinning.number());
   EXPECT_EQ(listed[0]["kernel"]["nice"], 7);
   EXPECT_EQ(listed[0]["kernel"]["policy"], "other");
   EXPECT_EQ(listed[0]["groups"][0]["name"], "default");
@@ -162,7 +143,7 @@ TEST_F(Threads, EachGroupOfAnIsolatedExecutorHasItsOwnThreadAndRule) {
   auto other = node.create_subscription<Number>(own("other"), 1, [](const Message&) {});
   CallbackIsolatedExecutor executor;
   executor.add_node(node);
-  const Spinning spinning(executor);
+  const SpinningThread spinning(executor);
   json listed;
   ASSERT_TRUE(eventually([&] {
     listed = listed_of("/", "camera");
@@ -190,7 +171,7 @@ TEST_F(Threads, PolicyPriorityDeadlineAndProcessorsEqualTheFile) {
   }
   CallbackIsolatedExecutor executor;
   executor.add_node(node);
-  const Spinning spinning(executor);
+  const SpinningThread spinning(executor);
   json listed;
   ASSERT_TRUE(eventually([&] {
     listed = listed_of("/", "real_time");
@@ -223,7 +204,7 @@ TEST_F(Threads, AllThreadsOfAMultiThreadedExecutorAreListedAndGoWithIt) {
   MultiThreadedExecutor executor(4);
   executor.add_node(node);
   {
-    const Spinning spinning(executor);
+    const SpinningThread spinning(executor);
     json listed;
     ASSERT_TRUE(eventually([&] {
       listed = listed_of("/lidar", "front");
@@ -246,13 +227,13 @@ TEST_F(Threads, AGroupThatComesLaterBringsItsRule) {
   auto of_plain = plain.create_subscription<Number>(own("plain"), 1, [](const Message&) {});
   SingleThreadedExecutor executor;
   executor.add_node(plain);
-  const Spinning spinning(executor);
+  const SpinningThread spinning(executor);
   ASSERT_TRUE(eventually([&] { return listed_of("/", "plain").size() == 1; }));
   EXPECT_TRUE(listed_of("/", "plain")[0]["rule"].is_null());
-  EXPECT_EQ(nice_of(spinning.number), 0);
+  EXPECT_EQ(nice_of(spinning.number()), 0);
   auto of_camera = node.create_subscription<Number>(own("camera"), 1, [](const Message&) {});
   executor.add_node(node);
-  EXPECT_TRUE(eventually([&] { return nice_of(spinning.number) == 7; }));
+  EXPECT_TRUE(eventually([&] { return nice_of(spinning.number()) == 7; }));
 }
 
 TEST_F(Threads, ARuleForOtherUsersIsNotApplied) {
@@ -330,8 +311,9 @@ TEST_F(Threads, ADaemonThatComesBackKnowsAndAppliesTheSame) {
   auto subscription = node.create_subscription<Number>(own("topic"), 1, [](const Message&) {});
   SingleThreadedExecutor executor;
   executor.add_node(node);
-  const Spinning spinning(executor);
-  ASSERT_TRUE(eventually([&] { return spinning.number != 0 && nice_of(spinning.number) == 7; }));
+  const SpinningThread spinning(executor);
+  ASSERT_TRUE(
+      eventually([&] { return spinning.number() != 0 && nice_of(spinning.number()) == 7; }));
   const pid_t old = daemon->kill_worker();
   ASSERT_TRUE(daemon->wait_for_next(old));
   EXPECT_TRUE(eventually([&] {

@@ -4,10 +4,9 @@
 // configuration reads back unchanged. Method: a table of mistakes with exact texts, the sample
 // file, and random configurations (seeded). User and group names are the test's own.
 
-#include <daemon/config/config.hpp>
-
-#include "tests/support/machine/temporary_directory.hpp"
-#include "tests/support/processes/child.hpp"
+#include <tests/support/machine/temporary_directory.hpp>
+#include <tests/support/processes/child.hpp>
+#include <tests/unit/daemon/config_text.hpp>
 
 #include <gmock/gmock.h>
 
@@ -25,24 +24,6 @@ namespace {
 using testing::ElementsAre;
 using testing::EndsWith;
 using testing::StartsWith;
-
-const NameLookup names{[](const std::string& name) -> std::optional<uid_t> {
-                         return name == "alice" ? std::optional<uid_t>(1000) : std::nullopt;
-                       },
-                       [](const std::string& name) -> std::optional<gid_t> {
-                         return name == "sensors" ? std::optional<gid_t>(50) : std::nullopt;
-                       }};
-
-ConfigResult parse(std::string_view text) { return parse_config(text, "f.toml", names); }
-
-// Returns all errors, one per line.
-std::string errors_of(std::string_view text) {
-  const auto config = parse(text);
-  if (config) return "no error";
-  std::string all;
-  for (const ConfigError& error : config.error()) all += (all.empty() ? "" : "\n") + error.text();
-  return all;
-}
 
 std::string contents(const std::string& file) {
   std::ostringstream text;

@@ -5,9 +5,9 @@
 // of mistakes with exact texts and of matches, every form of a rule, and random rules (seeded).
 // User and group names are the test's own.
 
-#include <daemon/config/config.hpp>
 #include <daemon/config/rule_reading.hpp>
 #include <daemon/config/scheduling_text.hpp>
+#include <tests/unit/daemon/config_text.hpp>
 
 #include <gmock/gmock.h>
 
@@ -25,25 +25,6 @@ namespace {
 
 using abi::wire::ThreadScheduling;
 using testing::ElementsAre;
-
-const NameLookup names{[](const std::string& name) -> std::optional<uid_t> {
-                         return name == "alice" || name == "lidar" ? std::optional<uid_t>(1000)
-                                                                   : std::nullopt;
-                       },
-                       [](const std::string& name) -> std::optional<gid_t> {
-                         return name == "sensors" ? std::optional<gid_t>(50) : std::nullopt;
-                       }};
-
-ConfigResult parse(std::string_view text) { return parse_config(text, "f.toml", names); }
-
-// Returns all errors, one per line.
-std::string errors_of(std::string_view text) {
-  const auto config = parse(text);
-  if (config) return "no error";
-  std::string all;
-  for (const ConfigError& error : config.error()) all += (all.empty() ? "" : "\n") + error.text();
-  return all;
-}
 
 // Returns one complete rule with these lines; the first of them is line 4.
 std::string rule_with(const std::string& lines) {
