@@ -34,6 +34,30 @@ class AgnocastTest : public testing::Test {
   void TearDown() override { agnocast::shutdown(); }
 };
 
+/// A node and the executor that a test spins itself.
+class NodeTest : public AgnocastTest {
+ protected:
+  void SetUp() override {
+    AgnocastTest::SetUp();
+    node_ = std::make_shared<rclcpp::Node>("node");
+    executor_ = std::make_unique<agnocast::SingleThreadedAgnocastExecutor>();
+    executor_->add_node(node_);
+  }
+  void TearDown() override {
+    executor_.reset();
+    node_.reset();
+    AgnocastTest::TearDown();
+  }
+  template <class Condition>
+  [[nodiscard]] bool spin_until(Condition condition) {
+    for (int i = 0; i < 3000 && !condition(); ++i) executor_->spin_once(10ms);
+    return condition();
+  }
+
+  rclcpp::Node::SharedPtr node_;
+  std::unique_ptr<agnocast::SingleThreadedAgnocastExecutor> executor_;
+};
+
 /// Spins any executor of either package until it is destroyed.
 template <class Executor>
 class Spinning {

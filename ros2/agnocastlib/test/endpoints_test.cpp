@@ -17,28 +17,7 @@
 namespace agnocastlib {
 namespace {
 
-class EndpointsTest : public AgnocastTest {
- protected:
-  void SetUp() override {
-    AgnocastTest::SetUp();
-    node_ = std::make_shared<rclcpp::Node>("node");
-    executor_ = std::make_unique<agnocast::SingleThreadedAgnocastExecutor>();
-    executor_->add_node(node_);
-  }
-  void TearDown() override {
-    executor_.reset();
-    node_.reset();
-    AgnocastTest::TearDown();
-  }
-  template <class Condition>
-  [[nodiscard]] bool spin_until(Condition condition) {
-    for (int i = 0; i < 3000 && !condition(); ++i) executor_->spin_once(10ms);
-    return condition();
-  }
-
-  rclcpp::Node::SharedPtr node_;
-  std::unique_ptr<agnocast::SingleThreadedAgnocastExecutor> executor_;
-};
+class EndpointsTest : public NodeTest {};
 
 /// A class as people write it.
 struct Listener {

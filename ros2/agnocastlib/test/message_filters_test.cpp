@@ -15,7 +15,6 @@
 #include <sensor_msgs/msg/temperature.hpp>
 
 #include <functional>
-#include <optional>
 #include <random>
 
 namespace agnocastlib {
@@ -40,33 +39,14 @@ Temperature temperature_at(int milliseconds) {
   return message;
 }
 
-class MessageFiltersTest : public AgnocastTest {
+class MessageFiltersTest : public NodeTest {
  protected:
-  void SetUp() override {
-    AgnocastTest::SetUp();
-    node_ = std::make_shared<rclcpp::Node>("node");
-    executor_.emplace();
-    executor_->add_node(node_);
-  }
-  void TearDown() override {
-    executor_.reset();
-    node_.reset();
-    AgnocastTest::TearDown();
-  }
-  template <class Condition>
-  [[nodiscard]] bool spin_until(Condition condition) {
-    for (int i = 0; i < 3000 && !condition(); ++i) executor_->spin_once(10ms);
-    return condition();
-  }
   /// Publishes a message when something listens.
   void send(agnocast::Publisher<Temperature>& publisher, int milliseconds) {
     auto message = publisher.borrow_loaned_message();
     *message = temperature_at(milliseconds);
     publisher.publish(std::move(message));
   }
-
-  rclcpp::Node::SharedPtr node_;
-  std::optional<agnocast::SingleThreadedAgnocastExecutor> executor_;
 };
 
 template <class Policy>
