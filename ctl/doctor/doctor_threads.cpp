@@ -134,7 +134,7 @@ Trouble refused(const Facts& facts, const CallbackThread& thread) {
   if (about.os_errno == EPERM) trouble = not_permitted(facts, thread);
   const char* const call = word_of(about.call);
   if (call == nullptr) trouble.remedy = with_common(facts, "RELOAD");
-  trouble.what = std::string(call == nullptr ? "the kernel" : call) + " refused rule " +
+  trouble.what = std::string(call == nullptr ? "the kernel" : call) + " refused the " +
                  rule_words(about) + ": " +
                  std::generic_category().message(static_cast<int>(about.os_errno));
   return trouble;
@@ -146,7 +146,7 @@ Trouble not_found(const CallbackThread& thread) {
   const bool is_seen_by_daemon = thread.process->facts.pid != 0;
   if (!thread.kernel && is_seen_by_daemon) return {};
   if (about.call != ThreadCall::none)
-    return {"it ended while agnocastd applied rule " + rule_words(about),
+    return {"it ended while agnocastd applied the " + rule_words(about),
             "a new thread with its number, perhaps of another process, may have the scheduling",
             "agnocast-ctl thread list --all-domains"};
   std::string cause =
@@ -156,7 +156,7 @@ Trouble not_found(const CallbackThread& thread) {
     cause +=
         ", or the effective user of the thread is not the one that has connected "
         "(/proc/PID/task/TID/status)";
-  return {"agnocastd cannot find it, to apply rule " + rule_words(about), std::move(cause),
+  return {"agnocastd cannot find it, to apply the " + rule_words(about), std::move(cause),
           "podman run --pid=host IMAGE"};
 }
 
@@ -168,7 +168,7 @@ Trouble trouble_of(const Facts& facts, const CallbackThread& thread) {
     case ThreadSetting::due:
       return {};
     case ThreadSetting::not_allowed:
-      return {"rule " + rule_words(about) + " matches, and is not for uid " +
+      return {"the " + rule_words(about) + " matches, and is not for uid " +
                   std::to_string(thread.process->facts.uid),
               "`users` of the rule does not name this user", edit_rule(facts, about)};
     case ThreadSetting::refused:
@@ -181,7 +181,7 @@ Trouble trouble_of(const Facts& facts, const CallbackThread& thread) {
   if (!thread.kernel) return {};
   const Difference difference = difference_of(about.scheduling, *thread.kernel);
   if (!difference) return {};
-  const std::string what = difference.words + " (rule " + rule_words(about) + ")";
+  const std::string what = difference.words + " (" + rule_words(about) + ")";
   if (difference.only_cpus_missing)
     return {what,
             "the other processors are not there, or the process may not use them (its cpuset)",

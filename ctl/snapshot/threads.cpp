@@ -283,7 +283,7 @@ const char* word_of(wire::ThreadCall call) noexcept {
 }
 
 std::string rule_words(const wire::DumpCallbackThread& thread) {
-  return "agnocastd.toml:" + std::to_string(thread.rule);
+  return "rule at line " + std::to_string(thread.rule);
 }
 
 }  // namespace agnocast::ctl

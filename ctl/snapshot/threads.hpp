@@ -91,7 +91,7 @@ Difference difference_of(const wire::ThreadScheduling& wanted, const KernelThrea
 const char* word_of(wire::ThreadSetting setting) noexcept;
 /// Returns the name of the system call; nullptr: none.
 const char* word_of(wire::ThreadCall call) noexcept;
-/// Returns "agnocastd.toml:12".
+/// Returns "rule at line 12", of the file that the daemon has read.
 std::string rule_words(const wire::DumpCallbackThread& thread);
 
 }  // namespace agnocast::ctl

@@ -199,15 +199,15 @@ TEST(CtlThreads, AreListedWithTheStateOfTheirRule) {
     const std::size_t at = text.find("agnocastd.toml:");
     return at == std::string::npos ? text : text.substr(at, text.find('\n', at) - at);
   };
-  EXPECT_EQ(cell(ruled(ThreadSetting::due)), "agnocastd.toml:12: due");
-  EXPECT_EQ(cell(ruled(ThreadSetting::not_allowed)), "agnocastd.toml:12: not allowed");
-  EXPECT_EQ(cell(ruled(ThreadSetting::not_found)), "agnocastd.toml:12: not found");
+  EXPECT_EQ(cell(ruled(ThreadSetting::due)), "rule at line 12: due");
+  EXPECT_EQ(cell(ruled(ThreadSetting::not_allowed)), "rule at line 12: not allowed");
+  EXPECT_EQ(cell(ruled(ThreadSetting::not_found)), "rule at line 12: not found");
   EXPECT_EQ(cell(refused(ThreadCall::sched_setattr, EPERM)),
-            "agnocastd.toml:12: refused: Operation not permitted");
+            "rule at line 12: refused: Operation not permitted");
   auto applied = ruled(ThreadSetting::applied);
-  EXPECT_EQ(cell(applied), "agnocastd.toml:12: changed since");
+  EXPECT_EQ(cell(applied), "rule at line 12: changed since");
   applied.scheduling.policy = SCHED_OTHER;
-  EXPECT_EQ(cell(applied), "agnocastd.toml:12");
+  EXPECT_EQ(cell(applied), "rule at line 12");
 }
 
 TEST(CtlThreads, AreListedWithTheWholeRuleAsJson) {
@@ -322,7 +322,7 @@ TEST(DoctorThreads, FindsNothingWhereEveryRuleIsInForce) {
 
 TEST(DoctorThreads, NamesARuleThatIsNotForTheUser) {
   const Finding found = finding_of(ruled(ThreadSetting::not_allowed));
-  EXPECT_EQ(found.what, subject() + ": rule agnocastd.toml:12 matches, and is not for uid " +
+  EXPECT_EQ(found.what, subject() + ": the rule at line 12 matches, and is not for uid " +
                             std::to_string(::geteuid()));
   EXPECT_EQ(found.remedy, edit);
 }
@@ -333,7 +333,7 @@ TEST(DoctorThreads, NamesThreadsThatTheDaemonDoesNotSee) {
   answers.threads = {ruled(ThreadSetting::not_found)};
   const auto found = findings_of(answers);
   ASSERT_EQ(found.size(), 1u);
-  EXPECT_THAT(found[0].what, HasSubstr("cannot find it, to apply rule agnocastd.toml:12"));
+  EXPECT_THAT(found[0].what, HasSubstr("cannot find it, to apply the rule at line 12"));
   EXPECT_THAT(found[0].cause, testing::EndsWith("does not translate numbers of threads"));
   EXPECT_EQ(found[0].remedy, "podman run --pid=host IMAGE");
   const Finding visible = finding_of(ruled(ThreadSetting::not_found));
@@ -346,7 +346,7 @@ TEST(DoctorThreads, NamesThreadsThatEndedUnderTheirRule) {
   SaidThread thread = ruled(ThreadSetting::not_found);
   thread.call = ThreadCall::sched_setattr;
   const Finding found = finding_of(thread);
-  EXPECT_EQ(found.what, subject() + ": it ended while agnocastd applied rule agnocastd.toml:12");
+  EXPECT_EQ(found.what, subject() + ": it ended while agnocastd applied the rule at line 12");
   EXPECT_THAT(found.cause, HasSubstr("a new thread with its number"));
 }
 
@@ -356,7 +356,7 @@ TEST(DoctorThreads, NamesTheCauseOfARefusal) {
     EXPECT_EQ(found.what,
               subject() + ": " +
                   (call == ThreadCall::sched_setattr ? "sched_setattr" : "sched_setaffinity") +
-                  " refused rule agnocastd.toml:12: " + std::strerror(error));
+                  " refused the rule at line 12: " + std::strerror(error));
     EXPECT_EQ(found.remedy, edit);
     return found.cause;
   };
@@ -402,14 +402,14 @@ TEST(DoctorThreads, NamesWhatAnOperationNeeds) {
 
 TEST(DoctorThreads, NamesValuesThatHaveChangedSince) {
   Finding found = finding_of(ruled(ThreadSetting::applied));
-  EXPECT_EQ(found.what, subject() + ": policy other instead of fifo (rule agnocastd.toml:12)");
+  EXPECT_EQ(found.what, subject() + ": policy other instead of fifo (rule at line 12)");
   EXPECT_EQ(found.remedy, "kill -HUP 5");
   auto bound = ruled(ThreadSetting::applied);
   bound.scheduling.sets_policy = 0;
   bound.scheduling.sets_cpus = 1;
   for (std::uint64_t& word : bound.scheduling.cpus) word = ~std::uint64_t{0};
   found = finding_of(bound);
-  EXPECT_THAT(found.what, HasSubstr(" instead of 0-1023 (rule agnocastd.toml:12)"));
+  EXPECT_THAT(found.what, HasSubstr(" instead of 0-1023 (rule at line 12)"));
   EXPECT_THAT(found.cause, HasSubstr("cpuset"));
   EXPECT_EQ(found.remedy, edit);
 }
