@@ -52,7 +52,7 @@ if(AGNOCAST_COVERAGE)
 endif()
 
 # agnocast_compile_by_rooms(TARGET): compiles the sources of each directory together. Reading headers
-# and making templates takes most of the time of a compiler, so this saves two fifths of it. Names in
+# and making templates takes most of the time of a compiler, so this saves a third of it. Names in
 # anonymous namespaces must be unique within a directory; agnocast_compile_alone() takes sources out.
 function(agnocast_compile_by_rooms target)
   get_target_property(sources ${target} SOURCES)
