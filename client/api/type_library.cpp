@@ -181,9 +181,7 @@ Result<void*> find_type_support(const std::string& name,
                                "__" + type->kind + "__" + type->name;
     void* const function = ::dlsym(*library, symbol.c_str());
     if (function != nullptr) return function;
-    const char* const why = ::dlerror();  // the path of the library, and the symbol
-    return fail_with(Errc::type_not_found, type->text() + ": " + file + " has no such type" +
-                                               (why != nullptr ? std::string(": ") + why : ""));
+    return fail_with(Errc::type_not_found, type->text() + ": " + file + " has no such type");
   });
 }
 

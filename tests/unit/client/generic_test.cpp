@@ -119,12 +119,9 @@ TEST(Generic, ATypeMissingInItsLibraryIsReported) {
   const auto found = try_find_message_type("std_msgs/msg/Strin");
   ASSERT_FALSE(found);
   EXPECT_EQ(found.error().code, Errc::type_not_found);
-  EXPECT_THAT(
-      text_of(found.error()),
-      AllOf(StartsWith("there is no support for a message type of this name: std_msgs/msg/Strin: "
-                       "libstd_msgs__rosidl_typesupport_introspection_cpp.so has no such type: "),
-            EndsWith("undefined symbol: rosidl_typesupport_introspection_cpp__"
-                     "get_message_type_support_handle__std_msgs__msg__Strin")));
+  EXPECT_EQ(text_of(found.error()),
+            "there is no support for a message type of this name: std_msgs/msg/Strin: "
+            "libstd_msgs__rosidl_typesupport_introspection_cpp.so has no such type");
 }
 
 TEST(Generic, AForkedChildOfAProcessWithoutEndpointsMayLookForTypes) {
