@@ -31,6 +31,7 @@
 namespace agnocast {
 namespace {
 
+using namespace std::chrono_literals;
 using Clock = std::chrono::steady_clock;
 using test::Bulk;
 using test::eventually;
@@ -86,6 +87,16 @@ class HeapReturns : public testing::Test {
       loans.back()->data.resize(loan_bytes);
     }
   }
+  /// Returns whether all memory of a spike is there just after it. Also true where a busy machine
+  /// took longer for that than the memory may be idle.
+  static bool keeps_a_spike(Publisher<Bulk>& publisher, std::uint64_t before,
+                            Clock::duration idle) {
+    const std::uint64_t punches = usage().punch_count;
+    const auto begin = Clock::now();
+    spike(publisher);
+    const bool keeps = resident_bytes() >= before + spike_bytes && usage().punch_count == punches;
+    return keeps || Clock::now() - begin >= idle;
+  }
   template <class Subscription>
   static void publish_one(Publisher<Bulk>& publisher, const Subscription& subscription) {
     auto loan = publisher.borrow_loaned_message();
@@ -101,13 +112,10 @@ TEST_F(HeapReturns, ASpike) {
   EXPECT_TRUE(in_own_process([] {
     const auto publisher = publisher_with("3");
     const std::uint64_t before = resident_bytes();
-    spike(*publisher);
-    EXPECT_GE(resident_bytes(), before + spike_bytes) << "not by a free";
-    EXPECT_EQ(usage().punch_count, 0u);
+    EXPECT_TRUE(keeps_a_spike(*publisher, before, 3s)) << "not by a free";
     EXPECT_TRUE(eventually([&] { return resident_bytes() <= before + spike_bytes / 20; }));
     EXPECT_TRUE(has_thread("agnocast-purge"));
-    spike(*publisher);
-    EXPECT_GE(resident_bytes(), before + spike_bytes);
+    EXPECT_TRUE(keeps_a_spike(*publisher, before, 3s));
     EXPECT_TRUE(eventually([&] { return resident_bytes() <= before + spike_bytes / 20; }))
         << "the next one as well";
     EXPECT_EQ(usage().internal_error_count, 0u);
