@@ -300,8 +300,6 @@ TEST_F(CallbackIsolated, ANodeIsRemovedWhileTheSpinEnds) {
   EXPECT_THROW(executor.remove_node(node), std::runtime_error) << "it was removed";
 }
 
-// rclcpp::shutdown() holds a lock while it calls the function, which ~Executor needs. The function
-// gives the executor the time to end its threads before it calls cancel().
 /// As rclcpp::on_shutdown(), until the end of the scope.
 class OnShutdown {
  public:
@@ -314,6 +312,8 @@ class OnShutdown {
   const rclcpp::OnShutdownCallbackHandle handle_;
 };
 
+// rclcpp::shutdown() holds a lock while it calls the function, which ~Executor needs. The function
+// gives the executor the time to end its threads before it calls cancel().
 TEST_F(CallbackIsolated, IsCancelledWhenTheContextIsShutDown) {
   const auto node = std::make_shared<rclcpp::Node>("node");
   agnocast::CallbackIsolatedAgnocastExecutor executor(rclcpp::ExecutorOptions(), 50, 1);
