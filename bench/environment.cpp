@@ -162,7 +162,7 @@ void complete(nlohmann::json& environment) {
 std::vector<std::string> doubts(const nlohmann::json& environment) {
   std::vector<std::string> all = absent();
   if (environment.at("build_type") != "Release")
-    all.push_back("this program was not built as Release: its figures have little meaning");
+    all.emplace_back("this program was not built as Release: its figures have little meaning");
   if (!environment.at("realtime").get<bool>())
     all.emplace_back(
         "SCHED_FIFO is not permitted: tails are longer, and on one core the order of processes is "
