@@ -16,6 +16,7 @@
 
 #include <sys/stat.h>
 
+#include <algorithm>
 #include <chrono>
 #include <cstdint>
 #include <cstdlib>
@@ -144,8 +145,16 @@ TEST_F(HeapReturns, ASpikeBesideTrafficThatKeepsItsMemory) {
       for (int i = 0; i < 10; ++i) go_on();
       return returned > 0 && returned == before_that;
     })) << "the purge has an end";
-    for (const auto end = Clock::now() + std::chrono::seconds(5); Clock::now() < end;) go_on();
-    EXPECT_EQ(usage().punch_count, returned) << "nothing that the traffic frees and takes again";
+    // Where a busy machine stops this process, its memory is idle as well.
+    Clock::duration longest{};
+    auto last = Clock::now();
+    for (const auto end = last + std::chrono::seconds(5); last < end;) {
+      go_on();
+      const auto now = Clock::now();
+      longest = std::max(longest, now - std::exchange(last, now));
+    }
+    EXPECT_TRUE(usage().punch_count == returned || longest >= std::chrono::milliseconds(500))
+        << "nothing that the traffic frees and takes again: " << usage().punch_count - returned;
   }));
 }
 

@@ -196,7 +196,7 @@ TEST(CtlThreads, AreListedWithTheStateOfTheirRule) {
     answers.threads = {thread};
     const SaidDaemon daemon(answers);
     const std::string text = run_ctl(daemon.socket_path(), {"threads"}).out;
-    const std::size_t at = text.find("agnocastd.toml:");
+    const std::size_t at = text.find("rule at line");
     return at == std::string::npos ? text : text.substr(at, text.find('\n', at) - at);
   };
   EXPECT_EQ(cell(ruled(ThreadSetting::due)), "rule at line 12: due");
@@ -423,7 +423,7 @@ TEST(DoctorThreads, NamesThreadsOfOneCauseTogether) {
   const auto found = findings_of(answers);
   ASSERT_EQ(found.size(), 1u);
   EXPECT_THAT(found[0].what, testing::StartsWith("threads 1000, 1001, 1002, 1003 and 2 more of " +
-                                                 process_words() + ": rule "));
+                                                 process_words() + ": the rule "));
 }
 
 TEST(DoctorThreads, NamesTheQuotaOfThreadsThatAreUnknown) {
