@@ -1,7 +1,7 @@
 // SPDX-License-Identifier: Apache-2.0
 //
-// Quality of service with the meaning of ROS 2. An rclcpp::QoS (or any class with its getters)
-// converts to it.
+// Quality of service with the meaning of ROS 2. An rclcpp::QoS (or any class with its getters) and
+// a profile of rmw convert to it.
 #pragma once
 
 #include <cstddef>
@@ -31,11 +31,20 @@ class QoS {
                                          std::declval<const Like&>().reliability(),
                                          std::declval<const Like&>().durability())>
   QoS(const Like& like) noexcept
-      : depth_(depth_of(static_cast<std::size_t>(like.depth()), static_cast<int>(like.history()))),
-        keep_all_(static_cast<int>(like.history()) == rmw_keep_all),
-        reliable_(static_cast<int>(like.reliability()) != rmw_best_effort),
-        best_available_(static_cast<int>(like.reliability()) == rmw_best_available),
-        transient_local_(static_cast<int>(like.durability()) == rmw_transient_local) {}
+      : QoS(RmwPolicies{static_cast<std::size_t>(like.depth()), static_cast<int>(like.history()),
+                        static_cast<int>(like.reliability()),
+                        static_cast<int>(like.durability())}) {}
+  /// Converts an rmw_qos_profile_t in the same way, or any class with its data members.
+  template <class Profile,
+            class = decltype(std::size_t{std::declval<const Profile&>().depth},
+                             static_cast<int>(std::declval<const Profile&>().history),
+                             static_cast<int>(std::declval<const Profile&>().reliability),
+                             static_cast<int>(std::declval<const Profile&>().durability)),
+            class = void>
+  QoS(const Profile& profile) noexcept
+      : QoS(RmwPolicies{profile.depth, static_cast<int>(profile.history),
+                        static_cast<int>(profile.reliability),
+                        static_cast<int>(profile.durability)}) {}
 
   QoS& keep_last(std::size_t depth) noexcept { return depth_ = depth, keep_all_ = false, *this; }
   /// With reliable keep-all on both sides nothing is lost: the publisher gets would_block where
@@ -71,6 +80,16 @@ class QoS {
     if (history == rmw_keep_all) return keep_all_bound;
     return history == rmw_default_history && depth == 0 ? 1 : depth;
   }
+  struct RmwPolicies {
+    std::size_t depth;
+    int history, reliability, durability;
+  };
+  explicit QoS(const RmwPolicies& policies) noexcept
+      : depth_(depth_of(policies.depth, policies.history)),
+        keep_all_(policies.history == rmw_keep_all),
+        reliable_(policies.reliability != rmw_best_effort),
+        best_available_(policies.reliability == rmw_best_available),
+        transient_local_(policies.durability == rmw_transient_local) {}
 
   std::size_t depth_;
   bool keep_all_ = false;

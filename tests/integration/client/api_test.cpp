@@ -64,6 +64,15 @@ struct LookAlikeQos {
   Durability durability() const { return how_durable; }
 };
 
+/// A look-alike of rmw_qos_profile_t.
+struct LookAlikeProfile {
+  LookAlikeQos::History history;
+  std::size_t depth;
+  LookAlikeQos::Reliability reliability;
+  LookAlikeQos::Durability durability;
+  bool avoid_ros_namespace_conventions = false;
+};
+
 class Api : public test::SuiteDaemon {
  protected:
   PlainNode node;
@@ -328,6 +337,23 @@ TEST_F(Api, ARclcppHistoryWithoutADepthHasDepthOne) {
   const auto refused = try_create_subscription<Cloud>(node, "keep_last", wrong);
   ASSERT_FALSE(refused);
   EXPECT_EQ(refused.error().code, Errc::depth_refused);
+}
+
+TEST_F(Api, ProfilesOfRmwConvert) {
+  const LookAlikeProfile sensor{LookAlikeQos::History::KeepLast, 5,
+                                LookAlikeQos::Reliability::BestEffort,
+                                LookAlikeQos::Durability::TransientLocal};
+  const QoS qos = sensor;
+  EXPECT_EQ(qos.depth(), 5u);
+  EXPECT_FALSE(qos.is_keep_all());
+  EXPECT_FALSE(qos.is_reliable());
+  EXPECT_TRUE(qos.is_transient_local());
+  const LookAlikeProfile all{LookAlikeQos::History::KeepAll, 0, LookAlikeQos::Reliability::Reliable,
+                             LookAlikeQos::Durability::Volatile};
+  EXPECT_TRUE(QoS(all).is_keep_all());
+  EXPECT_TRUE(QoS(all).is_reliable());
+  EXPECT_FALSE(QoS(all).is_transient_local());
+  EXPECT_TRUE(try_create_publisher<Cloud>(node, "profile", sensor));
 }
 
 /// Throws as rclcpp does for a wrong name, in both forms.
