@@ -5,6 +5,8 @@
 //   --executor single | multi | isolated     (default: single)
 //   --threads N                              of multi; default: as many as processors
 
+#include <agnocast_rclcpp/repaired_executor.hpp>
+
 #include <rclcpp/rclcpp.hpp>
 #include <rclcpp_components/component_manager.hpp>
 #include <rclcpp_components/component_manager_isolated.hpp>
@@ -16,6 +18,11 @@
 #include <vector>
 
 namespace {
+
+using SingleThreadedExecutor =
+    agnocast_rclcpp::RepairedExecutor<rclcpp::executors::SingleThreadedExecutor>;
+using MultiThreadedExecutor =
+    agnocast_rclcpp::RepairedExecutor<rclcpp::executors::MultiThreadedExecutor>;
 
 int refuse(const std::string& what) {
   std::fprintf(stderr,
@@ -46,12 +53,10 @@ int main(int argc, char** argv) {
       return refuse("unknown argument '" + words[i] + "'");
     }
   }
-  std::shared_ptr<rclcpp::Executor> executor =
-      std::make_shared<rclcpp::executors::SingleThreadedExecutor>();
+  std::shared_ptr<rclcpp::Executor> executor = std::make_shared<SingleThreadedExecutor>();
   std::shared_ptr<rclcpp_components::ComponentManager> manager;
   if (kind == "multi") {
-    executor = std::make_shared<rclcpp::executors::MultiThreadedExecutor>(rclcpp::ExecutorOptions(),
-                                                                          threads);
+    executor = std::make_shared<MultiThreadedExecutor>(rclcpp::ExecutorOptions(), threads);
     manager = std::make_shared<rclcpp_components::ComponentManager>(executor);
   } else if (kind == "isolated") {
     manager = std::make_shared<rclcpp_components::ComponentManagerIsolated<>>(executor);

@@ -5,6 +5,7 @@
 #include <rmw/incompatible_qos_events_statuses.h>
 #include <rclcpp/logging.hpp>
 
+#include <algorithm>
 #include <memory>
 #include <string>
 #include <utility>
@@ -55,6 +56,8 @@ agnocast::SubscriptionOptions translate(const SubscriptionOptions& options,
   warn_of(events.message_lost_callback != nullptr, "message_lost_callback", topic, logger);
   warn_of(!options.ros.content_filter_options.filter_expression.empty(), "content_filter_options",
           topic, logger);
+  warn_of(options.ros.topic_stats_options.state == rclcpp::TopicStatisticsState::Enable,
+          "topic_stats_options", topic, logger);
   if (options.ros.ignore_local_publications) translated.ignore_local_publications();
   if (options.own.events().incompatible_qos != nullptr) return translated;
   if (events.incompatible_qos_callback) {
@@ -72,6 +75,14 @@ agnocast::SubscriptionOptions translate(const SubscriptionOptions& options,
     });
   }
   return translated;
+}
+
+void allow_queue(agnocast::SubscriptionOptions& options, std::size_t length) {
+  // Many large quotas could take all slots of a publisher together (maximum_slot_count).
+  constexpr std::size_t quota_max = 512;
+  const std::size_t usual = agnocast::SubscriptionOptions().hold_quota();
+  if (!options.is_hold_quota_set() && options.hold_quota() == usual)
+    options.hold_quota_or_less(std::clamp(length, usual, quota_max));
 }
 
 agnocast::PublisherOptions translate(const PublisherOptions& options, const std::string& topic,

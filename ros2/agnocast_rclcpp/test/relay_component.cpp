@@ -21,16 +21,23 @@ class Relay : public rclcpp::Node {
   explicit Relay(const rclcpp::NodeOptions& options) : Node("relay", options) {
     using std_msgs::msg::String;
     const std::size_t topic = std::hash<std::string>()(get_name()) % 10;
+    // Humble's own executors fail when a component with a second group is unloaded.
+    group_ = create_callback_group(rclcpp::CallbackGroupType::MutuallyExclusive);
+    rclcpp::SubscriptionOptions in_group;
+    in_group.callback_group = group_;
     publisher_ = agnocast::create_publisher<String>(this, "/out_" + std::to_string(topic), 10);
     subscription_ = agnocast::create_subscription<String>(
-        this, "/in", 10, [this](const agnocast::ipc_shared_ptr<const String>& heard) {
+        this, "/in", 10,
+        [this](const agnocast::ipc_shared_ptr<const String>& heard) {
           auto loan = publisher_->borrow_loaned_message();
           loan->data = heard->data;
           (void)publisher_->publish(std::move(loan));
-        });
+        },
+        in_group);
   }
 
  private:
+  rclcpp::CallbackGroup::SharedPtr group_;
   agnocast::Publisher<std_msgs::msg::String>::SharedPtr publisher_;
   agnocast::Subscription<std_msgs::msg::String>::SharedPtr subscription_;
 };

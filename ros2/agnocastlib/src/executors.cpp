@@ -78,7 +78,8 @@ AgnocastOnlySingleThreadedExecutor::AgnocastOnlySingleThreadedExecutor(int)
 AgnocastOnlyMultiThreadedExecutor::AgnocastOnlyMultiThreadedExecutor(std::size_t number_of_threads,
                                                                      bool yield_before_execute, int)
     : AgnocastOnlyExecutor(
-          std::make_unique<agnocastlib::RepairedExecutor<rclcpp::executors::MultiThreadedExecutor>>(
+          std::make_unique<
+              agnocast_rclcpp::RepairedExecutor<rclcpp::executors::MultiThreadedExecutor>>(
               rclcpp::ExecutorOptions(), number_of_threads, yield_before_execute)) {}
 
 AgnocastOnlyCallbackIsolatedExecutor::AgnocastOnlyCallbackIsolatedExecutor(int)

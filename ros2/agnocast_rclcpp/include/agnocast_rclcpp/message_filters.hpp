@@ -19,8 +19,8 @@ namespace agnocast::message_filters {
 template <class M>
 class Subscriber : public ::message_filters::SimpleFilter<M> {
  public:
-  /// A filter keeps messages: up to its queue size of each input, which the hold quota
-  /// (agnocast::core::SubscriptionOptions) must allow.
+  /// A filter keeps messages: up to its queue size of each input, which the hold quota must allow:
+  /// 256 unless agnocast::core::SubscriptionOptions say otherwise.
   using Options = agnocast_rclcpp::SubscriptionOptions;
 
   Subscriber() = default;
@@ -37,7 +37,7 @@ class Subscriber : public ::message_filters::SimpleFilter<M> {
     subscription_ = agnocast::core::create_subscription<M>(
         std::forward<Node>(node), topic, qos,
         [this](std::shared_ptr<const M> message) { this->signalMessage(std::move(message)); },
-        options);
+        with_quota(options));
   }
   /// Waits for a running callback, unless it is called inside one.
   void unsubscribe() { subscription_.reset(); }
@@ -50,6 +50,11 @@ class Subscriber : public ::message_filters::SimpleFilter<M> {
   void add(const ::message_filters::MessageEvent<M const>&) {}
 
  private:
+  static Options with_quota(Options options) {
+    agnocast_rclcpp::allow_queue(options.own, 256);
+    return options;
+  }
+
   typename agnocast::core::Subscription<M>::SharedPtr subscription_;
 };
 

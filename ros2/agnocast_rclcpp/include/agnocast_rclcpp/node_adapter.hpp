@@ -52,7 +52,10 @@ struct NodeAdapter<Node, std::enable_if_t<is_rclcpp_node<Node>>> {
   }
   static agnocast::core::SubscriptionOptions options(Node& node, const EndpointName& name, QoS& qos,
                                                      const SubscriptionOptions& options) {
-    return adapt<rclcpp::detail::SubscriptionQosParametersTraits>(node, name, qos, options);
+    auto translated =
+        adapt<rclcpp::detail::SubscriptionQosParametersTraits>(node, name, qos, options);
+    agnocast_rclcpp::allow_queue(translated, qos.depth());
+    return translated;
   }
   static agnocast::core::PublisherOptions options(Node& node, const EndpointName& name, QoS& qos,
                                                   const PublisherOptions& options) {

@@ -44,6 +44,9 @@ class PublisherOptions {
 agnocast::core::SubscriptionOptions translate(const SubscriptionOptions& options,
                                               const std::string& topic,
                                               const rclcpp::Logger& logger);
+/// Unless `options` say otherwise, lets a node keep as many messages as its queue is long, up to
+/// 512: nodes for rclcpp often keep what came in a queue of their own.
+void allow_queue(agnocast::core::SubscriptionOptions& options, std::size_t length);
 agnocast::core::PublisherOptions translate(const PublisherOptions& options,
                                            const std::string& topic, const rclcpp::Logger& logger);
 

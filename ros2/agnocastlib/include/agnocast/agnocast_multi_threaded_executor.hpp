@@ -2,7 +2,7 @@
 #pragma once
 
 #include <agnocast/agnocast_executor.hpp>
-#include <agnocastlib/repaired_executor.hpp>
+#include <agnocast_rclcpp/repaired_executor.hpp>
 
 #include <rclcpp/executors/multi_threaded_executor.hpp>
 
@@ -14,7 +14,7 @@ namespace agnocast {
 /// rclcpp's: every thread runs callbacks of both kinds, and a mutually exclusive group may have
 /// both.
 class MultiThreadedAgnocastExecutor
-    : public agnocastlib::RepairedExecutor<rclcpp::executors::MultiThreadedExecutor> {
+    : public agnocast_rclcpp::RepairedExecutor<rclcpp::executors::MultiThreadedExecutor> {
  public:
   /// It has as many threads as both numbers together; 0 stands for half of the processors, at
   /// least one. `agnocast_next_exec_timeout_ms` has no effect: nothing is polled.

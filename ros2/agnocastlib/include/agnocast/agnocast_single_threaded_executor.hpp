@@ -2,7 +2,7 @@
 #pragma once
 
 #include <agnocast/agnocast_executor.hpp>
-#include <agnocastlib/repaired_executor.hpp>
+#include <agnocast_rclcpp/repaired_executor.hpp>
 
 #include <rclcpp/executors/single_threaded_executor.hpp>
 
@@ -10,7 +10,7 @@ namespace agnocast {
 
 /// rclcpp's, of which every function may be used.
 class SingleThreadedAgnocastExecutor
-    : public agnocastlib::RepairedExecutor<rclcpp::executors::SingleThreadedExecutor> {
+    : public agnocast_rclcpp::RepairedExecutor<rclcpp::executors::SingleThreadedExecutor> {
  public:
   /// `next_exec_timeout_ms` has no effect: nothing is polled.
   explicit SingleThreadedAgnocastExecutor(

@@ -11,7 +11,7 @@
 #include <rclcpp/version.h>
 #include <rclcpp/executor.hpp>
 
-namespace agnocastlib {
+namespace agnocast_rclcpp {
 
 template <class Executor>
 class RepairedExecutor : public Executor {
@@ -33,4 +33,4 @@ class RepairedExecutor : public Executor {
 #endif
 };
 
-}  // namespace agnocastlib
+}  // namespace agnocast_rclcpp
