@@ -34,8 +34,8 @@ bool CallbackGroupWaitable::prepare() noexcept {
   return state_->core->prepare();
 }
 
-bool CallbackGroupWaitable::has_work() const noexcept {
-  return !is_forked_child() && state_->core->has_work();
+std::size_t CallbackGroupWaitable::ready_count() const noexcept {
+  return is_forked_child() ? 0 : state_->core->ready_count();
 }
 
 bool CallbackGroupWaitable::run_one() { return !is_forked_child() && state_->core->run_next(); }

@@ -214,6 +214,13 @@ bool ExecutorCore::has_work() const noexcept {
   return has_work_here(due);
 }
 
+std::size_t ExecutorCore::ready_count() const noexcept {
+  std::size_t count = 0;
+  const std::lock_guard lock(mutex_);
+  for (const Assigned& assigned : assigned_) count += assigned.group->ready_count(*this);
+  return count;
+}
+
 // --- sleep
 
 bool ExecutorCore::arm_or_find_work() noexcept {

@@ -108,6 +108,8 @@ class ExecutorCore {
   /// `deadline` or a cancel. Returns the number of callbacks. Throws what they throw.
   std::size_t run_cycle(Clock::time_point deadline);
   bool has_work() const noexcept;
+  /// Returns how many callbacks could begin, one of each source.
+  std::size_t ready_count() const noexcept;
 
   /// Sleeps until there may be something to do, or `timeout` is over (none: the next tick). With
   /// several threads it may be another one that sleeps; then `timeout` must be none.

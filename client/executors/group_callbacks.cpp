@@ -120,6 +120,15 @@ bool GroupCallbacks::has_work(const ExecutorCore& executor,
   });
 }
 
+std::size_t GroupCallbacks::ready_count(const ExecutorCore& executor) const noexcept {
+  const std::lock_guard lock(mutex_);
+  if (executor_ != &executor || !is_free()) return 0;
+  const auto ready = std::count_if(sources_.begin(), sources_.end(), [&](const auto& source) {
+    return is_free(*source) && source->has_work();
+  });
+  return static_cast<std::size_t>(ready);
+}
+
 bool GroupCallbacks::is_free() const noexcept {
   return type_ == CallbackGroupType::Reentrant || running_.empty();
 }

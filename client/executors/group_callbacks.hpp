@@ -114,6 +114,8 @@ class GroupCallbacks {
   /// comes before it.
   bool has_work(const ExecutorCore& executor,
                 CallbackSource::Clock::time_point& due) const noexcept;
+  /// Returns how many sources could begin a callback.
+  std::size_t ready_count(const ExecutorCore& executor) const noexcept;
 
  private:
   struct Running {

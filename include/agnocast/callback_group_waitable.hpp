@@ -7,6 +7,7 @@
 #include <agnocast/callback_group.hpp>
 #include <agnocast/export.hpp>
 
+#include <cstddef>
 #include <memory>
 
 namespace agnocast {
@@ -32,8 +33,9 @@ class AGNOCAST_PUBLIC CallbackGroupWaitable {
   /// Returns whether a callback could begin now; if not, makes fd() readable when one can. A busy
   /// group has nothing: call it again when its callback has ended. One or two system calls.
   bool prepare() noexcept;
-  /// Returns whether a callback could begin now. No system call.
-  bool has_work() const noexcept;
+  /// Returns how many callbacks could begin now, at most one of each subscription, timer, … An
+  /// exclusive group begins them one after another. No system call.
+  std::size_t ready_count() const noexcept;
   /// Runs one callback; returns false if there was none, because another thread was faster or the
   /// group is busy. Throws what the callback throws, and Error (shut_down) if it has returned in a
   /// forked child.

@@ -19,12 +19,28 @@ using NodeWaitables = rclcpp::node_interfaces::NodeWaitablesInterface;
 /// A group of agnocast's, and how rclcpp runs it. Endpoints share it.
 struct AdaptedGroup {
   ~AdaptedGroup();
+  void remove(const std::shared_ptr<rclcpp::Waitable>& removed) const {
+    const auto base = node.lock();
+    const auto from = waitables.lock();
+    const auto in = rclcpp_group.lock();
+    if (base != nullptr && from != nullptr && in != nullptr) from->remove_waitable(removed, in);
+  }
 
   agnocast::CallbackGroup::SharedPtr group;
   std::shared_ptr<GroupWaitable> waitable;
   std::weak_ptr<NodeBase> node;  // NodeWaitables refers to it
   std::weak_ptr<NodeWaitables> waitables;
   std::weak_ptr<rclcpp::CallbackGroup> rclcpp_group;
+};
+
+/// What an endpoint has of a group that another endpoint had before it.
+struct Turn {
+  ~Turn() {
+    if (GuardThread::instance().is_here()) group->remove(waitable);
+  }
+
+  std::shared_ptr<AdaptedGroup> group;
+  std::shared_ptr<GroupTurn> waitable;
 };
 
 struct Groups {
@@ -54,10 +70,7 @@ AdaptedGroup::~AdaptedGroup() {
   }
   if (waitable == nullptr) return;
   waitable->leave();
-  const auto base = node.lock();
-  const auto from = waitables.lock();
-  const auto in = rclcpp_group.lock();
-  if (base != nullptr && from != nullptr && in != nullptr) from->remove_waitable(waitable, in);
+  remove(waitable);
 }
 
 }  // namespace
@@ -90,8 +103,13 @@ agnocast::CallbackGroup::SharedPtr adapt_group(const NodeBase::SharedPtr& node,
     // woken: Humble's does not watch the condition of the node.
     node->get_default_callback_group()->trigger_notify_guard_condition();
     all.adapted[group] = adapted;
+    return {adapted, adapted->group.get()};
   }
-  return {adapted, adapted->group.get()};
+  auto turn = std::make_shared<Turn>();
+  turn->group = adapted;
+  turn->waitable = std::make_shared<GroupTurn>(adapted->waitable);
+  waitables->add_waitable(turn->waitable, group);
+  return {turn, adapted->group.get()};
 }
 
 }  // namespace agnocast_rclcpp

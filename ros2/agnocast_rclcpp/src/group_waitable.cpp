@@ -59,7 +59,11 @@ void GroupWaitable::add_to_wait_set(rcl_wait_set_t* wait_set) {
     rclcpp::exceptions::throw_from_rcl_error(added, "adding agnocast's guard condition");
 }
 
-bool GroupWaitable::is_ready(rcl_wait_set_t*) { return !is_over() && callbacks_.has_work(); }
+bool GroupWaitable::is_ready(rcl_wait_set_t*) {
+  const std::size_t count = is_over() ? 0 : callbacks_.ready_count();
+  turns_.store(static_cast<std::int64_t>(count) - 1, std::memory_order_relaxed);
+  return count != 0;
+}
 
 void GroupWaitable::execute(std::shared_ptr<void>&) {
   // An events executor does not wait again, so it must be told of what is left.

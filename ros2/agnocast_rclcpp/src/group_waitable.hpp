@@ -6,6 +6,10 @@
 // add_to_wait_set() looks: if there is something to do, it triggers the guard condition at once,
 // otherwise it arms the descriptor for GuardThread. A trigger may be consumed by a wait that has
 // left this group out, so is_ready() looks as well and never asks the guard condition.
+//
+// After a wait, rclcpp's executors call each waitable once, and each subscription once. So that one
+// call of spin_some() means as much for a group here, each endpoint but the first adds a GroupTurn,
+// which lets the executor call the group once more.
 #pragma once
 
 #include <agnocast/callback_group.hpp>
@@ -14,11 +18,13 @@
 #include <rclcpp/guard_condition.hpp>
 #include <rclcpp/waitable.hpp>
 
+#include <atomic>
 #include <cstddef>
 #include <cstdint>
 #include <functional>
 #include <memory>
 #include <mutex>
+#include <utility>
 
 namespace agnocast_rclcpp {
 
@@ -43,6 +49,9 @@ class GroupWaitable final : public rclcpp::Waitable {
   void set_on_ready_callback(std::function<void(std::size_t, int)> callback) override;
   void clear_on_ready_callback() override;
 
+  /// Returns whether a callback is left of those that could begin when is_ready() looked.
+  bool take_turn() noexcept { return turns_.fetch_sub(1, std::memory_order_relaxed) > 0; }
+
  private:
   /// Returns true if there is something to do; otherwise ring() comes later.
   bool prepare() noexcept;
@@ -54,8 +63,27 @@ class GroupWaitable final : public rclcpp::Waitable {
   agnocast::CallbackGroupWaitable callbacks_;
   rclcpp::GuardCondition guard_;
   const std::uint64_t number_;  // of GuardThread, which may ring as soon as it knows the group
+  std::atomic<std::int64_t> turns_{0};
   std::mutex mutex_;
   std::function<void(std::size_t, int)> on_ready_;  // of an events executor
+};
+
+/// Lets an executor call a group once more after each wait.
+class GroupTurn final : public rclcpp::Waitable {
+ public:
+  explicit GroupTurn(std::shared_ptr<GroupWaitable> group) noexcept : group_(std::move(group)) {}
+
+  void add_to_wait_set(rcl_wait_set_t*) override {}
+  bool is_ready(rcl_wait_set_t*) override { return group_->take_turn(); }
+  std::shared_ptr<void> take_data() override { return nullptr; }
+  std::shared_ptr<void> take_data_by_entity_id(std::size_t) override { return nullptr; }
+  void execute(std::shared_ptr<void>& data) override { group_->execute(data); }
+  /// Nothing: an events executor calls the group until it has no work.
+  void set_on_ready_callback(std::function<void(std::size_t, int)>) override {}
+  void clear_on_ready_callback() override {}
+
+ private:
+  const std::shared_ptr<GroupWaitable> group_;
 };
 
 }  // namespace agnocast_rclcpp

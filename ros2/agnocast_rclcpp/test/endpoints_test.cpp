@@ -44,6 +44,41 @@ class EndpointsTest : public RclcppTest {
   std::unique_ptr<rclcpp::executors::SingleThreadedExecutor> executor_;
 };
 
+TEST_F(EndpointsTest, ANodeMayKeepAsManyMessagesAsItsQueueIsLong) {
+  std::vector<std::shared_ptr<const String>> kept;
+  const auto subscription = agnocast::create_subscription<String>(
+      node_, "kept", 100,
+      [&](std::shared_ptr<const String> message) { kept.push_back(std::move(message)); });
+  const auto publisher = agnocast::create_publisher<String>(node_, "kept", 100);
+  ASSERT_TRUE(spin_until([&] { return publisher->get_subscription_count() == 1; }));
+  for (int i = 0; i < 100; ++i) ASSERT_EQ(publisher->publish(String()).code, agnocast::Errc::ok);
+  EXPECT_TRUE(spin_until([&] { return kept.size() == 100; })) << kept.size();
+}
+
+TEST_F(EndpointsTest, OneSpinSomeCallsEachEndpointOnce) {
+  // As rclcpp calls each of its subscriptions, in both types of groups.
+  std::vector<int> heard(6, 0);
+  rclcpp::SubscriptionOptions reentrant;
+  reentrant.callback_group = node_->create_callback_group(rclcpp::CallbackGroupType::Reentrant);
+  std::vector<agnocast::Subscription<String>::SharedPtr> subscriptions;
+  for (std::size_t i = 0; i < heard.size(); ++i) {
+    subscriptions.push_back(agnocast::create_subscription<String>(
+        node_, "topic", 10, [&heard, i](const Message&) { ++heard[i]; },
+        i < 3 ? rclcpp::SubscriptionOptions() : reentrant));
+  }
+  const auto publisher = agnocast::create_publisher<String>(node_, "topic", 10);
+  ASSERT_TRUE(spin_until([&] { return publisher->get_subscription_count() == heard.size(); }));
+  for (int i = 0; i < 4; ++i) (void)publisher->publish(String());
+  executor_->spin_some();
+  EXPECT_THAT(heard, testing::Each(1));
+  subscriptions[0].reset();  // the first of its group, and one in the middle
+  subscriptions[4].reset();
+  executor_->spin_some();
+  EXPECT_THAT(heard, testing::ElementsAre(1, 2, 2, 2, 1, 2));
+  executor_->spin_all(30s);
+  EXPECT_THAT(heard, testing::ElementsAre(1, 4, 4, 4, 1, 4));
+}
+
 TEST_F(EndpointsTest, CallbacksTakeTheMessageInEveryForm) {
   std::vector<std::string> heard;
   std::shared_ptr<const String> kept;
