@@ -30,6 +30,7 @@ namespace {
 // Intervals of polling for the number of a new server: it announces it at once, unless it is
 // stopped at that moment.
 constexpr std::chrono::milliseconds unnamed_look_first{1}, unnamed_look_last{100};
+constexpr std::chrono::milliseconds over_look{100};  // nothing wakes a waiting client at its end
 
 /// Both callbacks run in the client's group, one at a time: a server that ends while another
 /// thread handles its last response must not count as one that gives no response.
@@ -265,9 +266,12 @@ class ClientCore {
   std::atomic<bool> is_ended_{false};
 };
 
-Result<std::shared_ptr<UntypedClient>> UntypedClient::create(
-    const EndpointName& service, const ServiceTypes& types, const QoS& qos,
-    const MessageCode& request, const CallbackGroup::SharedPtr& group) {
+Result<std::shared_ptr<UntypedClient>> UntypedClient::create(const EndpointName& service,
+                                                             const ServiceTypes& types,
+                                                             const QoS& qos,
+                                                             const MessageCode& request,
+                                                             const CallbackGroup::SharedPtr& group,
+                                                             std::function<bool()> is_over) {
   const Result<QoS> keeps_all = service_qos(qos);
   if (!keeps_all) return tl::unexpected<Failure>(keeps_all.error());
   auto core = std::make_shared<ClientCore>(service);
@@ -286,7 +290,7 @@ Result<std::shared_ptr<UntypedClient>> UntypedClient::create(
                                              [core](Block* block) { core->on_response(block); });
   if (!replies) return tl::unexpected<Failure>(replies.error());
   core->have(*replies);
-  std::shared_ptr<UntypedClient> client(new UntypedClient(std::move(core)));
+  std::shared_ptr<UntypedClient> client(new UntypedClient(std::move(core), std::move(is_over)));
   client->replies_ = std::move(*replies);
   return client;
 }
@@ -312,19 +316,18 @@ std::size_t UntypedClient::prune_older_than(std::chrono::system_clock::time_poin
 std::size_t UntypedClient::server_count() const { return core_->servers().ready.size(); }
 
 bool UntypedClient::wait(std::chrono::nanoseconds timeout) const {
-  constexpr std::chrono::hours for_ever{24 * 365};
-  const auto end =
-      Watch::Clock::now() +
-      (timeout.count() < 0 ? for_ever : std::min<std::chrono::nanoseconds>(timeout, for_ever));
+  const auto end = Watch::Clock::now() + timeout;
   for (auto pause = unnamed_look_first; is_active() && is_served();
        pause = std::min(pause * 2, unnamed_look_last)) {
     const std::uint64_t seen = core_->watch()->count();
     const ClientCore::Servers servers = core_->servers();
     if (!servers.ready.empty()) return true;
     const auto now = Watch::Clock::now();
-    if (now >= end) return false;
-    core_->watch()->wait_beyond(
-        seen, servers.has_unnamed ? std::min<Watch::Clock::time_point>(end, now + pause) : end);
+    if (now >= end || (is_over_ && is_over_())) return false;
+    Watch::Clock::time_point look = end;
+    if (servers.has_unnamed) look = std::min<Watch::Clock::time_point>(look, now + pause);
+    if (is_over_) look = std::min<Watch::Clock::time_point>(look, now + over_look);
+    core_->watch()->wait_beyond(seen, look);
   }
   return false;
 }

@@ -35,7 +35,8 @@ class AGNOCAST_PUBLIC UntypedClient {
 
   [[nodiscard]] static Result<std::shared_ptr<UntypedClient>> create(
       const EndpointName& service, const ServiceTypes& types, const QoS& qos,
-      const MessageCode& request, const CallbackGroup::SharedPtr& group);
+      const MessageCode& request, const CallbackGroup::SharedPtr& group,
+      std::function<bool()> is_over);
   ~UntypedClient();
   UntypedClient(const UntypedClient&) = delete;
   UntypedClient& operator=(const UntypedClient&) = delete;
@@ -48,6 +49,7 @@ class AGNOCAST_PUBLIC UntypedClient {
   std::size_t prune_older_than(std::chrono::system_clock::time_point time,
                                std::vector<std::int64_t>* pruned);
   std::size_t server_count() const;
+  /// `timeout`: at most a hundred years.
   bool wait(std::chrono::nanoseconds timeout) const;
   const std::string& service() const noexcept;
   std::size_t pending_count() const noexcept;
@@ -55,8 +57,10 @@ class AGNOCAST_PUBLIC UntypedClient {
   bool is_active() const noexcept;
 
  private:
-  explicit UntypedClient(std::shared_ptr<ClientCore> core) noexcept : core_(std::move(core)) {}
+  UntypedClient(std::shared_ptr<ClientCore> core, std::function<bool()> is_over) noexcept
+      : core_(std::move(core)), is_over_(std::move(is_over)) {}
   std::shared_ptr<ClientCore> core_;
+  const std::function<bool()> is_over_;  // may be empty
   std::shared_ptr<UntypedSubscription> replies_;
 };
 
@@ -99,11 +103,16 @@ class ClientBase {
   /// Returns the number of such servers.
   std::size_t get_server_count() const { return untyped_->server_count(); }
   /// Waits until a server is ready. Returns false when `timeout` is over (negative: no limit),
-  /// when the client is not active, and in a forked child.
+  /// when the client is not active, after rclcpp::shutdown() if the node is rclcpp's, and in a
+  /// forked child.
   template <class Rep = std::int64_t, class Period = std::milli>
   bool wait_for_service(
       std::chrono::duration<Rep, Period> timeout = std::chrono::duration<Rep, Period>(-1)) const {
-    return untyped_->wait(std::chrono::duration_cast<std::chrono::nanoseconds>(timeout));
+    using Given = std::chrono::duration<double>;  // has room for every duration
+    constexpr std::chrono::hours for_ever{24 * 365};
+    const bool is_limited = timeout.count() >= 0 && Given(timeout) < Given(for_ever);
+    return untyped_->wait(is_limited ? std::chrono::duration_cast<std::chrono::nanoseconds>(timeout)
+                                     : for_ever);
   }
   /// Cancels a request: its future breaks, its callback is not called, and its response is
   /// dropped. Returns false if the response has arrived, or there is no such request.
@@ -250,7 +259,8 @@ Result<std::shared_ptr<Made>> make_client(Node& node, const std::string& service
   const Result<ServiceTypes> types = kind.types();
   if (!types) return tl::unexpected<Failure>(types.error());
   auto untyped = UntypedClient::create(*name, *types, qos, kind.request_code().code(),
-                                       AdapterOf<Node>::group(dereference(node), group));
+                                       AdapterOf<Node>::group(dereference(node), group),
+                                       AdapterOf<Node>::is_over(dereference(node)));
   if (!untyped) return tl::unexpected<Failure>(untyped.error());
   return std::make_shared<Made>(std::move(*untyped), kind);
 }

@@ -9,6 +9,7 @@
 #include <agnocast/ipc_shared_ptr.hpp>
 #include <agnocast/node_like.hpp>
 
+#include <functional>
 #include <type_traits>
 #include <utility>
 
@@ -34,6 +35,8 @@ struct NodeAdapter {
   using Info = MessageInfo;
   static const Info& info(const MessageInfo& info) noexcept { return info; }
   static const Group& group(const Node&, const Group& named) noexcept { return named; }
+  /// Returns what tells that nothing is worth waiting for any more; empty: nothing does.
+  static std::function<bool()> is_over(const Node&) noexcept { return {}; }
   /// May change the QoS.
   template <class Options, class Qos>
   static const Options& options(const Node&, const EndpointName&, Qos&,

@@ -233,6 +233,18 @@ TEST_F(EndpointsTest, ServicesAndClientsRunInTheNodesGroups) {
   EXPECT_TRUE(spin_until([&] { return answer == "done"; }));
 }
 
+TEST_F(EndpointsTest, WaitingForAServiceEndsWithRclcpp) {
+  const auto client =
+      agnocast::create_client<Trigger>(node_, "nobody", rmw_qos_profile_services_default);
+  EXPECT_FALSE(client->wait_for_service(10ms));
+  std::thread ending([] {
+    std::this_thread::sleep_for(50ms);
+    (void)rclcpp::shutdown();
+  });
+  EXPECT_FALSE(client->wait_for_service());
+  ending.join();
+}
+
 TEST_F(EndpointsTest, GenericEndpointsFindTypesByName) {
   std::string heard;
   const auto subscription = agnocast::create_generic_subscription(

@@ -8,10 +8,12 @@
 #include <agnocast_rclcpp/callback_group.hpp>
 #include <agnocast_rclcpp/options.hpp>
 
+#include <rclcpp/context.hpp>
 #include <rclcpp/detail/qos_parameters.hpp>
 #include <rclcpp/message_info.hpp>
 #include <rclcpp/qos.hpp>
 
+#include <functional>
 #include <string>
 #include <type_traits>
 
@@ -49,6 +51,10 @@ struct NodeAdapter<Node, std::enable_if_t<is_rclcpp_node<Node>>> {
   static CallbackGroup::SharedPtr group(Node& node, const Group& named) {
     return agnocast_rclcpp::adapt_group(node.get_node_base_interface(),
                                         node.get_node_waitables_interface(), named);
+  }
+  static std::function<bool()> is_over(Node& node) {
+    return
+        [context = node.get_node_base_interface()->get_context()] { return !context->is_valid(); };
   }
   static agnocast::core::SubscriptionOptions options(Node& node, const EndpointName& name, QoS& qos,
                                                      const SubscriptionOptions& options) {

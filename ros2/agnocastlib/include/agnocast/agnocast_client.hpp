@@ -36,8 +36,7 @@ class Client {
   template <class NodeT>
   Client(NodeT* node, const std::string& service_name, const rclcpp::QoS& qos,
          rclcpp::CallbackGroup::SharedPtr group)
-      : context_(node->get_node_base_interface()->get_context()),
-        core_(make(node, service_name, qos, std::move(group))),
+      : core_(make(node, service_name, qos, std::move(group))),
         failures_(std::make_shared<agnocastlib::FailureLog>(
             node->get_logger(), std::string("a request to '") + core_->get_service_name() + "'")) {}
 
@@ -51,24 +50,7 @@ class Client {
   template <class Rep = std::int64_t, class Period = std::nano>
   bool wait_for_service(
       std::chrono::duration<Rep, Period> timeout = std::chrono::duration<Rep, Period>(-1)) const {
-    using Clock = std::chrono::steady_clock;
-    using Given = std::chrono::duration<double>;  // has room for every duration
-    constexpr std::chrono::nanoseconds step = std::chrono::milliseconds(100);
-    constexpr std::chrono::hours for_ever(24 * 365);
-    const bool is_limited =
-        timeout >= std::chrono::duration<Rep, Period>::zero() && Given(timeout) < Given(for_ever);
-    const Clock::time_point end =
-        Clock::now() +
-        (is_limited ? std::chrono::duration_cast<std::chrono::nanoseconds>(timeout) : for_ever);
-    while (context_->is_valid()) {
-      const Clock::time_point begin = Clock::now();
-      if (begin >= end) return core_->service_is_ready();
-      const std::chrono::nanoseconds pause = std::min<std::chrono::nanoseconds>(end - begin, step);
-      if (core_->wait_for_service(pause)) return true;
-      // It waits in vain no more: the process is a forked child, or revoked.
-      if (Clock::now() - begin < pause) return false;
-    }
-    return false;
+    return core_->wait_for_service(timeout);
   }
 
   /// Sends a loan of this client. A failure, now or when the server ends without an answer, is
@@ -137,7 +119,6 @@ class Client {
     return 0;
   }
 
-  const rclcpp::Context::SharedPtr context_;
   const typename Core::SharedPtr core_;
   const std::shared_ptr<agnocastlib::FailureLog> failures_;
 };
