@@ -3,6 +3,7 @@
 #include <client/session/registration.hpp>
 
 #include <agnocast/abi/fingerprint.hpp>
+#include <agnocast/connection_state.hpp>
 #include <base/memory/mapping.hpp>
 #include <base/sockets/daemon_socket.hpp>
 #include <base/sockets/socket_path.hpp>
@@ -25,8 +26,6 @@ namespace agnocast {
 namespace wire = abi::wire;
 using wire::Opcode;
 
-namespace {
-
 // A misspelt domain must not silently be domain 0: its node would meet no other. The user who
 // starts a program with raised rights may not choose its domain either: other rules may hold there.
 Result<std::uint64_t> domain_id() {
@@ -43,6 +42,8 @@ Result<std::uint64_t> domain_id() {
   return fail_with(Errc::invalid_argument,
                    "ROS_DOMAIN_ID is " + in_quotes(text) + ", which is not a number");
 }
+
+namespace {
 
 /// Makes the path absolute, so that a program that changes its directory finds the same daemon. A
 /// path that would be too long for a socket address stays as it is.

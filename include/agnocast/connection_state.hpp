@@ -7,6 +7,7 @@
 
 #include <agnocast/error.hpp>
 #include <agnocast/export.hpp>
+#include <agnocast/result.hpp>
 
 #include <cstdint>
 
@@ -33,5 +34,10 @@ AGNOCAST_PUBLIC ConnectionState connection_state() noexcept;
 /// (started_anew, …) the library joins the new daemon by itself, at once or when that has room.
 /// Any thread; no system call.
 AGNOCAST_PUBLIC Errc orphan_reason() noexcept;
+
+/// Returns the ROS domain of this process: ROS_DOMAIN_ID, or 0. Endpoints are in the domain that
+/// it named when the first one was created. Any thread that no other thread changes the environment
+/// beside. Errors: invalid_argument (not a number, or a program with raised rights).
+[[nodiscard]] AGNOCAST_PUBLIC Result<std::uint64_t> domain_id();
 
 }  // namespace agnocast

@@ -1,13 +1,17 @@
 // SPDX-License-Identifier: Apache-2.0
 
+#include <agnocast/connection_state.hpp>
+#include <agnocast/error.hpp>
 #include <agnocast_rclcpp/callback_group.hpp>
 
 #include "group_waitable.hpp"
 #include "guard_thread.hpp"
 
+#include <cstdint>
 #include <map>
 #include <memory>
 #include <mutex>
+#include <string>
 #include <utility>
 
 namespace agnocast_rclcpp {
@@ -73,6 +77,18 @@ AdaptedGroup::~AdaptedGroup() {
   remove(waitable);
 }
 
+/// All endpoints of a process are in one domain.
+void refuse_other_domain(const rclcpp::Context& context) {
+  const agnocast::Result<std::uint64_t> domain = agnocast::domain_id();
+  if (!domain) throw agnocast::Error(domain.error());
+  const std::size_t wanted = context.get_domain_id();
+  if (wanted == *domain) return;
+  const std::string words = "the context of the node has domain " + std::to_string(wanted) +
+                            ", the process has " + std::to_string(*domain) +
+                            ": set ROS_DOMAIN_ID in place of InitOptions::set_domain_id()";
+  throw agnocast::Error(agnocast::failure_with(agnocast::Errc::invalid_argument, words.c_str()));
+}
+
 }  // namespace
 
 agnocast::CallbackGroup::SharedPtr adapt_group(const NodeBase::SharedPtr& node,
@@ -81,6 +97,7 @@ agnocast::CallbackGroup::SharedPtr adapt_group(const NodeBase::SharedPtr& node,
   if (!GuardThread::instance().is_here())
     throw agnocast::Error({agnocast::Errc::shut_down, 0, "this is a forked child"});
   if (group == nullptr) group = node->get_default_callback_group();
+  refuse_other_domain(*node->get_context());
   std::shared_ptr<AdaptedGroup> adapted;  // outside the lock: its destructor takes it
   Groups& all = groups();
   const std::lock_guard lock(all.mutex);

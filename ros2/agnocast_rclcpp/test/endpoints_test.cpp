@@ -245,6 +245,23 @@ TEST_F(EndpointsTest, WaitingForAServiceEndsWithRclcpp) {
   ending.join();
 }
 
+TEST_F(EndpointsTest, AnotherDomainThanTheProcessIsRefused) {
+  const auto context = std::make_shared<rclcpp::Context>();
+  rclcpp::InitOptions options;
+  options.set_domain_id(*agnocast::domain_id() + 1);
+  context->init(0, nullptr, options);
+  const auto other =
+      std::make_shared<rclcpp::Node>("other", rclcpp::NodeOptions().context(context));
+  try {
+    (void)agnocast::create_publisher<String>(other, "topic", 10);
+    ADD_FAILURE() << "nothing was thrown";
+  } catch (const agnocast::Error& error) {
+    EXPECT_EQ(error.failure().code, agnocast::Errc::invalid_argument);
+    EXPECT_THAT(error.what(), testing::HasSubstr("set ROS_DOMAIN_ID"));
+  }
+  context->shutdown("the test ends");
+}
+
 TEST_F(EndpointsTest, GenericEndpointsFindTypesByName) {
   std::string heard;
   const auto subscription = agnocast::create_generic_subscription(
