@@ -33,23 +33,15 @@ template <class Policy, class First, class Second>
 struct Synchronized {
   Synchronized(const rclcpp::Node::SharedPtr& node, const std::string& first,
                const std::string& second)
-      : one(node, first, qos<First>()),
-        other(node, second, qos<Second>()),
+      : one(node, first, profile()),
+        other(node, second, profile()),
         both(Policy(depth), one, other) {
     both.registerCallback(&Synchronized::note, this);
   }
   void note(const Temperature::ConstSharedPtr& a, const Temperature::ConstSharedPtr& b) {
     pairs.emplace_back(a->temperature, b->temperature);
   }
-  template <class Input>
-  static auto qos() {
-    const rclcpp::QoS wanted(depth);
-    if constexpr (std::is_same_v<Input, Theirs>) {
-      return wanted.get_rmw_qos_profile();
-    } else {
-      return wanted;
-    }
-  }
+  static rmw_qos_profile_t profile() { return rclcpp::QoS(depth).get_rmw_qos_profile(); }
 
   Pairs pairs;
   First one;
@@ -103,6 +95,39 @@ TYPED_TEST(MessageFilters, MixedSourcesGiveTheSetsOfUpstream) {
   EXPECT_EQ(first.pairs, reference.pairs);
   EXPECT_EQ(second.pairs, reference.pairs);
   EXPECT_EQ(ours.pairs, reference.pairs);
+}
+
+using FilterSource = RclcppTest;
+
+TEST_F(FilterSource, MayEndAndBeginAgain) {
+  const auto node = std::make_shared<rclcpp::Node>("node");
+  Ours ours;
+  ours.subscribe();
+  EXPECT_EQ(ours.getTopic(), "");
+  ours.subscribe(node, "topic", rclcpp::SensorDataQoS());
+  EXPECT_EQ(ours.getTopic(), "topic");
+  std::vector<double> heard;
+  ours.registerCallback(std::function<void(const Temperature::ConstSharedPtr&)>(
+      [&](const Temperature::ConstSharedPtr& message) { heard.push_back(message->temperature); }));
+  const auto publisher = agnocast::create_publisher<Temperature>(node, "topic", 10);
+  rclcpp::executors::SingleThreadedExecutor executor;
+  executor.add_node(node);
+  for (const double value : {1.0, 2.0, 3.0}) {
+    const std::size_t before = heard.size();
+    if (value == 2.0) {
+      ours.unsubscribe();
+      EXPECT_TRUE(eventually([&] { return publisher->get_subscription_count() == 0; }));
+    } else {
+      ours.subscribe();
+      ASSERT_TRUE(eventually([&] { return publisher->get_subscription_count() == 1; }));
+    }
+    Temperature message;
+    message.temperature = value;
+    ASSERT_EQ(publisher->publish(message).code, agnocast::Errc::ok);
+    for (int i = 0; i < (value == 2.0 ? 20 : 3000) && heard.size() == before; ++i)
+      executor.spin_once(std::chrono::milliseconds(10));
+  }
+  EXPECT_EQ(heard, (std::vector<double>{1.0, 3.0}));
 }
 
 }  // namespace

@@ -9,6 +9,7 @@
 
 #include <message_filters/simple_filter.h>
 
+#include <functional>
 #include <memory>
 #include <string>
 #include <utility>
@@ -25,25 +26,39 @@ class Subscriber : public ::message_filters::SimpleFilter<M> {
 
   Subscriber() = default;
   template <class Node>
-  Subscriber(Node&& node, const std::string& topic, const rclcpp::QoS& qos = rclcpp::QoS(10),
+  Subscriber(Node&& node, const std::string& topic, const agnocast::QoS& qos = 10,
              const Options& options = {}) {
     subscribe(std::forward<Node>(node), topic, qos, options);
   }
-  /// Throws agnocast::Error.
+  Subscriber(const Subscriber&) = delete;
+  Subscriber& operator=(const Subscriber&) = delete;
+
+  /// In place of an earlier subscription. Throws agnocast::Error.
   template <class Node>
-  void subscribe(Node&& node, const std::string& topic, const rclcpp::QoS& qos = rclcpp::QoS(10),
+  void subscribe(Node&& node, const std::string& topic, const agnocast::QoS& qos = 10,
                  const Options& options = {}) {
+    topic_ = topic;
+    subscribe_ = [this, place = &agnocast::detail::dereference(node), qos,
+                  with_quota = with_quota(options)] {
+      subscription_ = agnocast::core::create_subscription<M>(
+          place, topic_, qos,
+          [this](std::shared_ptr<const M> message) { this->signalMessage(std::move(message)); },
+          with_quota);
+    };
+    subscribe();
+  }
+  /// The same again, if there was a first time; the node must still exist.
+  void subscribe() {
     unsubscribe();
-    subscription_ = agnocast::core::create_subscription<M>(
-        std::forward<Node>(node), topic, qos,
-        [this](std::shared_ptr<const M> message) { this->signalMessage(std::move(message)); },
-        with_quota(options));
+    if (subscribe_) subscribe_();
   }
   /// Waits for a running callback, unless it is called inside one.
   void unsubscribe() { subscription_.reset(); }
   const typename agnocast::core::Subscription<M>::SharedPtr& getSubscriber() const {
     return subscription_;
   }
+  /// As given; "" before the first time.
+  std::string getTopic() const { return topic_; }
   /// Called by filters that have this one as their input; there is nothing before it.
   template <class Filter>
   void connectInput(Filter&) {}
@@ -55,6 +70,8 @@ class Subscriber : public ::message_filters::SimpleFilter<M> {
     return options;
   }
 
+  std::string topic_;
+  std::function<void()> subscribe_;
   typename agnocast::core::Subscription<M>::SharedPtr subscription_;
 };
 
