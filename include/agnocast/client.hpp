@@ -103,8 +103,8 @@ class ClientBase {
   /// Returns the number of such servers.
   std::size_t get_server_count() const { return untyped_->server_count(); }
   /// Waits until a server is ready. Returns false when `timeout` is over (negative: no limit),
-  /// when the client is not active, after rclcpp::shutdown() if the node is rclcpp's, and in a
-  /// forked child.
+  /// when the client is not active, in a forked child, and, if the node is rclcpp's, after
+  /// rclcpp::shutdown() unless one is ready.
   template <class Rep = std::int64_t, class Period = std::milli>
   bool wait_for_service(
       std::chrono::duration<Rep, Period> timeout = std::chrono::duration<Rep, Period>(-1)) const {

@@ -79,6 +79,7 @@ AdaptedGroup::~AdaptedGroup() {
 
 /// All endpoints of a process are in one domain.
 void refuse_other_domain(const rclcpp::Context& context) {
+  if (!context.is_valid()) return;  // it has no domain any more
   const agnocast::Result<std::uint64_t> domain = agnocast::domain_id();
   if (!domain) throw agnocast::Error(domain.error());
   const std::size_t wanted = context.get_domain_id();

@@ -45,8 +45,8 @@ class Client {
 
   const char* get_service_name() const noexcept { return core_->get_service_name(); }
   bool service_is_ready() const { return core_->service_is_ready(); }
-  /// Returns false when `timeout` is over (negative: no limit), after rclcpp::shutdown(), and in a
-  /// forked child.
+  /// Returns false when `timeout` is over (negative: no limit), after rclcpp::shutdown() unless one
+  /// is ready, and in a forked child.
   template <class Rep = std::int64_t, class Period = std::nano>
   bool wait_for_service(
       std::chrono::duration<Rep, Period> timeout = std::chrono::duration<Rep, Period>(-1)) const {
