@@ -393,31 +393,38 @@ TEST(DaemonSweep, ABroughtWindowExistsOnceWhereverItsDaemonDies) {
   };
   const std::vector<std::uint64_t> at_first = windows();
   ASSERT_EQ(at_first.size(), 1u);
-  std::uint64_t deaths = 0;
+  std::uint64_t number = 0;
   std::set<Step> died_at;
-  for (std::uint64_t n = 1, number = 0;; ++n) {
-    stage.lose(steps::B_window_base, n);
-    ASSERT_TRUE(test::eventually(is_whole)) << "point " << n;
+  // Returns whether a daemon died.
+  const auto lose = [&](Step from, std::uint64_t n) {
+    SCOPED_TRACE("point " + std::to_string(n) + " from " + name_of(from));
+    stage.lose(from, n);
+    EXPECT_TRUE(test::eventually(is_whole));
     const auto death = stage.daemon_control().died_at();
-    const std::string where =
-        "point " + std::to_string(n) + (death ? std::string(", ") + name_of(*death) : "");
-    EXPECT_EQ(windows(), at_first) << where;
-    ASSERT_EQ(publisher->ask("publish 2 1"), "1") << where;
+    SCOPED_TRACE(death ? name_of(*death) : "nobody died");
+    EXPECT_EQ(windows(), at_first);
+    EXPECT_EQ(publisher->ask("publish 2 1"), "1");
     // The publisher may have moved while the subscriber's thread is still moving.
     std::optional<std::string> heard;
-    ASSERT_TRUE(test::eventually([&] { return (heard = subscriber->ask("drain 1")) != ""; }))
-        << where;
-    ASSERT_EQ(heard, "2:" + std::to_string(++number) + " ") << where;
-    ASSERT_EQ(stage.verify(), "") << where;
-    ASSERT_EQ(stage.daemon().log().find(" client lost "), std::string::npos) << where;
-    if (!death) break;
-    died_at.insert(*death);
-    ++deaths;
-  }
+    EXPECT_TRUE(test::eventually([&] { return (heard = subscriber->ask("drain 1")) != ""; }));
+    EXPECT_EQ(heard, "2:" + std::to_string(++number) + " ");
+    EXPECT_EQ(stage.verify(), "");
+    EXPECT_EQ(stage.daemon().log().find(" client lost "), std::string::npos);
+    if (death) died_at.insert(*death);
+    return death.has_value();
+  };
+  std::uint64_t deaths = 0;
+  while (lose(steps::B_window_base, deaths + 1) && !HasFailure()) ++deaths;
   std::printf("windows that are brought: %ju deaths at %zu names\n", std::uintmax_t{deaths},
               died_at.size());
-  for (const Step step : {steps::B_window_base, steps::B_keep, steps::B_kept, steps::B_window_made})
+  EXPECT_GE(died_at.size(), 10u);
+  // Two processes bring their windows at the same time, in an order of their own in each run: a
+  // count of points may miss a name.
+  for (const Step step :
+       {steps::B_window_base, steps::B_keep, steps::B_kept, steps::B_window_made}) {
+    if (died_at.count(step) == 0 && !HasFailure()) lose(step, 1);
     EXPECT_EQ(died_at.count(step), 1u) << name_of(step);
+  }
 }
 
 /// A publisher of one user that rings a subscription of another, while daemons die and restart.
