@@ -38,6 +38,6 @@ std::size_t CallbackGroupWaitable::ready_count() const noexcept {
   return is_forked_child() ? 0 : state_->core->ready_count();
 }
 
-bool CallbackGroupWaitable::run_one() { return !is_forked_child() && state_->core->run_next(); }
+bool CallbackGroupWaitable::run_one() { return !is_forked_child() && state_->core->run_oldest(); }
 
 }  // namespace agnocast

@@ -150,6 +150,18 @@ void ExecutorCore::pass_on() noexcept {
   passed_->notify_one();
 }
 
+ExecutorCore::Claim ExecutorCore::begin_oldest() {
+  const std::lock_guard lock(mutex_);
+  ++cycle_;
+  for (const auto& [group, wait_set] : assigned_) {
+    if (auto source = group->begin_oldest(*this, cycle_)) {
+      pass_on();
+      return Claim(*this, group, std::move(source));
+    }
+  }
+  return {};
+}
+
 ExecutorCore::Claim ExecutorCore::next() {
   const std::lock_guard lock(mutex_);
   for (int cycles = 0; cycles < 2; ++cycles) {
@@ -163,12 +175,15 @@ ExecutorCore::Claim ExecutorCore::next() {
   return {};
 }
 
-bool ExecutorCore::run_next() {
+bool ExecutorCore::run_next() { return run_claimed(&ExecutorCore::next); }
+bool ExecutorCore::run_oldest() { return run_claimed(&ExecutorCore::begin_oldest); }
+
+bool ExecutorCore::run_claimed(Claim (ExecutorCore::*claim_one)()) {
   ThreadRegister::note(number_);
   // Twice with several threads: what came for the busy group meanwhile, no other has seen. Not for
   // ever: while there is no memory for a message, there is work that nobody can do.
   for (int attempts = is_shared() ? 2 : 1; attempts > 0; --attempts) {
-    const Claim claim = next();
+    const Claim claim = (this->*claim_one)();
     if (!claim) return false;
     if (!claim.source().run_one()) continue;
     // The callback may have forked, and returned in the child.

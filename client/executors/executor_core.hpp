@@ -104,6 +104,9 @@ class ExecutorCore {
   Claim next();
   /// Runs it; returns false if there was nothing to do after all. Throws what it throws.
   bool run_next();
+  /// Like run_next(), without cycles: of the ready sources it runs the one whose last callback
+  /// began longest ago. For a loop whose own cycles are not those of this executor.
+  bool run_oldest();
   /// Runs the rest of this cycle, or a whole new one if nothing is left of it; stops at
   /// `deadline` or a cancel. Returns the number of callbacks. Throws what they throw.
   std::size_t run_cycle(Clock::time_point deadline);
@@ -150,6 +153,8 @@ class ExecutorCore {
   Result<void> begin_listening(std::shared_ptr<WaitSet> wait_set);
   void end_listening(const std::shared_ptr<WaitSet>& wait_set) noexcept;
   Claim begin_of_cycle();
+  Claim begin_oldest();
+  bool run_claimed(Claim (ExecutorCore::*claim_one)());
   void pass_on() noexcept;
   bool has_work_here(Clock::time_point& due) const noexcept;
   bool arm_or_find_work() noexcept;

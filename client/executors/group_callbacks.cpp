@@ -84,11 +84,28 @@ std::shared_ptr<CallbackSource> GroupCallbacks::begin(const ExecutorCore& execut
   for (const auto& source : sources_) {
     if (source->cycle_ == cycle || !is_free(*source) || (!by_taking && !source->has_work()))
       continue;
-    running_.push_back({source.get(), std::this_thread::get_id(), {}});
-    source->cycle_ = cycle;
-    return source;
+    return begin(source, cycle);
   }
   return {};
+}
+
+std::shared_ptr<CallbackSource> GroupCallbacks::begin_oldest(const ExecutorCore& executor,
+                                                             std::uint64_t cycle) {
+  const std::lock_guard lock(mutex_);
+  if (executor_ != &executor || !is_free()) return {};
+  const std::shared_ptr<CallbackSource>* oldest = nullptr;
+  for (const auto& source : sources_) {
+    const bool is_older = oldest == nullptr || source->cycle_ < (*oldest)->cycle_;
+    if (is_older && is_free(*source) && source->has_work()) oldest = &source;
+  }
+  return oldest == nullptr ? nullptr : begin(*oldest, cycle);
+}
+
+std::shared_ptr<CallbackSource> GroupCallbacks::begin(const std::shared_ptr<CallbackSource>& source,
+                                                      std::uint64_t cycle) {
+  running_.push_back({source.get(), std::this_thread::get_id(), {}});
+  source->cycle_ = cycle;
+  return source;
 }
 
 void GroupCallbacks::end(const ExecutorCore& executor, const CallbackSource& source) noexcept {

@@ -108,6 +108,9 @@ class GroupCallbacks {
   /// (reentrant).
   std::shared_ptr<CallbackSource> begin(const ExecutorCore& executor, std::uint64_t cycle,
                                         bool is_alone);
+  /// Like begin(), but of the source with work whose last callback began longest ago, in the
+  /// smallest cycle. Throws std::bad_alloc (reentrant).
+  std::shared_ptr<CallbackSource> begin_oldest(const ExecutorCore& executor, std::uint64_t cycle);
   /// In the thread that has begun it.
   void end(const ExecutorCore& executor, const CallbackSource& source) noexcept;
   /// Returns whether a callback could begin; otherwise `due` becomes the time of a timer that
@@ -124,6 +127,8 @@ class GroupCallbacks {
     std::shared_ptr<const void> until_end;
   };
   // Under the mutex:
+  std::shared_ptr<CallbackSource> begin(const std::shared_ptr<CallbackSource>& source,
+                                        std::uint64_t cycle);
   bool wait_for_end(const CallbackSource& source, std::unique_lock<std::mutex>& lock) noexcept;
   bool is_free() const noexcept;
   bool is_free(const CallbackSource& source) const noexcept;

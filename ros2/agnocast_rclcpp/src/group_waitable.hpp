@@ -9,8 +9,8 @@
 //
 // After a wait, rclcpp's executors call each waitable once, and each subscription once. So that one
 // call of spin_some() means as much for a group here, each endpoint but the first adds a GroupTurn,
-// which lets the executor call the group once more. Which endpoint a call serves, the group
-// decides: it may serve one twice while another one waits for the next call, but none for ever.
+// which lets the executor call the group once more. Each call serves the ready endpoint that
+// was served longest ago, so none is called twice while another one waits.
 #pragma once
 
 #include <agnocast/callback_group.hpp>

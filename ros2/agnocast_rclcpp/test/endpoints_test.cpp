@@ -79,6 +79,29 @@ TEST_F(EndpointsTest, OneSpinSomeCallsEachEndpointOnce) {
   EXPECT_THAT(heard, testing::ElementsAre(1, 4, 4, 4, 1, 4));
 }
 
+TEST_F(EndpointsTest, OneSpinSomeCallsNoEndpointTwice) {
+  std::vector<int> heard(3, 0);
+  std::vector<agnocast::Subscription<String>::SharedPtr> subscriptions;
+  std::vector<agnocast::Publisher<String>::SharedPtr> publishers;
+  for (std::size_t i = 0; i < heard.size(); ++i) {
+    const std::string topic = "topic" + std::to_string(i);
+    subscriptions.push_back(agnocast::create_subscription<String>(
+        node_, topic, 10, [&heard, i](const Message&) { ++heard[i]; }));
+    publishers.push_back(agnocast::create_publisher<String>(node_, topic, 10));
+  }
+  for (const auto& publisher : publishers)
+    ASSERT_TRUE(spin_until([&] { return publisher->get_subscription_count() == 1; }));
+  const auto publish = [&](std::size_t i) { (void)publishers[i]->publish(String()); };
+  for (const std::size_t i : {1, 2}) publish(i);
+  executor_->spin_some();
+  EXPECT_THAT(heard, testing::ElementsAre(0, 1, 1));
+  for (const std::size_t i : {0, 0, 2}) publish(i);
+  executor_->spin_some();
+  EXPECT_THAT(heard, testing::ElementsAre(1, 1, 2));
+  executor_->spin_some();
+  EXPECT_THAT(heard, testing::ElementsAre(2, 1, 2));
+}
+
 TEST_F(EndpointsTest, CallbacksTakeTheMessageInEveryForm) {
   std::vector<std::string> heard;
   std::shared_ptr<const String> kept;

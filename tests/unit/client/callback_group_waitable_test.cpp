@@ -96,6 +96,27 @@ TEST(CallbackGroupWaitable, HasNothingWhileAnExclusiveGroupIsBusy) {
   EXPECT_EQ(waitable.ready_count(), 2u) << "one of each timer";
 }
 
+TEST(CallbackGroupWaitable, RunsTheCallbackThatRanLongestAgo) {
+  const auto group = make_group(CallbackGroupType::MutuallyExclusive);
+  CallbackGroupWaitable waitable(*group);
+  std::string order;
+  const auto make_timer = [&](char name) {
+    auto timer = create_wall_timer(
+        node, 0ns, [&order, name] { order += name; }, group);
+    timer->cancel();
+    return timer;
+  };
+  const auto first = make_timer('a'), second = make_timer('b'), third = make_timer('c');
+  second->reset();
+  for (int i = 0; i < 2; ++i) run_next(waitable);
+  EXPECT_EQ(order, "bb");
+  first->reset();
+  third->reset();
+  // Each of the three before any again, although the loop of this test knows no cycles.
+  for (int i = 0; i < 6; ++i) run_next(waitable);
+  EXPECT_EQ(order, "bbacbacb");
+}
+
 TEST(CallbackGroupWaitable, RunsAReentrantGroupInManyThreads) {
   const auto group = make_group(CallbackGroupType::Reentrant);
   CallbackGroupWaitable waitable(*group);
