@@ -16,6 +16,7 @@
 #include <unistd.h>
 
 #include <algorithm>
+#include <atomic>
 #include <charconv>
 #include <cstdlib>
 #include <cstring>
@@ -26,9 +27,15 @@ namespace agnocast {
 namespace wire = abi::wire;
 using wire::Opcode;
 
+namespace {
+
+constexpr std::uint64_t no_domain = ~std::uint64_t{0};
+/// That of the first registration that agnocastd has welcomed: later ones continue from it.
+std::atomic<std::uint64_t> registered_domain{no_domain};
+
 // A misspelt domain must not silently be domain 0: its node would meet no other. The user who
 // starts a program with raised rights may not choose its domain either: other rules may hold there.
-Result<std::uint64_t> domain_id() {
+Result<std::uint64_t> domain_of_environment() {
   const char* const text = std::getenv("ROS_DOMAIN_ID");
   if (text == nullptr || *text == '\0' || std::strcmp(text, "0") == 0) return std::uint64_t{0};
   if (::secure_getenv("ROS_DOMAIN_ID") == nullptr)
@@ -42,8 +49,6 @@ Result<std::uint64_t> domain_id() {
   return fail_with(Errc::invalid_argument,
                    "ROS_DOMAIN_ID is " + in_quotes(text) + ", which is not a number");
 }
-
-namespace {
 
 /// Makes the path absolute, so that a program that changes its directory finds the same daemon. A
 /// path that would be too long for a socket address stays as it is.
@@ -68,6 +73,12 @@ std::string process_name() {
 }
 
 }  // namespace
+
+Result<std::uint64_t> domain_id() {
+  const std::uint64_t registered = registered_domain.load(std::memory_order_relaxed);
+  if (registered != no_domain) return registered;
+  return domain_of_environment();
+}
 
 Result<void> Registration::find_daemon() {
   const Result<std::uint64_t> domain = domain_id();
@@ -129,6 +140,7 @@ Result<void> Registration::say_hello(Clock::time_point deadline, bool heap_is_op
     return fail(Errc::layout_mismatch, "the welcome from agnocastd");
   incarnation_ = welcome.incarnation;
   client_ = {welcome.client, welcome.client_generation};
+  registered_domain.store(domain_, std::memory_order_relaxed);
   if (Result<void> mapped = map_regions(welcome, packet.packet.fds(), heap_is_open); !mapped)
     return mapped;
   // After a connection has ended, the daemon keeps the place of a client that has mapped its
