@@ -51,6 +51,11 @@ void GroupWaitable::ring() noexcept {
   if (prepare()) tell();
 }
 
+void GroupWaitable::ring_from_guard() noexcept {
+  callbacks_.count_this_thread();
+  ring();
+}
+
 void GroupWaitable::add_to_wait_set(rcl_wait_set_t* wait_set) {
   if (prepare()) tell();
   const rcl_ret_t added =

@@ -35,11 +35,11 @@ class GroupWaitable final : public rclcpp::Waitable {
   static std::shared_ptr<GroupWaitable> make(const rclcpp::Context::SharedPtr& context,
                                              agnocast::CallbackGroup& group);
   GroupWaitable(const rclcpp::Context::SharedPtr& context, agnocast::CallbackGroup& group);
-  /// Ends ring().
+  /// Ends ring_from_guard().
   void leave() noexcept;
 
   /// Called by GuardThread when the descriptor is readable.
-  void ring() noexcept;
+  void ring_from_guard() noexcept;
 
   std::size_t get_number_of_ready_guard_conditions() override { return 1; }
   void add_to_wait_set(rcl_wait_set_t* wait_set) override;
@@ -54,7 +54,10 @@ class GroupWaitable final : public rclcpp::Waitable {
   bool take_turn() noexcept { return turns_.fetch_sub(1, std::memory_order_relaxed) > 0; }
 
  private:
-  /// Returns true if there is something to do; otherwise ring() comes later.
+  /// Triggers the guard condition, or calls on_ready_, if there is something to do; otherwise
+  /// ring_from_guard() comes later.
+  void ring() noexcept;
+  /// Returns true if there is something to do; otherwise ring_from_guard() comes later.
   bool prepare() noexcept;
   void tell() noexcept;
   /// Returns whether the context was shut down; then no callback begins.
