@@ -258,8 +258,9 @@ Result<std::shared_ptr<Made>> make_client(Node& node, const std::string& service
   if (!name) return tl::unexpected<Failure>(name.error());
   const Result<ServiceTypes> types = kind.types();
   if (!types) return tl::unexpected<Failure>(types.error());
-  auto untyped = UntypedClient::create(*name, *types, qos, kind.request_code().code(),
-                                       AdapterOf<Node>::group(dereference(node), group),
+  auto adapted = AdapterOf<Node>::group(dereference(node), group);
+  if (!adapted) return tl::unexpected<Failure>(adapted.error());
+  auto untyped = UntypedClient::create(*name, *types, qos, kind.request_code().code(), *adapted,
                                        AdapterOf<Node>::is_over(dereference(node)));
   if (!untyped) return tl::unexpected<Failure>(untyped.error());
   return std::make_shared<Made>(std::move(*untyped), kind);

@@ -308,10 +308,11 @@ Result<core::GenericSubscription::SharedPtr> make_generic_subscription(
     };
   }
   QoS used = qos;
-  const core::SubscriptionOptions& adapted =
+  const Result<core::SubscriptionOptions> adapted =
       AdapterOf<Node>::options(dereference(node), *name, used, options);
+  if (!adapted) return tl::unexpected<Failure>(adapted.error());
   auto untyped =
-      UntypedSubscription::create(*name, *type, used, adapted, std::move(untyped_callback));
+      UntypedSubscription::create(*name, *type, used, *adapted, std::move(untyped_callback));
   if (!untyped) return tl::unexpected<Failure>(untyped.error());
   return std::make_shared<core::GenericSubscription>(std::move(*untyped), members);
 }
@@ -331,10 +332,11 @@ template <class Node>
   if (!message_type) return tl::unexpected<Failure>(message_type.error());
   const detail::MessageCode code{detail::EndByTable::of(type.members()), false};
   QoS used = qos;
-  const PublisherOptions& adapted =
+  const Result<PublisherOptions> adapted =
       detail::AdapterOf<Node>::options(detail::dereference(node), *name, used, options);
+  if (!adapted) return tl::unexpected<Failure>(adapted.error());
   auto untyped =
-      detail::UntypedPublisher::create(*name, std::move(*message_type), used, adapted, code);
+      detail::UntypedPublisher::create(*name, std::move(*message_type), used, *adapted, code);
   if (!untyped) return tl::unexpected<Failure>(untyped.error());
   return std::make_shared<GenericPublisher>(std::move(*untyped), type.members());
 }

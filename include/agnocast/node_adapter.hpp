@@ -8,6 +8,7 @@
 #include <agnocast/core_namespace.hpp>
 #include <agnocast/ipc_shared_ptr.hpp>
 #include <agnocast/node_like.hpp>
+#include <agnocast/result.hpp>
 
 #include <functional>
 #include <type_traits>
@@ -34,13 +35,12 @@ struct NodeAdapter {
   /// What callbacks may take besides agnocast::MessageInfo.
   using Info = MessageInfo;
   static const Info& info(const MessageInfo& info) noexcept { return info; }
-  static const Group& group(const Node&, const Group& named) noexcept { return named; }
+  static Result<Group> group(const Node&, const Group& named) { return named; }
   /// Returns what tells that nothing is worth waiting for any more; empty: nothing does.
   static std::function<bool()> is_over(const Node&) noexcept { return {}; }
   /// May change the QoS.
   template <class Options, class Qos>
-  static const Options& options(const Node&, const EndpointName&, Qos&,
-                                const Options& options) noexcept {
+  static Result<Options> options(const Node&, const EndpointName&, Qos&, const Options& options) {
     return options;
   }
 };

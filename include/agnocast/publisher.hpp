@@ -499,10 +499,11 @@ template <class T, class Node>
   Result<MessageType> type = message_type_of<T>();
   if (!type) return tl::unexpected<Failure>(type.error());
   QoS used = qos;
-  const PublisherOptions& adapted =
+  const Result<PublisherOptions> adapted =
       detail::AdapterOf<Node>::options(detail::dereference(node), *name, used, options);
+  if (!adapted) return tl::unexpected<Failure>(adapted.error());
   auto untyped = detail::UntypedPublisher::create(
-      *name, std::move(*type), used, adapted,
+      *name, std::move(*type), used, *adapted,
       detail::MessageCode{detail::MessageEnd::of<T>(), std::is_base_of_v<SharedMessage, T>});
   if (!untyped) return tl::unexpected<Failure>(untyped.error());
   return std::make_shared<Publisher<T>>(std::move(*untyped));

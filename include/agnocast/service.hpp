@@ -233,9 +233,11 @@ Result<std::shared_ptr<Made>> make_service(Node& node, const std::string& servic
   if (!name) return tl::unexpected<Failure>(name.error());
   const Result<ServiceTypes> types = kind.types();
   if (!types) return tl::unexpected<Failure>(types.error());
-  auto untyped = UntypedService::create(*name, *types, qos, kind.response_code().code(),
-                                        erase_service(kind, std::forward<Callback>(callback)),
-                                        AdapterOf<Node>::group(dereference(node), group));
+  auto adapted = AdapterOf<Node>::group(dereference(node), group);
+  if (!adapted) return tl::unexpected<Failure>(adapted.error());
+  auto untyped =
+      UntypedService::create(*name, *types, qos, kind.response_code().code(),
+                             erase_service(kind, std::forward<Callback>(callback)), *adapted);
   if (!untyped) return tl::unexpected<Failure>(untyped.error());
   return std::make_shared<Made>(std::move(*untyped), kind);
 }

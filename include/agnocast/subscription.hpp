@@ -44,15 +44,19 @@ class SubscriptionOptions : public detail::EventOptions<SubscriptionOptions>,
   /// (docs/agnocastd.md, Limits). If that rest is smaller than an explicit quota, creation fails
   /// with quota_exceeded while all publishers of the topic belong to other users.
   SubscriptionOptions& hold_quota(std::size_t messages) noexcept {
+    is_hold_quota_usual_ = false;
     return hold_quota_ = messages, is_hold_quota_set_ = true, *this;
   }
   /// The same without a refusal: for publishers of other users, the daemon grants as many as it
   /// would of the default.
   SubscriptionOptions& hold_quota_or_less(std::size_t messages) noexcept {
+    is_hold_quota_usual_ = false;
     return hold_quota_ = messages, is_hold_quota_set_ = false, *this;
   }
   std::size_t hold_quota() const noexcept { return hold_quota_; }
   bool is_hold_quota_set() const noexcept { return is_hold_quota_set_; }
+  /// Returns whether neither function was called.
+  bool is_hold_quota_usual() const noexcept { return is_hold_quota_usual_; }
   /// Counts keep-last depth for each publisher separately, instead of over all together as a DDS
   /// reader does (DDS 1.4, 2.2.3.18): a frequent publisher then displaces no message of another
   /// one, and a late subscription gets the whole history of each. Of all dead publishers
@@ -76,6 +80,7 @@ class SubscriptionOptions : public detail::EventOptions<SubscriptionOptions>,
  private:
   std::size_t hold_quota_ = 64;
   bool is_hold_quota_set_ = false;
+  bool is_hold_quota_usual_ = true;
   bool depth_per_publisher_ = false;
   bool ignore_local_publications_ = false;
 };
@@ -318,9 +323,10 @@ Result<std::shared_ptr<Made>> make_subscription(Node& node, const std::string& t
   const Result<MessageType> type = message_type_of<T>();
   if (!type) return tl::unexpected<Failure>(type.error());
   QoS used = qos;
-  const core::SubscriptionOptions& adapted =
+  const Result<core::SubscriptionOptions> adapted =
       AdapterOf<Node>::options(dereference(node), *name, used, options);
-  auto untyped = UntypedSubscription::create(*name, *type, used, adapted, std::move(callback));
+  if (!adapted) return tl::unexpected<Failure>(adapted.error());
+  auto untyped = UntypedSubscription::create(*name, *type, used, *adapted, std::move(callback));
   if (!untyped) return tl::unexpected<Failure>(untyped.error());
   return std::make_shared<Made>(std::move(*untyped));
 }

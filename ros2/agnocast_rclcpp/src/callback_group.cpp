@@ -78,27 +78,23 @@ AdaptedGroup::~AdaptedGroup() {
 }
 
 /// All endpoints of a process are in one domain.
-void refuse_other_domain(const rclcpp::Context& context) {
-  if (!context.is_valid()) return;  // it has no domain any more
+agnocast::Result<void> refuse_other_domain(const rclcpp::Context& context) {
+  if (!context.is_valid()) return {};  // it has no domain any more
   const agnocast::Result<std::uint64_t> domain = agnocast::domain_id();
-  if (!domain) throw agnocast::Error(domain.error());
+  if (!domain) return tl::unexpected<agnocast::Failure>(domain.error());
   const std::size_t wanted = context.get_domain_id();
-  if (wanted == *domain) return;
+  if (wanted == *domain) return {};
   const std::string words = "the context of the node has domain " + std::to_string(wanted) +
                             ", the process has " + std::to_string(*domain) +
                             ": set ROS_DOMAIN_ID in place of InitOptions::set_domain_id()";
-  throw agnocast::Error(agnocast::failure_with(agnocast::Errc::invalid_argument, words.c_str()));
+  return tl::unexpected<agnocast::Failure>(
+      agnocast::failure_with(agnocast::Errc::invalid_argument, words.c_str()));
 }
 
-}  // namespace
-
-agnocast::CallbackGroup::SharedPtr adapt_group(const NodeBase::SharedPtr& node,
+/// Throws agnocast::Error (os_failure) and what rclcpp throws.
+agnocast::CallbackGroup::SharedPtr share_group(const NodeBase::SharedPtr& node,
                                                const NodeWaitables::SharedPtr& waitables,
-                                               rclcpp::CallbackGroup::SharedPtr group) {
-  if (!GuardThread::instance().is_here())
-    throw agnocast::Error({agnocast::Errc::shut_down, 0, "this is a forked child"});
-  if (group == nullptr) group = node->get_default_callback_group();
-  refuse_other_domain(*node->get_context());
+                                               const rclcpp::CallbackGroup::SharedPtr& group) {
   std::shared_ptr<AdaptedGroup> adapted;  // outside the lock: its destructor takes it
   Groups& all = groups();
   const std::lock_guard lock(all.mutex);
@@ -128,6 +124,24 @@ agnocast::CallbackGroup::SharedPtr adapt_group(const NodeBase::SharedPtr& node,
   turn->waitable = std::make_shared<GroupTurn>(adapted->waitable);
   waitables->add_waitable(turn->waitable, group);
   return {turn, adapted->group.get()};
+}
+
+}  // namespace
+
+agnocast::Result<agnocast::CallbackGroup::SharedPtr> adapt_group(
+    const NodeBase::SharedPtr& node, const NodeWaitables::SharedPtr& waitables,
+    rclcpp::CallbackGroup::SharedPtr group) {
+  if (!GuardThread::instance().is_here())
+    return tl::unexpected<agnocast::Failure>(
+        agnocast::Failure{agnocast::Errc::shut_down, 0, "this is a forked child"});
+  if (const auto refused = refuse_other_domain(*node->get_context()); !refused)
+    return tl::unexpected<agnocast::Failure>(refused.error());
+  if (group == nullptr) group = node->get_default_callback_group();
+  try {
+    return share_group(node, waitables, group);
+  } catch (const agnocast::Error& error) {
+    return tl::unexpected<agnocast::Failure>(error.failure());
+  }
 }
 
 }  // namespace agnocast_rclcpp

@@ -3,6 +3,7 @@
 #include <agnocast_rclcpp/options.hpp>
 
 #include <rmw/incompatible_qos_events_statuses.h>
+#include <rclcpp/detail/resolve_enable_topic_statistics.hpp>
 #include <rclcpp/logging.hpp>
 
 #include <algorithm>
@@ -48,7 +49,8 @@ PublisherOptions::PublisherOptions(agnocast::PublisherOptions options)
     : own(without_group(std::move(options))) {}
 
 agnocast::SubscriptionOptions translate(const SubscriptionOptions& options,
-                                        const std::string& topic, const rclcpp::Logger& logger) {
+                                        const std::string& topic, const rclcpp::Logger& logger,
+                                        const rclcpp::node_interfaces::NodeBaseInterface& base) {
   agnocast::SubscriptionOptions translated = options.own;
   const rclcpp::SubscriptionEventCallbacks& events = options.ros.event_callbacks;
   warn_of(events.deadline_callback != nullptr, "deadline_callback", topic, logger);
@@ -56,8 +58,8 @@ agnocast::SubscriptionOptions translate(const SubscriptionOptions& options,
   warn_of(events.message_lost_callback != nullptr, "message_lost_callback", topic, logger);
   warn_of(!options.ros.content_filter_options.filter_expression.empty(), "content_filter_options",
           topic, logger);
-  warn_of(options.ros.topic_stats_options.state == rclcpp::TopicStatisticsState::Enable,
-          "topic_stats_options", topic, logger);
+  warn_of(rclcpp::detail::resolve_enable_topic_statistics(options.ros, base),
+          "collecting topic statistics", topic, logger);
   if (options.ros.ignore_local_publications) translated.ignore_local_publications();
   if (options.own.events().incompatible_qos != nullptr) return translated;
   if (events.incompatible_qos_callback) {
@@ -80,9 +82,8 @@ agnocast::SubscriptionOptions translate(const SubscriptionOptions& options,
 void allow_queue(agnocast::SubscriptionOptions& options, std::size_t length) {
   // Many large quotas could take all slots of a publisher together (maximum_slot_count).
   constexpr std::size_t quota_max = 512;
-  const std::size_t usual = agnocast::SubscriptionOptions().hold_quota();
-  if (!options.is_hold_quota_set() && options.hold_quota() == usual)
-    options.hold_quota_or_less(std::clamp(length, usual, quota_max));
+  if (options.is_hold_quota_usual())
+    options.hold_quota_or_less(std::clamp(length, options.hold_quota(), quota_max));
 }
 
 agnocast::PublisherOptions translate(const PublisherOptions& options, const std::string& topic,

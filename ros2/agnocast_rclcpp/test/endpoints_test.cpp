@@ -10,6 +10,9 @@
 
 #include <gmock/gmock.h>
 
+#include <cstdarg>
+#include <cstdio>
+#include <cstdlib>
 #include <mutex>
 #include <stdexcept>
 #include <vector>
@@ -20,6 +23,31 @@ namespace {
 using namespace std::chrono_literals;
 using Message = agnocast::ipc_shared_ptr<const String>;
 using Trigger = std_srvs::srv::Trigger;
+
+/// What is logged while it exists, from warnings on.
+class Warnings {
+ public:
+  Warnings() : before_(rcutils_logging_get_output_handler()) {
+    text().clear();
+    rcutils_logging_set_output_handler([](const rcutils_log_location_t*, int severity, const char*,
+                                          rcutils_time_point_value_t, const char* format,
+                                          va_list* arguments) {
+      char line[512];
+      std::vsnprintf(line, sizeof line, format, *arguments);
+      if (severity >= RCUTILS_LOG_SEVERITY_WARN) text() += line + std::string("\n");
+    });
+  }
+  ~Warnings() { rcutils_logging_set_output_handler(before_); }
+  const std::string& lines() const { return text(); }
+  bool have(const char* words) const { return text().find(words) != std::string::npos; }
+
+ private:
+  static std::string& text() {
+    static std::string all;
+    return all;
+  }
+  const rcutils_logging_output_handler_t before_;
+};
 
 class EndpointsTest : public RclcppTest {
  protected:
@@ -193,17 +221,7 @@ TEST_F(EndpointsTest, QosIsOverriddenByParameters) {
 }
 
 TEST_F(EndpointsTest, IncompatibleQosIsToldAsRclcppTellsIt) {
-  std::vector<std::string> lines;
-  static std::vector<std::string>* static_lines;
-  static_lines = &lines;
-  const auto before = rcutils_logging_get_output_handler();
-  rcutils_logging_set_output_handler([](const rcutils_log_location_t*, int severity, const char*,
-                                        rcutils_time_point_value_t, const char* format,
-                                        va_list* arguments) {
-    char text[512];
-    std::vsnprintf(text, sizeof text, format, *arguments);
-    if (severity >= RCUTILS_LOG_SEVERITY_WARN) static_lines->push_back(text);
-  });
+  const Warnings warnings;
   int reported = 0;
   rclcpp::QOSRequestedIncompatibleQoSInfo last{};
   rclcpp::SubscriptionOptions options;
@@ -218,17 +236,32 @@ TEST_F(EndpointsTest, IncompatibleQosIsToldAsRclcppTellsIt) {
       node_, "topic", rclcpp::QoS(10).reliable(), [](const Message&) {});
   const auto publisher =
       agnocast::create_publisher<String>(node_, "topic", rclcpp::QoS(10).best_effort());
-  const auto has_line = [&](const char* wanted) {
-    return std::any_of(lines.begin(), lines.end(),
-                       [&](const auto& line) { return line.find(wanted) != std::string::npos; });
-  };
   EXPECT_TRUE(spin_until([&] {
-    return reported == 1 && has_line("New publisher discovered on topic '/space/topic'") &&
-           has_line("New subscription discovered on topic '/space/topic'");
+    return reported == 1 && warnings.have("New publisher discovered on topic '/space/topic'") &&
+           warnings.have("New subscription discovered on topic '/space/topic'");
   }));
-  rcutils_logging_set_output_handler(before);
   EXPECT_EQ(last.last_policy_kind, RMW_QOS_POLICY_RELIABILITY);
   EXPECT_EQ(last.total_count, 1);
+}
+
+TEST_F(EndpointsTest, WhatHasNoEffectIsToldWhereverItIsEnabled) {
+  const auto measured = std::make_shared<rclcpp::Node>(
+      "measured", rclcpp::NodeOptions().enable_topic_statistics(true));
+  const Warnings warnings;
+  rclcpp::SubscriptionOptions options;
+  (void)agnocast::create_subscription<String>(
+      node_, "quiet", 10, [](const Message&) {}, options);
+  (void)agnocast::create_subscription<String>(
+      measured, "node", 10, [](const Message&) {}, options);
+  options.topic_stats_options.state = rclcpp::TopicStatisticsState::Disable;
+  (void)agnocast::create_subscription<String>(
+      measured, "off", 10, [](const Message&) {}, options);
+  options.topic_stats_options.state = rclcpp::TopicStatisticsState::Enable;
+  (void)agnocast::create_subscription<String>(
+      node_, "on", 10, [](const Message&) {}, options);
+  EXPECT_EQ(warnings.lines(),
+            "collecting topic statistics has no effect on '/node', which agnocast serves\n"
+            "collecting topic statistics has no effect on '/space/on', which agnocast serves\n");
 }
 
 TEST_F(EndpointsTest, GroupsOfOthersAreRefused) {
@@ -282,7 +315,29 @@ TEST_F(EndpointsTest, AnotherDomainThanTheProcessIsRefused) {
     EXPECT_EQ(error.failure().code, agnocast::Errc::invalid_argument);
     EXPECT_THAT(error.what(), testing::HasSubstr("set ROS_DOMAIN_ID"));
   }
+  const auto subscription =
+      agnocast::try_create_subscription<String>(other, "topic", 10, [](const Message&) {});
+  ASSERT_FALSE(subscription);
+  EXPECT_EQ(subscription.error().code, agnocast::Errc::invalid_argument);
+  const auto client = agnocast::try_create_client<Trigger>(other, "service");
+  ASSERT_FALSE(client);
+  EXPECT_EQ(client.error().code, agnocast::Errc::invalid_argument);
   context->shutdown("the test ends");
+  // The domain of a process is that of its first endpoint, whatever the environment says later.
+  EXPECT_TRUE(agnocast::try_create_publisher<String>(node_, "topic", 10));
+  const char* const before = std::getenv("ROS_DOMAIN_ID");
+  const std::string domain = before != nullptr ? before : "0";
+  ::setenv("ROS_DOMAIN_ID", std::to_string(*agnocast::domain_id() + 1).c_str(), 1);
+  EXPECT_TRUE(agnocast::try_create_publisher<String>(node_, "topic", 10));
+  ::setenv("ROS_DOMAIN_ID", domain.c_str(), 1);
+}
+
+TEST_F(EndpointsTest, NothingIsCreatedAfterShutdown) {
+  (void)rclcpp::shutdown();
+  EXPECT_THROW(agnocast::create_publisher<String>(node_, "topic", 10),
+               rclcpp::exceptions::RCLErrorBase);
+  EXPECT_THROW(agnocast::create_client<Trigger>(node_, "service"),
+               rclcpp::exceptions::RCLErrorBase);
 }
 
 TEST_F(EndpointsTest, GenericEndpointsFindTypesByName) {

@@ -5,6 +5,7 @@
 
 #include <agnocast/node_adapter.hpp>
 #include <agnocast/qos.hpp>
+#include <agnocast/result.hpp>
 #include <agnocast_rclcpp/callback_group.hpp>
 #include <agnocast_rclcpp/options.hpp>
 
@@ -16,6 +17,7 @@
 #include <functional>
 #include <string>
 #include <type_traits>
+#include <utility>
 
 namespace agnocast_rclcpp {
 
@@ -48,7 +50,7 @@ struct NodeAdapter<Node, std::enable_if_t<is_rclcpp_node<Node>>> {
   using Info = rclcpp::MessageInfo;
 
   static Info info(const MessageInfo& info) { return agnocast_rclcpp::to_ros(info); }
-  static CallbackGroup::SharedPtr group(Node& node, const Group& named) {
+  static Result<CallbackGroup::SharedPtr> group(Node& node, const Group& named) {
     return agnocast_rclcpp::adapt_group(node.get_node_base_interface(),
                                         node.get_node_waitables_interface(), named);
   }
@@ -56,26 +58,30 @@ struct NodeAdapter<Node, std::enable_if_t<is_rclcpp_node<Node>>> {
     return
         [context = node.get_node_base_interface()->get_context()] { return !context->is_valid(); };
   }
-  static agnocast::core::SubscriptionOptions options(Node& node, const EndpointName& name, QoS& qos,
-                                                     const SubscriptionOptions& options) {
-    auto translated =
-        adapt<rclcpp::detail::SubscriptionQosParametersTraits>(node, name, qos, options);
+  static Result<core::SubscriptionOptions> options(Node& node, const EndpointName& name, QoS& qos,
+                                                   const SubscriptionOptions& options) {
+    qos = agnocast_rclcpp::override_qos(node, name.topic, options.ros.qos_overriding_options, qos,
+                                        rclcpp::detail::SubscriptionQosParametersTraits());
+    auto translated = agnocast_rclcpp::translate(options, name.topic, node.get_logger(),
+                                                 *node.get_node_base_interface());
     agnocast_rclcpp::allow_queue(translated, qos.depth());
-    return translated;
+    return with_group(node, options.ros.callback_group, std::move(translated));
   }
-  static agnocast::core::PublisherOptions options(Node& node, const EndpointName& name, QoS& qos,
-                                                  const PublisherOptions& options) {
-    return adapt<rclcpp::detail::PublisherQosParametersTraits>(node, name, qos, options);
+  static Result<core::PublisherOptions> options(Node& node, const EndpointName& name, QoS& qos,
+                                                const PublisherOptions& options) {
+    qos = agnocast_rclcpp::override_qos(node, name.topic, options.ros.qos_overriding_options, qos,
+                                        rclcpp::detail::PublisherQosParametersTraits());
+    return with_group(node, options.ros.callback_group,
+                      agnocast_rclcpp::translate(options, name.topic, node.get_logger()));
   }
 
  private:
-  template <class Traits, class Options>
-  static auto adapt(Node& node, const EndpointName& name, QoS& qos, const Options& options) {
-    qos = agnocast_rclcpp::override_qos(node, name.topic, options.ros.qos_overriding_options, qos,
-                                        Traits());
-    auto translated = agnocast_rclcpp::translate(options, name.topic, node.get_logger());
-    translated.callback_group(group(node, options.ros.callback_group));
-    return translated;
+  template <class Options>
+  static Result<Options> with_group(Node& node, const Group& named, Options options) {
+    auto adapted = group(node, named);
+    if (!adapted) return tl::unexpected<Failure>(adapted.error());
+    options.callback_group(std::move(*adapted));
+    return options;
   }
 };
 

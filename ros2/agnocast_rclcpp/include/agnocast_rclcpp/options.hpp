@@ -6,6 +6,7 @@
 #include <agnocast/publisher.hpp>
 #include <agnocast/subscription.hpp>
 
+#include <rclcpp/node_interfaces/node_base_interface.hpp>
 #include <rclcpp/publisher_options.hpp>
 #include <rclcpp/subscription_options.hpp>
 
@@ -41,9 +42,9 @@ class PublisherOptions {
 
 /// Returns the options for the library: what `options` says, with rclcpp's event callbacks, or its
 /// default ones, which warn of incompatible QoS. Warns of what has no effect here.
-agnocast::core::SubscriptionOptions translate(const SubscriptionOptions& options,
-                                              const std::string& topic,
-                                              const rclcpp::Logger& logger);
+agnocast::core::SubscriptionOptions translate(
+    const SubscriptionOptions& options, const std::string& topic, const rclcpp::Logger& logger,
+    const rclcpp::node_interfaces::NodeBaseInterface& base);
 /// Unless `options` say otherwise, lets a node keep as many messages as its queue is long, up to
 /// 512: nodes for rclcpp often keep what came in a queue of their own.
 void allow_queue(agnocast::core::SubscriptionOptions& options, std::size_t length);

@@ -69,6 +69,8 @@ class Service {
     if (!types) detail::throw_error(types.error());
     auto failures = std::make_shared<agnocastlib::FailureLog>(
         node->get_logger(), "a response of '" + name->topic + "'");
+    const auto adapted = detail::AdapterOf<NodeT>::group(*node, group);
+    if (!adapted) detail::throw_error(adapted.error());
     auto untyped = detail::UntypedService::create(
         *name, *types, qos, kind.response_code().code(),
         [function = Function(std::forward<Func>(callback)), failures = std::move(failures), kind](
@@ -85,7 +87,7 @@ class Service {
           response.reset();
           failures->report(sent.code);
         },
-        detail::AdapterOf<NodeT>::group(*node, group));
+        *adapted);
     if (!untyped) detail::throw_error(untyped.error());
     return std::move(*untyped);
   }
