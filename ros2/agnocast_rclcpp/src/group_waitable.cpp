@@ -11,6 +11,12 @@
 #include <utility>
 
 namespace agnocast_rclcpp {
+namespace {
+
+rcl_wait_set_t* address_of(rcl_wait_set_t* wait_set) noexcept { return wait_set; }
+[[maybe_unused]] rcl_wait_set_t* address_of(rcl_wait_set_t& wait_set) noexcept { return &wait_set; }
+
+}  // namespace
 
 std::shared_ptr<GroupWaitable> GroupWaitable::make(const rclcpp::Context::SharedPtr& context,
                                                    agnocast::CallbackGroup& group) {
@@ -56,21 +62,21 @@ void GroupWaitable::ring_from_guard() noexcept {
   ring();
 }
 
-void GroupWaitable::add_to_wait_set(rcl_wait_set_t* wait_set) {
+void GroupWaitable::add_to_wait_set(WaitSet wait_set) {
   if (prepare()) tell();
   const rcl_ret_t added =
-      rcl_wait_set_add_guard_condition(wait_set, &guard_.get_rcl_guard_condition(), nullptr);
+      rcl_wait_set_add_guard_condition(address_of(wait_set), &guard_.get_rcl_guard_condition(), nullptr);
   if (added != RCL_RET_OK)
     rclcpp::exceptions::throw_from_rcl_error(added, "adding agnocast's guard condition");
 }
 
-bool GroupWaitable::is_ready(rcl_wait_set_t*) {
+bool GroupWaitable::is_ready(ReadyWaitSet) {
   const std::size_t count = is_over() ? 0 : callbacks_.ready_count();
   turns_.store(static_cast<std::int64_t>(count) - 1, std::memory_order_relaxed);
   return count != 0;
 }
 
-void GroupWaitable::execute(std::shared_ptr<void>&) {
+void GroupWaitable::execute(WaitableData) {
   // An events executor does not wait again, so it must be told of what is left.
   struct Telling {
     GroupWaitable& self;

@@ -16,6 +16,7 @@
 #include <agnocast/callback_group.hpp>
 #include <agnocast/callback_group_waitable.hpp>
 
+#include <rclcpp/version.h>
 #include <rclcpp/guard_condition.hpp>
 #include <rclcpp/waitable.hpp>
 
@@ -28,6 +29,17 @@
 #include <utility>
 
 namespace agnocast_rclcpp {
+
+// What rclcpp::Waitable's functions take, which Jazzy changed.
+#if RCLCPP_VERSION_MAJOR < 28
+using WaitSet = rcl_wait_set_t*;
+using ReadyWaitSet = rcl_wait_set_t*;
+using WaitableData = std::shared_ptr<void>&;
+#else
+using WaitSet = rcl_wait_set_t&;
+using ReadyWaitSet = const rcl_wait_set_t&;
+using WaitableData = const std::shared_ptr<void>&;
+#endif
 
 class GroupWaitable final : public rclcpp::Waitable {
  public:
@@ -42,11 +54,11 @@ class GroupWaitable final : public rclcpp::Waitable {
   void ring_from_guard() noexcept;
 
   std::size_t get_number_of_ready_guard_conditions() override { return 1; }
-  void add_to_wait_set(rcl_wait_set_t* wait_set) override;
-  bool is_ready(rcl_wait_set_t* wait_set) override;
+  void add_to_wait_set(WaitSet wait_set) override;
+  bool is_ready(ReadyWaitSet wait_set) override;
   std::shared_ptr<void> take_data() override { return nullptr; }
   std::shared_ptr<void> take_data_by_entity_id(std::size_t) override { return nullptr; }
-  void execute(std::shared_ptr<void>& data) override;
+  void execute(WaitableData data) override;
   void set_on_ready_callback(std::function<void(std::size_t, int)> callback) override;
   void clear_on_ready_callback() override;
 
@@ -77,11 +89,11 @@ class GroupTurn final : public rclcpp::Waitable {
  public:
   explicit GroupTurn(std::shared_ptr<GroupWaitable> group) noexcept : group_(std::move(group)) {}
 
-  void add_to_wait_set(rcl_wait_set_t*) override {}
-  bool is_ready(rcl_wait_set_t*) override { return group_->take_turn(); }
+  void add_to_wait_set(WaitSet) override {}
+  bool is_ready(ReadyWaitSet) override { return group_->take_turn(); }
   std::shared_ptr<void> take_data() override { return nullptr; }
   std::shared_ptr<void> take_data_by_entity_id(std::size_t) override { return nullptr; }
-  void execute(std::shared_ptr<void>& data) override { group_->execute(data); }
+  void execute(WaitableData data) override { group_->execute(data); }
   /// Nothing: an events executor calls the group until it has no work.
   void set_on_ready_callback(std::function<void(std::size_t, int)>) override {}
   void clear_on_ready_callback() override {}
