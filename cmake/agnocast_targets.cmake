@@ -19,6 +19,8 @@ if(CCACHE_PROGRAM AND PROJECT_IS_TOP_LEVEL)
   set(CMAKE_C_COMPILER_LAUNCHER ${CCACHE_PROGRAM})
 endif()
 
+option(AGNOCAST_COMPILE_BY_ROOMS "Compile the sources of a directory together: a third of the time" ON)
+
 add_library(agnocast_warnings INTERFACE)
 target_compile_options(agnocast_warnings INTERFACE
   -Wall -Wextra -Wpedantic -Wconversion -Wsign-conversion -Wformat=2 -Wundef
@@ -52,8 +54,9 @@ if(AGNOCAST_COVERAGE)
 endif()
 
 # agnocast_compile_by_rooms(TARGET): compiles the sources of each directory together. Reading headers
-# and making templates takes most of the time of a compiler, so this saves a third of it. Names in
+# and making templates takes most of the time of a compiler, so this saves two thirds of it. Names in
 # anonymous namespaces must be unique within a directory; agnocast_compile_alone() takes sources out.
+# It hides a missing #include; scripts/check --tidy and scripts/test --full compile sources alone.
 function(agnocast_compile_by_rooms target)
   get_target_property(sources ${target} SOURCES)
   get_property(alone GLOBAL PROPERTY agnocast_compile_alone)
@@ -85,7 +88,7 @@ endfunction()
 set(AGNOCAST_SANITIZED_LEVEL 1)
 function(agnocast_target_defaults target)
   string(FIND "${CMAKE_CURRENT_SOURCE_DIR}" "${PROJECT_SOURCE_DIR}/tests" place)
-  if(AGNOCAST_SANITIZE OR place EQUAL 0)
+  if(AGNOCAST_COMPILE_BY_ROOMS)
     agnocast_compile_by_rooms(${target})
   endif()
   if(AGNOCAST_SANITIZE)
@@ -108,8 +111,7 @@ set(agnocast_precompile_options "$<$<CXX_COMPILER_ID:Clang>:SHELL:-Xclang -fno-p
 # agnocast_precompile(TARGET [GROUP name] [HEADERS …]): if tests are built, precompiles common
 # headers once for all targets of a group, which have the same compile options. Only headers from
 # outside this tree, so that a change in the tree recompiles only the sources that include it.
-# Precompiled headers hide a missing #include. scripts/check --tidy reads sources without them, and
-# the preset release builds without, as does -DCMAKE_DISABLE_PRECOMPILE_HEADERS=ON.
+# They hide a missing #include; scripts/check --tidy and scripts/test --full do without.
 function(agnocast_precompile target)
   if(NOT AGNOCAST_BUILD_TESTS)
     return()

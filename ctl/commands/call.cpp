@@ -25,10 +25,6 @@ namespace o = options;
 
 using Clock = Live::Clock;
 
-Clock::duration seconds(double count) {
-  return std::chrono::duration_cast<Clock::duration>(std::chrono::duration<double>(count));
-}
-
 std::string service_type_name(const IntrospectedServiceType& type) {
   std::string name = type_name(type.request.members());
   return name.erase(name.size() - std::string_view("_Request").size());
@@ -42,7 +38,7 @@ class Caller {
 
   Outcome<void> call(const ReadMessage& request) {
     const auto deadline = arguments_.has(o::timeout)
-                              ? Clock::now() + seconds(arguments_.real(o::timeout))
+                              ? Clock::now() + Live::seconds(arguments_.real(o::timeout))
                               : Live::for_ever;
     const bool is_text = arguments_.json == Json::no;
     if (is_text && !client_.service_is_ready()) {
@@ -138,7 +134,7 @@ Outcome<void> call_service(const Arguments& arguments, Console& console) {
     if (auto called = caller.call((*requests)[count % requests->size()]); !called) return called;
     if (!write_out()) break;
     if (!is_repeated) continue;
-    due = std::max(due + seconds(1 / arguments.real(o::call_rate)), Clock::now());
+    due = std::max(due + Live::seconds(1 / arguments.real(o::call_rate)), Clock::now());
     while (Clock::now() < due) {
       if (!(*live)->run_until(due)) return {};
     }

@@ -28,6 +28,9 @@ class Live {
  public:
   using Clock = std::chrono::steady_clock;
   static constexpr Clock::time_point for_ever = Clock::time_point::max();
+  static Clock::duration seconds(double count) {
+    return std::chrono::duration_cast<Clock::duration>(std::chrono::duration<double>(count));
+  }
 
   /// Call before the first use of the library: chooses its socket and domain, and blocks the
   /// signals. An empty `node_name` creates a hidden node.

@@ -24,10 +24,6 @@ constexpr TextOptions shown_part{128, false, false};
 
 using Clock = Live::Clock;
 
-Clock::duration seconds(double count) {
-  return std::chrono::duration_cast<Clock::duration>(std::chrono::duration<double>(count));
-}
-
 struct Course {
   std::uint64_t times = 0;  // 0: for ever
   Clock::duration period{};
@@ -41,7 +37,7 @@ Course course_of(const Arguments& arguments, std::size_t message_count) {
   course.times = arguments.has(o::once_pub) ? 1 : arguments.whole(o::times);
   // A file is sent once, from its first message to its last.
   if (course.times == 0 && arguments.has(o::yaml_file)) course.times = message_count;
-  course.period = seconds(1 / arguments.real(o::rate));
+  course.period = Live::seconds(1 / arguments.real(o::rate));
   course.print_each = arguments.whole(o::print_each);
   const bool is_bounded = arguments.has(o::once_pub) || arguments.has(o::times);
   course.wanted_subscriptions =
@@ -62,7 +58,7 @@ class Sender {
     auto next_note = begin + say_nothing;
     while (publisher_.get_subscription_count() < course.wanted_subscriptions) {
       const auto now = Clock::now();
-      if (course.wait_s && now - begin >= seconds(*course.wait_s))
+      if (course.wait_s && now - begin >= Live::seconds(*course.wait_s))
         return problem(Status::timed_out, publisher_.get_topic_name(),
                        counted(publisher_.get_subscription_count(), "matching subscription") +
                            " of " + std::to_string(course.wanted_subscriptions) +
@@ -147,7 +143,8 @@ Outcome<void> pub_topic(const Arguments& arguments, Console& console) {
   auto goes_on = sender.wait_for_subscriptions(course);
   if (goes_on && *goes_on) goes_on = sender.send_all(*messages, course);
   if (!goes_on) return tl::unexpected(goes_on.error());
-  if (*goes_on) (void)(*live)->run_until(Clock::now() + seconds(arguments.real(o::keep_alive)));
+  if (*goes_on)
+    (void)(*live)->run_until(Clock::now() + Live::seconds(arguments.real(o::keep_alive)));
   return {};
 }
 

@@ -64,8 +64,8 @@ void GroupWaitable::ring_from_guard() noexcept {
 
 void GroupWaitable::add_to_wait_set(WaitSet wait_set) {
   if (prepare()) tell();
-  const rcl_ret_t added =
-      rcl_wait_set_add_guard_condition(address_of(wait_set), &guard_.get_rcl_guard_condition(), nullptr);
+  const rcl_ret_t added = rcl_wait_set_add_guard_condition(
+      address_of(wait_set), &guard_.get_rcl_guard_condition(), nullptr);
   if (added != RCL_RET_OK)
     rclcpp::exceptions::throw_from_rcl_error(added, "adding agnocast's guard condition");
 }
