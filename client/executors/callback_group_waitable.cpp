@@ -3,7 +3,6 @@
 #include <agnocast/callback_group_waitable.hpp>
 
 #include <client/executors/executor_state.hpp>
-#include <client/process/thread_register.hpp>
 
 namespace agnocast {
 
@@ -40,9 +39,5 @@ std::size_t CallbackGroupWaitable::ready_count() const noexcept {
 }
 
 bool CallbackGroupWaitable::run_one() { return !is_forked_child() && state_->core->run_oldest(); }
-
-void CallbackGroupWaitable::count_this_thread() const noexcept {
-  ThreadRegister::note(state_->core->number());
-}
 
 }  // namespace agnocast

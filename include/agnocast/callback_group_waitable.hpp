@@ -40,9 +40,6 @@ class AGNOCAST_PUBLIC CallbackGroupWaitable {
   /// group is busy. Throws what the callback throws, and Error (shut_down) if it has returned in a
   /// forked child.
   bool run_one();
-  /// Thread rules of agnocastd (docs/agnocastd.md) then apply to the calling thread as to one that
-  /// runs the group, which run_one() does as well. For a thread that only wakes those.
-  void count_this_thread() const noexcept;
 
  private:
   struct State;

@@ -57,11 +57,6 @@ void GroupWaitable::ring() noexcept {
   if (prepare()) tell();
 }
 
-void GroupWaitable::ring_from_guard() noexcept {
-  callbacks_.count_this_thread();
-  ring();
-}
-
 void GroupWaitable::add_to_wait_set(WaitSet wait_set) {
   if (prepare()) tell();
   const rcl_ret_t added = rcl_wait_set_add_guard_condition(

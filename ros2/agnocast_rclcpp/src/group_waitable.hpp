@@ -47,11 +47,11 @@ class GroupWaitable final : public rclcpp::Waitable {
   static std::shared_ptr<GroupWaitable> make(const rclcpp::Context::SharedPtr& context,
                                              agnocast::CallbackGroup& group);
   GroupWaitable(const rclcpp::Context::SharedPtr& context, agnocast::CallbackGroup& group);
-  /// Ends ring_from_guard().
+  /// Ends ring().
   void leave() noexcept;
 
   /// Called by GuardThread when the descriptor is readable.
-  void ring_from_guard() noexcept;
+  void ring() noexcept;
 
   std::size_t get_number_of_ready_guard_conditions() override { return 1; }
   void add_to_wait_set(WaitSet wait_set) override;
@@ -66,10 +66,7 @@ class GroupWaitable final : public rclcpp::Waitable {
   bool take_turn() noexcept { return turns_.fetch_sub(1, std::memory_order_relaxed) > 0; }
 
  private:
-  /// Triggers the guard condition, or calls on_ready_, if there is something to do; otherwise
-  /// ring_from_guard() comes later.
-  void ring() noexcept;
-  /// Returns true if there is something to do; otherwise ring_from_guard() comes later.
+  /// Returns true if there is something to do; otherwise ring() comes later.
   bool prepare() noexcept;
   void tell() noexcept;
   /// Returns whether the context was shut down; then no callback begins.

@@ -128,7 +128,7 @@ void GuardThread::ring_one(std::uint64_t number) noexcept {
     const auto found = waitables_.find(number);
     if (found != waitables_.end()) waitable = found->second.lock();
   }
-  if (waitable != nullptr) waitable->ring_from_guard();
+  if (waitable != nullptr) waitable->ring();
 }
 
 void GuardThread::ring_all() noexcept {

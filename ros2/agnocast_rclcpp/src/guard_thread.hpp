@@ -32,8 +32,8 @@ class GuardThread {
 
   /// Returns a number for the other functions.
   std::uint64_t next_number() noexcept;
-  /// From the next arm() on, calls ring_from_guard() of the waitable once when `fd` is readable,
-  /// and at times by itself. Throws std::system_error.
+  /// From the next arm() on, calls ring() of the waitable once when `fd` is readable, and at times
+  /// by itself. Throws std::system_error.
   void add(std::uint64_t number, const std::shared_ptr<GroupWaitable>& waitable, int fd);
   void arm(std::uint64_t number, int fd) noexcept;
   void remove(std::uint64_t number, int fd) noexcept;
