@@ -56,7 +56,8 @@ endif()
 # agnocast_compile_by_rooms(TARGET): compiles the sources of each directory together. Reading headers
 # and making templates takes most of the time of a compiler, so this saves two thirds of it. Names in
 # anonymous namespaces must be unique within a directory; agnocast_compile_alone() takes sources out.
-# It hides a missing #include; scripts/check --tidy and scripts/test --full compile sources alone.
+# It hides a missing #include; scripts/check --tidy and scripts/test --full compile the product's
+# sources alone.
 function(agnocast_compile_by_rooms target)
   get_target_property(sources ${target} SOURCES)
   get_property(alone GLOBAL PROPERTY agnocast_compile_alone)

@@ -12,6 +12,7 @@
 #include <memory>
 #include <mutex>
 #include <string>
+#include <system_error>
 #include <utility>
 
 namespace agnocast_rclcpp {
@@ -91,7 +92,7 @@ agnocast::Result<void> refuse_other_domain(const rclcpp::Context& context) {
       agnocast::failure_with(agnocast::Errc::invalid_argument, words.c_str()));
 }
 
-/// Throws agnocast::Error (os_failure) and what rclcpp throws.
+/// Throws agnocast::Error (os_failure), std::system_error and what rclcpp throws.
 agnocast::CallbackGroup::SharedPtr share_group(const NodeBase::SharedPtr& node,
                                                const NodeWaitables::SharedPtr& waitables,
                                                const rclcpp::CallbackGroup::SharedPtr& group) {
@@ -131,16 +132,21 @@ agnocast::CallbackGroup::SharedPtr share_group(const NodeBase::SharedPtr& node,
 agnocast::Result<agnocast::CallbackGroup::SharedPtr> adapt_group(
     const NodeBase::SharedPtr& node, const NodeWaitables::SharedPtr& waitables,
     rclcpp::CallbackGroup::SharedPtr group) {
-  if (!GuardThread::instance().is_here())
-    return tl::unexpected<agnocast::Failure>(
-        agnocast::Failure{agnocast::Errc::shut_down, 0, "this is a forked child"});
+  // Throws as rclcpp does, also for a group that has endpoints already.
+  if (!node->get_context()->is_valid()) rclcpp::GuardCondition after_shutdown(node->get_context());
   if (const auto refused = refuse_other_domain(*node->get_context()); !refused)
     return tl::unexpected<agnocast::Failure>(refused.error());
   if (group == nullptr) group = node->get_default_callback_group();
   try {
+    if (!GuardThread::instance().is_here())
+      return tl::unexpected<agnocast::Failure>(
+          agnocast::Failure{agnocast::Errc::shut_down, 0, "this is a forked child"});
     return share_group(node, waitables, group);
   } catch (const agnocast::Error& error) {
     return tl::unexpected<agnocast::Failure>(error.failure());
+  } catch (const std::system_error& error) {
+    return tl::unexpected<agnocast::Failure>(agnocast::Failure{
+        agnocast::Errc::os_failure, error.code().value(), "adapting a callback group"});
   }
 }
 

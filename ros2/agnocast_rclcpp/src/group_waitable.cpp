@@ -58,6 +58,7 @@ void GroupWaitable::ring() noexcept {
 }
 
 void GroupWaitable::add_to_wait_set(WaitSet wait_set) {
+  is_counted_.store(false, std::memory_order_relaxed);
   if (prepare()) tell();
   const rcl_ret_t added = rcl_wait_set_add_guard_condition(
       address_of(wait_set), &guard_.get_rcl_guard_condition(), nullptr);
@@ -65,10 +66,12 @@ void GroupWaitable::add_to_wait_set(WaitSet wait_set) {
     rclcpp::exceptions::throw_from_rcl_error(added, "adding agnocast's guard condition");
 }
 
-bool GroupWaitable::is_ready(ReadyWaitSet) {
-  const std::size_t count = is_over() ? 0 : callbacks_.ready_count();
-  turns_.store(static_cast<std::int64_t>(count) - 1, std::memory_order_relaxed);
-  return count != 0;
+bool GroupWaitable::take_turn() noexcept {
+  if (!is_counted_.exchange(true, std::memory_order_relaxed)) {
+    const std::size_t count = is_over() ? 0 : callbacks_.ready_count();
+    turns_.store(static_cast<std::int64_t>(count), std::memory_order_relaxed);
+  }
+  return turns_.fetch_sub(1, std::memory_order_relaxed) > 0;
 }
 
 void GroupWaitable::execute(WaitableData) {
@@ -76,6 +79,7 @@ void GroupWaitable::execute(WaitableData) {
   struct Telling {
     GroupWaitable& self;
     ~Telling() {
+      if (!GuardThread::instance().is_here()) return;  // a thread of the parent may have the mutex
       bool has_events_executor = false;
       {
         const std::lock_guard lock(self.mutex_);

@@ -55,15 +55,16 @@ class GroupWaitable final : public rclcpp::Waitable {
 
   std::size_t get_number_of_ready_guard_conditions() override { return 1; }
   void add_to_wait_set(WaitSet wait_set) override;
-  bool is_ready(ReadyWaitSet wait_set) override;
+  bool is_ready(ReadyWaitSet) override { return take_turn(); }
   std::shared_ptr<void> take_data() override { return nullptr; }
   std::shared_ptr<void> take_data_by_entity_id(std::size_t) override { return nullptr; }
   void execute(WaitableData data) override;
   void set_on_ready_callback(std::function<void(std::size_t, int)> callback) override;
   void clear_on_ready_callback() override;
 
-  /// Returns whether a callback is left of those that could begin when is_ready() looked.
-  bool take_turn() noexcept { return turns_.fetch_sub(1, std::memory_order_relaxed) > 0; }
+  /// Returns whether a callback is left of those that could begin when the first one asked after
+  /// the wait; this one or a GroupTurn, as the executor orders them.
+  bool take_turn() noexcept;
 
  private:
   /// Returns true if there is something to do; otherwise ring() comes later.
@@ -76,6 +77,7 @@ class GroupWaitable final : public rclcpp::Waitable {
   agnocast::CallbackGroupWaitable callbacks_;
   rclcpp::GuardCondition guard_;
   const std::uint64_t number_;  // of GuardThread, which may ring as soon as it knows the group
+  std::atomic<bool> is_counted_{false};
   std::atomic<std::int64_t> turns_{0};
   std::mutex mutex_;
   std::function<void(std::size_t, int)> on_ready_;  // of an events executor

@@ -333,6 +333,7 @@ TEST_F(EndpointsTest, AnotherDomainThanTheProcessIsRefused) {
 }
 
 TEST_F(EndpointsTest, NothingIsCreatedAfterShutdown) {
+  const auto before = agnocast::create_publisher<String>(node_, "before", 10);
   (void)rclcpp::shutdown();
   EXPECT_THROW(agnocast::create_publisher<String>(node_, "topic", 10),
                rclcpp::exceptions::RCLErrorBase);

@@ -146,7 +146,7 @@ TEST_P(WakeupsTest, NoneIsLostOrDoubled) {
     EXPECT_GE(daemons, wanted_wakeups() / 5'000);
   }
   // A daemon that starts and a busy machine may delay a few.
-  EXPECT_LE(late, daemons + wanted_wakeups() / 1'000);
+  EXPECT_LE(late, daemons);
   EXPECT_EQ(doubled, 0u);
   EXPECT_EQ(skipped, 0u);
   EXPECT_EQ(heard, wanted_wakeups());
@@ -186,7 +186,7 @@ TEST_F(RclcppTest, AnIdleNodeSleeps) {
   std::cout << "processor time of " << while_idle.count() << " idle seconds: " << without
             << " s with rclcpp alone, " << with << " s with a subscription of agnocast\n";
   // A loop that does not sleep takes all of them.
-  EXPECT_LT(with, without + std::chrono::duration<double>(while_idle).count() / 10);
+  EXPECT_LT(with, without + std::chrono::duration<double>(while_idle).count() / 100);
 }
 
 }  // namespace

@@ -49,13 +49,6 @@ void report_state(agnocast::ConnectionState state, agnocast::Errc reason) noexce
 }
 void report_connection(agnocast::ConnectionInfo& info) { report_state(info.state, info.reason); }
 
-/// A queue of the user is often as long as that of the subscription. Large quotas of many
-/// subscriptions could take all 2048 slots of a publisher together.
-std::size_t hold_quota_for(const agnocast::SubscriptionOptions& options, const rclcpp::QoS& qos) {
-  if (options.hold_quota != 0) return options.hold_quota;
-  return std::clamp<std::size_t>(qos.get_rmw_qos_profile().depth, 64, 512);
-}
-
 using Groups = std::set<rclcpp::CallbackGroup::SharedPtr>;
 using WeakNode = rclcpp::node_interfaces::NodeBaseInterface::WeakPtr;
 
@@ -103,7 +96,7 @@ agnocast_rclcpp::SubscriptionOptions translate(const agnocast::SubscriptionOptio
   ros.ignore_local_publications = options.ignore_local_publications;
   ros.qos_overriding_options = options.qos_overriding_options;
   agnocast_rclcpp::SubscriptionOptions translated(ros);
-  translated.own.hold_quota_or_less(hold_quota_for(options, qos));
+  if (options.hold_quota != 0) translated.own.hold_quota_or_less(options.hold_quota);
   translated.own.connection_callback(report_connection);
   return translated;
 }
