@@ -57,7 +57,7 @@ ExecutorCore::~ExecutorCore() { ThreadRegister::instance().remove_executor(numbe
 
 // --- groups and their doorbells
 
-Result<void> ExecutorCore::adopt(std::shared_ptr<GroupCallbacks> group) {
+Result<void> ExecutorCore::adopt(const std::shared_ptr<GroupCallbacks>& group) {
   const std::lock_guard lock(mutex_);
   assigned_.reserve(assigned_.size() + 1);
   std::shared_ptr<WaitSet> wait_set = group->wait_set();

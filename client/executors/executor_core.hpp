@@ -74,7 +74,7 @@ class ExecutorCore {
   // --- any thread
 
   /// Takes over the callbacks of this group. Errors: os_failure.
-  [[nodiscard]] Result<void> adopt(std::shared_ptr<GroupCallbacks> group);
+  [[nodiscard]] Result<void> adopt(const std::shared_ptr<GroupCallbacks>& group);
   /// Begins to listen for a group that it has, in place of another wait set. Errors: os_failure.
   [[nodiscard]] Result<void> listen(const GroupCallbacks& group, std::shared_ptr<WaitSet> wait_set);
   /// Releases its doorbells; nobody runs the group then. Does nothing if it is not here.

@@ -18,7 +18,8 @@ void GroupCallbacks::add(std::shared_ptr<CallbackSource> source) {
   if (executor_ != nullptr) executor_->wake();
 }
 
-void GroupCallbacks::remove(CallbackSource& source, std::shared_ptr<const void> group) noexcept {
+void GroupCallbacks::remove(CallbackSource& source,
+                            const std::shared_ptr<const void>& group) noexcept {
   if (is_forked_child()) return;         // the lock may belong to the parent
   std::shared_ptr<CallbackSource> last;  // destroyed after unlocking: it may own the callback
   std::unique_lock lock(mutex_);

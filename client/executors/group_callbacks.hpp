@@ -81,7 +81,7 @@ class GroupCallbacks {
   /// that wait would never end: the callback waits for this thread (callback_waits.hpp), or this
   /// thread is inside exit() and has waited long enough. `group` lives until every callback that
   /// still runs then has ended, so that endpoints that it creates next have the same executor.
-  void remove(CallbackSource& source, std::shared_ptr<const void> group) noexcept;
+  void remove(CallbackSource& source, const std::shared_ptr<const void>& group) noexcept;
 
   /// Null: not yet needed. Set once.
   std::shared_ptr<WaitSet> wait_set() const noexcept {

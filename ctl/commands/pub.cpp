@@ -95,17 +95,19 @@ class Sender {
   }
 
  private:
+  PublishResult publish_one(const ReadMessage& message) {
+    GenericLoan loan = publisher_.borrow_loaned_message();
+    type_.assign(message.message.get(), loan.get());
+    return publisher_.publish(std::move(loan));
+  }
   Outcome<bool> send(const ReadMessage& message) {
     message.set_times(wall_time_ns());
     for (;;) {
-      GenericLoan loan = publisher_.borrow_loaned_message();
-      type_.assign(message.message.get(), loan.get());
-      const PublishResult result = publisher_.publish(std::move(loan));
+      const PublishResult result = publish_one(message);
       if (result) return true;
       if (result.code != Errc::would_block && result.code != Errc::no_slot)
         return problem_of({result.code, 0, "", 0}, publisher_.get_topic_name());
       // The readers have not released enough messages yet.
-      loan.reset();
       if (!live_.run_until(Clock::now() + std::chrono::milliseconds(1))) return false;
     }
   }
