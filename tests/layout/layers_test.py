@@ -55,6 +55,7 @@ class Layers(unittest.TestCase):
 
     def test_a_folder_without_a_row(self):
         self.assertIn("no room", self.found({"daemon/other/a.cpp": ""})[0])
+        self.assertIn("this one is not", self.found({"ctl/other/a.cpp": ""})[0])
 
     def test_a_row_that_points_upward(self):
         def upward(text):
