@@ -22,6 +22,8 @@
 
 namespace agnocast::bench {
 
+inline constexpr std::size_t kib = 1024, mib = 1024 * kib;  ///< bytes
+
 /// The requested run; a case has its own defaults for everything else.
 struct Run {
   std::optional<std::size_t> rounds = {};

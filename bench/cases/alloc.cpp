@@ -250,7 +250,6 @@ struct Work {
     return what == std::string_view("live") || what == std::string_view("written");
   }
 };
-constexpr std::size_t kib = 1024, mib = 1024 * kib;
 const std::vector<Work> works{
     {"pairs", 64, "64 B, allocated and freed", 1'000'000, {1, 2, 4, 8}},
     {"live", small_max, "16 B - 1 KiB, 1000 live", 500'000, {1, 2, 4, 8}},
@@ -307,7 +306,7 @@ std::vector<Heap> make_heaps(Report& report) {
 using HeapTimes = std::map<std::string, std::vector<double>>;  // of each round
 
 // Ratios of the first to the second; pairs with a missing heap are left out.
-constexpr std::pair<const char*, const char*> compared[] = {
+constexpr std::pair<const char*, const char*> compared_heaps[] = {
     {"shared", "private"}, {"shared", "jemalloc"}, {"shared", "libc"}, {"outside", "libc"}};
 
 class Rows {
@@ -316,7 +315,7 @@ class Rows {
       : heaps_(heaps), report_(report), rounds_(rounds) {
     std::string head = text("\n%-31s %7s", "ns each", "threads");
     for (const Heap& heap : heaps_) head += text(" %9s %5s", heap.name.c_str(), "CV");
-    for (const auto& [one, other] : compared) {
+    for (const auto& [one, other] : compared_heaps) {
       if (has(other)) head += text(" %16s", (std::string(one) + "/" + other).c_str());
     }
     report_.say(head);
@@ -337,7 +336,7 @@ class Rows {
                             {"p50_ns", median(ns)},
                             {"variation", variation(ns)}};
     }
-    for (const auto& [one, other] : compared) {
+    for (const auto& [one, other] : compared_heaps) {
       if (!has(other)) continue;
       std::vector<double> ratios;
       for (std::size_t i = 0; i < rounds_; ++i)

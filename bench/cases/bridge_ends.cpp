@@ -40,7 +40,7 @@ int fail(const std::string& why) {
   return 1;
 }
 
-int be_sender(const std::vector<std::string>&) {
+int be_bridge_sender(const std::vector<std::string>&) {
   std::string why;
   const auto native = demo::DdsWriter::make("rt/native", why);
   const auto inward = demo::DdsWriter::make("rt/in", why);
@@ -102,7 +102,7 @@ class Inbox {
   bool is_intact_ = true;
 };
 
-int be_receiver(const std::vector<std::string>&) {
+int be_bridge_receiver(const std::vector<std::string>&) {
   static Inbox inbox;
   std::string why;
   const auto reader_of = [&why](const char* road, const char* topic) {
@@ -135,8 +135,8 @@ int be_receiver(const std::vector<std::string>&) {
   std::_Exit(0);  // callbacks may still run
 }
 
-const RegisterRole sender("bridge-sender", be_sender);
-const RegisterRole receiver("bridge-receiver", be_receiver);
+const RegisterRole sender("bridge-sender", be_bridge_sender);
+const RegisterRole receiver("bridge-receiver", be_bridge_receiver);
 
 }  // namespace
 }  // namespace agnocast::bench

@@ -28,7 +28,6 @@
 namespace agnocast::bench {
 namespace {
 
-constexpr std::size_t kib = 1024;
 constexpr double asleep_bound = 1, awake_bound = 8;
 
 class Fanout {

@@ -32,7 +32,6 @@ namespace {
 
 constexpr std::string_view floor_name = "floor-futex", ours = "agnocast-executor",
                            spinning = "agnocast-spinning", taking = "agnocast-take";
-constexpr std::size_t kib = 1024, mib = kib * 1024;
 constexpr std::uint32_t nobody = 65534;
 constexpr std::size_t rounds = 7;
 constexpr double quotient_bound = 1.10;

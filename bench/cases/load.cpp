@@ -17,7 +17,7 @@
 namespace agnocast::bench {
 namespace {
 
-constexpr std::string_view floor_name = "floor-futex";
+constexpr std::string_view futex_floor = "floor-futex";
 
 bool is_ours(const System& system) { return system.name.starts_with("agnocast"); }
 
@@ -62,12 +62,12 @@ void aim_beside_peers(const Comparison& comparison, const std::string& where, Ai
   }
 }
 
-std::vector<const System*> compared(const Run& run, Services& services) {
+std::vector<const System*> systems_of(const Run& run, Services& services) {
   std::vector<std::string_view> names;
   for (const System& system : systems()) {
     if (!run.systems.empty() || is_ours(system) || is_peer(system)) names.push_back(system.name);
   }
-  return chosen(run, names, floor_name, services);
+  return chosen(run, names, futex_floor, services);
 }
 
 /// A judged p99 needs many samples: 42 of 4,200 are beyond it.
@@ -90,7 +90,7 @@ void run_load(const Run& run, Report& report) {
       run.sizes.empty() ? std::vector<std::size_t>{100 * 1024} : run.sizes;
   const std::size_t rounds = run.rounds.value_or(run.is_small ? 1 : 7);
   Services services;
-  const std::vector<const System*> all = compared(run, services);
+  const std::vector<const System*> all = systems_of(run, services);
   Aims aims(run);
   Steps steps(report, sizes.size() * levels.size() * rounds * all.size());
   for (const std::size_t bytes : sizes) {
@@ -108,7 +108,7 @@ void run_load(const Run& run, Report& report) {
       report.say("\n" + where + ", every " + digits(static_cast<double>(plan.period_ns) / 1e6) +
                  " ms, " + std::to_string(rounds) + " x " + std::to_string(plan.messages) +
                  " messages");
-      tell(result, floor_name, {{"load_percent", level}}, report);
+      tell(result, futex_floor, {{"load_percent", level}}, report);
       report.add(Plot{.name = "load-" + std::to_string(level) + "-" + std::to_string(bytes),
                       .kind = "violins",
                       .title = where + ": from publish to the message in hand",

@@ -26,8 +26,7 @@
 namespace agnocast::bench {
 namespace {
 
-constexpr std::string_view floor_name = "agnocast-executor", adapter = "agnocast-rclcpp";
-constexpr std::size_t kib = 1024, mib = kib * 1024;
+constexpr std::string_view ros2_floor = "agnocast-executor", adapter = "agnocast-rclcpp";
 constexpr std::size_t rounds = 7, messages = 200;
 
 class Ros2 {
@@ -68,7 +67,7 @@ class Ros2 {
                             .systems = compared(),
                             .plans = {},
                             .rounds = wishes_.rounds(rounds),
-                            .floor = floor_name,
+                            .floor = ros2_floor,
                             .extra = {{"part", part}, {"built_with", versions}}};
     for (const std::size_t bytes : sizes)
       measurement.plans.push_back(
@@ -80,7 +79,7 @@ class Ros2 {
     std::vector<const System*> all;
     const std::vector<std::string>& named = run_.systems;
     for (const System& system : ros2::systems()) {
-      if (system.name == floor_name || named.empty() ||
+      if (system.name == ros2_floor || named.empty() ||
           std::find(named.begin(), named.end(), system.name) != named.end())
         all.push_back(&system);
     }
@@ -148,7 +147,7 @@ const std::vector<System>& ros2::systems() {
   static const std::vector<System> all = [] {
     std::vector<System> made;
     for (const System& system : bench::systems()) {
-      if (system.name == floor_name) made.push_back(system);
+      if (system.name == ros2_floor) made.push_back(system);
     }
     for (const System& system : ros2_systems()) made.push_back(system);
     return made;

@@ -49,7 +49,7 @@ const System& find(std::string_view name) {
 
 namespace {
 
-constexpr std::string_view floor_name = "floor-futex";
+constexpr std::string_view rate_floor = "floor-futex";
 constexpr double aim = 3;  // times the comparable system of iceoryx
 
 /// One table: all systems under the same conditions.
@@ -120,8 +120,8 @@ std::vector<double> ratios(const std::vector<double>& rates, const std::vector<d
 
 void tell(const Setting& setting, const Rates& rates, Report& report) {
   const auto bytes = static_cast<double>(setting.bytes);
-  const auto floor = rates.find(floor_name);
-  Table table({"system", "messages/s", "MB/s", "CV", "x " + std::string(floor_name)});
+  const auto floor = rates.find(rate_floor);
+  Table table({"system", "messages/s", "MB/s", "CV", "x " + std::string(rate_floor)});
   for (const System& system : systems()) {
     const auto found = rates.find(system.name);
     if (found == rates.end()) continue;
@@ -135,7 +135,7 @@ void tell(const Setting& setting, const Rates& rates, Report& report) {
     };
     if (floor != rates.end()) {
       result["ratio_to_floor"] = median(ratios(own, floor->second));
-      result["floor"] = floor_name;
+      result["floor"] = rate_floor;
     }
     table.add({std::string(system.name), digits(rate), digits(rate * bytes / 1e6),
                digits(variation(own)),
@@ -186,7 +186,7 @@ std::vector<const System*> chosen(const Run& run, Services& services) {
   std::vector<const System*> all;
   for (const System& system : systems()) {
     const bool is_wanted =
-        run.systems.empty() || system.name == floor_name ||
+        run.systems.empty() || system.name == rate_floor ||
         std::find(run.systems.begin(), run.systems.end(), system.name) != run.systems.end();
     if (is_wanted && services.has(system.service)) all.push_back(&system);
   }

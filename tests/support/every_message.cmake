@@ -2,7 +2,7 @@
 # of their packages. Missing if a package is not found. Typed endpoints take half a second per type
 # to compile. The packages of every_kind have every kind of member, in messages, services and
 # actions; the other types are tested by name.
-set(every_kind sensor_msgs test_msgs agnocast_test_msgs)
+set(every_kind test_msgs agnocast_test_msgs)
 foreach(part every_kind rest)
   set(${part}_includes "")
   set(${part}_visits "")

@@ -130,10 +130,11 @@ TEST_F(HostileDds, MalformedPayloadsOfEveryTypeAreCountedAndNothingElse) {
   } kinds[] = {{"_s", string_type},
                {"_c", dds_type_name<sensor_msgs::msg::PointCloud2>()},
                {"_m", dds_type_name<visualization_msgs::msg::MarkerArray>()}};
-  for (const auto& [suffix, type] : kinds) {
+  for (const auto& kind : kinds) {
+    const std::string suffix = kind.suffix;
     // Repeated, since the bridge may discover the writer after its first payloads.
     EXPECT_TRUE(other_.eventually([&] {
-      const std::string sent = ask("malform " + dds_topic() + suffix + " " + type);
+      const std::string sent = ask("malform " + dds_topic() + suffix + " " + kind.type);
       return sent.starts_with("sent ") && std::stoul(sent.substr(5)) > 200 &&
              malformed(topic() + suffix) >= std::stoul(sent.substr(5));
     })) << malformed(topic() + suffix);
