@@ -39,6 +39,18 @@ class GuardThread {
   void remove(std::uint64_t number, int fd) noexcept;
 
  private:
+  /// Closes what it has, which happens only where the constructor of GuardThread fails.
+  class Descriptor {
+   public:
+    explicit Descriptor(int fd) noexcept : fd_(fd) {}
+    Descriptor(const Descriptor&) = delete;
+    ~Descriptor() { ::close(fd_); }
+    operator int() const noexcept { return fd_; }
+
+   private:
+    const int fd_;
+  };
+
   GuardThread();
   void run() noexcept;
   void ring_one(std::uint64_t number) noexcept;
@@ -46,7 +58,7 @@ class GuardThread {
   void end() noexcept;
 
   const pid_t owner_ = ::getpid();
-  int epoll_, ended_;
+  const Descriptor epoll_, ended_;
   std::atomic<bool> is_over_{false};
   std::atomic<bool> has_lost_descriptor_{false};  // the program has closed one
   std::mutex mutex_;

@@ -79,6 +79,13 @@ agnocast::SubscriptionOptions translate(const SubscriptionOptions& options,
   return translated;
 }
 
+void warn_of_policies(unsigned unserved, const std::string& topic, const rclcpp::Logger& logger) {
+  using agnocast::QoS;
+  warn_of((unserved & QoS::deadline) != 0, "the QoS policy deadline", topic, logger);
+  warn_of((unserved & QoS::lifespan) != 0, "the QoS policy lifespan", topic, logger);
+  warn_of((unserved & QoS::liveliness) != 0, "the QoS policy liveliness", topic, logger);
+}
+
 void allow_queue(agnocast::SubscriptionOptions& options, std::size_t length) {
   // Many large quotas could take all slots of a publisher together (maximum_slot_count).
   constexpr std::size_t quota_max = 512;

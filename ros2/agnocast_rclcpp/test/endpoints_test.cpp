@@ -264,6 +264,23 @@ TEST_F(EndpointsTest, WhatHasNoEffectIsToldWhereverItIsEnabled) {
             "collecting topic statistics has no effect on '/space/on', which agnocast serves\n");
 }
 
+TEST_F(EndpointsTest, PoliciesWithoutEffectAreTold) {
+  const Warnings warnings;
+  using namespace std::chrono_literals;
+  const auto forever = rclcpp::Duration::from_nanoseconds(INT64_MAX);
+  (void)agnocast::create_publisher<String>(node_, "quiet", rclcpp::QoS(1).deadline(forever));
+  (void)agnocast::create_publisher<String>(node_, "quiet", rmw_qos_profile_sensor_data);
+  (void)agnocast::create_publisher<String>(node_, "late", rclcpp::QoS(1).deadline(1s));
+  (void)agnocast::create_publisher<String>(node_, "old", rclcpp::QoS(1).lifespan(1s));
+  rmw_qos_profile_t profile = rmw_qos_profile_default;
+  profile.liveliness_lease_duration = {1, 0};
+  (void)agnocast::create_subscription<String>(node_, "alive", profile, [](const Message&) {});
+  EXPECT_EQ(warnings.lines(),
+            "the QoS policy deadline has no effect on '/space/late', which agnocast serves\n"
+            "the QoS policy lifespan has no effect on '/space/old', which agnocast serves\n"
+            "the QoS policy liveliness has no effect on '/space/alive', which agnocast serves\n");
+}
+
 TEST_F(EndpointsTest, GroupsOfOthersAreRefused) {
   const auto other = std::make_shared<rclcpp::Node>("other");
   rclcpp::SubscriptionOptions options;

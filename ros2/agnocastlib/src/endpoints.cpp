@@ -18,24 +18,9 @@
 namespace agnocastlib {
 namespace {
 
-/// The same durations that rclcpp has by default, or "infinite".
-bool is_unset(const rmw_time_t& duration) noexcept {
-  return (duration.sec == 0 && duration.nsec == 0) || duration.sec >= 9'223'372'036;
-}
-
 void warn_of(bool given, const char* what, const std::string& topic, const rclcpp::Logger& logger) {
   if (given && !is_forked_child())
     RCLCPP_WARN(logger, "%s has no effect on '%s', which agnocast serves", what, topic.c_str());
-}
-
-void warn_of_policies(const rclcpp::QoS& qos, const std::string& topic,
-                      const rclcpp::Logger& logger) {
-  const rmw_qos_profile_t& profile = qos.get_rmw_qos_profile();
-  warn_of(!is_unset(profile.deadline), "the QoS policy deadline", topic, logger);
-  warn_of(!is_unset(profile.lifespan), "the QoS policy lifespan", topic, logger);
-  warn_of(profile.liveliness == RMW_QOS_POLICY_LIVELINESS_MANUAL_BY_TOPIC ||
-              !is_unset(profile.liveliness_lease_duration),
-          "the QoS policy liveliness", topic, logger);
 }
 
 /// One line a second is enough for the process, whatever its state and whoever notices.
@@ -76,10 +61,9 @@ Locals& locals() {
 }  // namespace
 
 agnocast_rclcpp::PublisherOptions translate(const agnocast::PublisherOptions& options,
-                                            const rclcpp::QoS& qos, const std::string& topic,
+                                            const std::string& topic,
                                             const rclcpp::Logger& logger) {
   warn_of(options.do_always_ros2_publish, "do_always_ros2_publish", topic, logger);
-  warn_of_policies(qos, topic, logger);
   rclcpp::PublisherOptions ros;
   ros.qos_overriding_options = options.qos_overriding_options;
   agnocast_rclcpp::PublisherOptions translated(ros);
@@ -87,10 +71,7 @@ agnocast_rclcpp::PublisherOptions translate(const agnocast::PublisherOptions& op
   return translated;
 }
 
-agnocast_rclcpp::SubscriptionOptions translate(const agnocast::SubscriptionOptions& options,
-                                               const rclcpp::QoS& qos, const std::string& topic,
-                                               const rclcpp::Logger& logger) {
-  warn_of_policies(qos, topic, logger);
+agnocast_rclcpp::SubscriptionOptions translate(const agnocast::SubscriptionOptions& options) {
   rclcpp::SubscriptionOptions ros;
   ros.callback_group = options.callback_group;
   ros.ignore_local_publications = options.ignore_local_publications;

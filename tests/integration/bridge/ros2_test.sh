@@ -2,11 +2,13 @@
 # SPDX-License-Identifier: Apache-2.0
 #
 # Goal: real ROS 2 nodes receive from ours and send to ours, and ROS's tools show ours under their
-# own names. Method: in a sourced ROS 2 workspace with rmw_cyclonedds and demo_nodes_cpp: its
+# own names; a node of rclcpp that uses agnocast is there once; ROS_LOCALHOST_ONLY means the same to
+# the bridge. Method: in a sourced ROS 2 workspace with rmw_cyclonedds and demo_nodes_cpp: its
 # command line and its demo nodes, our examples, the real daemon and bridge, in a domain of their
 # own on the loopback interface.
 #
 #   ros2_test.sh BUILD_DIRECTORY
+# RELAY_PREFIX: where the component of agnocast_rclcpp's tests is; without it, its part is left out.
 set -euo pipefail
 build=$1
 
@@ -32,6 +34,8 @@ shows() {
   fail "\"$*\" does not show \"$text\": $said"
 }
 
+start_talker() { start "$1" env LD_PRELOAD="$build/heaphook/libagnocast_heaphook.so" "$build/examples/talker" --rate 10; }
+
 export RMW_IMPLEMENTATION=rmw_cyclonedds_cpp ROS_DOMAIN_ID=$((20 + $$ % 70))
 export AGNOCAST_SOCKET=$dir/agnocastd.sock ROS2CLI_DISABLE_DAEMON=1
 export CYCLONEDDS_URI="<CycloneDDS><Domain id='any'><General><Interfaces><NetworkInterface name='lo' multicast='false'/></Interfaces>
@@ -42,7 +46,7 @@ for _ in $(seq 100); do [ -S "$AGNOCAST_SOCKET" ] && break; sleep 0.1; done
 start bridge "$build/bridge/agnocast-bridge"
 
 # Ours → ROS 2.
-start talker env LD_PRELOAD="$build/heaphook/libagnocast_heaphook.so" "$build/examples/talker" --rate 10
+start_talker talker
 shows /talker ros2 node list --no-daemon
 # While nobody reads it: its writer is announced.
 shows "/chatter [std_msgs/msg/String]" ros2 topic list --no-daemon -t
@@ -59,3 +63,30 @@ start demo "$(ros2 pkg prefix demo_nodes_cpp)/lib/demo_nodes_cpp/talker" --ros-a
 timeout 30 "$build/examples/listener" --topic from_ros --count 3 --verbose >"$dir/listener.log" 2>&1 || true
 grep -qF "I heard: 'Hello World: " "$dir/listener.log" || fail "our listener does not hear ROS's talker"
 echo "heard each other"
+
+# A node of rclcpp that uses agnocast: its own process announces it in DDS, and the bridge does not.
+if [ -n "${RELAY_PREFIX:-}" ]; then
+  export AMENT_PREFIX_PATH=$RELAY_PREFIX:$AMENT_PREFIX_PATH
+  start container "$(ros2 pkg prefix agnocast_rclcpp)/lib/agnocast_rclcpp/agnocast_component_container"
+  shows /ComponentManager ros2 node list --no-daemon
+  timeout 60 ros2 component load /ComponentManager agnocast_rclcpp_test_components agnocast_rclcpp::Relay \
+    >"$dir/load.log" 2>&1 || fail "the component is not loaded"
+  shows /in ros2 topic list --no-daemon
+  shows /out_ ros2 topic list --no-daemon
+  shows /relay ros2 node list --no-daemon
+  nodes=$(ros2 node list --no-daemon 2>&1)
+  [ "$(grep -c '^/relay$' <<<"$nodes")" = 1 ] || fail "/relay is not there once: $nodes"
+  case $nodes in *"share an exact name"*) fail "$nodes" ;; esac
+  out=$(ros2 topic list --no-daemon | grep -m 1 '^/out_')
+  start pub ros2 topic pub --rate 10 /in std_msgs/msg/String "data: relayed"
+  shows "data: relayed" ros2 topic echo --no-daemon --once "$out" std_msgs/msg/String
+  echo "the node of rclcpp is there once, and relays"
+fi
+
+# Nodes on the loopback device alone, whatever devices the host has.
+unset CYCLONEDDS_URI
+export ROS_LOCALHOST_ONLY=1 ROS_DOMAIN_ID=$((ROS_DOMAIN_ID + 1))
+start local_bridge "$build/bridge/agnocast-bridge"
+start_talker local_talker
+shows "data:" ros2 topic echo --no-daemon --once /chatter
+echo "heard by ROS_LOCALHOST_ONLY=1"

@@ -26,16 +26,20 @@ namespace agnocast_rclcpp {
 rclcpp::MessageInfo to_ros(const agnocast::MessageInfo& info);
 
 /// Applies overrides by parameters, which it declares, as rclcpp does: qos_overrides.<topic>.….
+/// Warns of policies that have no effect here.
 template <class Node, class EntityTraits>
-agnocast::QoS override_qos(Node& node, const std::string& topic,
-                           const rclcpp::QosOverridingOptions& options, const agnocast::QoS& qos,
-                           EntityTraits traits) {
-  if (options.get_policy_kinds().empty()) return qos;
-  rclcpp::QoS given(qos.depth());
-  if (qos.is_keep_all()) given.keep_all();
-  if (!qos.is_reliable()) given.best_effort();
-  if (qos.is_transient_local()) given.transient_local();
-  return rclcpp::detail::declare_qos_parameters(options, node, topic, given, traits);
+void override_qos(Node& node, const std::string& topic, const rclcpp::QosOverridingOptions& options,
+                  agnocast::QoS& qos, EntityTraits traits) {
+  unsigned unserved = qos.unserved();
+  if (!options.get_policy_kinds().empty()) {
+    rclcpp::QoS given(qos.depth());
+    if (qos.is_keep_all()) given.keep_all();
+    if (!qos.is_reliable()) given.best_effort();
+    if (qos.is_transient_local()) given.transient_local();
+    qos = rclcpp::detail::declare_qos_parameters(options, node, topic, given, traits);
+    unserved |= qos.unserved();
+  }
+  warn_of_policies(unserved, topic, node.get_logger());
 }
 
 }  // namespace agnocast_rclcpp
@@ -60,28 +64,25 @@ struct NodeAdapter<Node, std::enable_if_t<is_rclcpp_node<Node>>> {
   }
   static Result<core::SubscriptionOptions> options(Node& node, const EndpointName& name, QoS& qos,
                                                    const SubscriptionOptions& options) {
-    qos = agnocast_rclcpp::override_qos(node, name.topic, options.ros.qos_overriding_options, qos,
-                                        rclcpp::detail::SubscriptionQosParametersTraits());
+    auto adapted = group(node, options.ros.callback_group);
+    if (!adapted) return tl::unexpected<Failure>(adapted.error());
+    agnocast_rclcpp::override_qos(node, name.topic, options.ros.qos_overriding_options, qos,
+                                  rclcpp::detail::SubscriptionQosParametersTraits());
     auto translated = agnocast_rclcpp::translate(options, name.topic, node.get_logger(),
                                                  *node.get_node_base_interface());
     agnocast_rclcpp::allow_queue(translated, qos.depth());
-    return with_group(node, options.ros.callback_group, std::move(translated));
+    translated.callback_group(std::move(*adapted));
+    return translated;
   }
   static Result<core::PublisherOptions> options(Node& node, const EndpointName& name, QoS& qos,
                                                 const PublisherOptions& options) {
-    qos = agnocast_rclcpp::override_qos(node, name.topic, options.ros.qos_overriding_options, qos,
-                                        rclcpp::detail::PublisherQosParametersTraits());
-    return with_group(node, options.ros.callback_group,
-                      agnocast_rclcpp::translate(options, name.topic, node.get_logger()));
-  }
-
- private:
-  template <class Options>
-  static Result<Options> with_group(Node& node, const Group& named, Options options) {
-    auto adapted = group(node, named);
+    auto adapted = group(node, options.ros.callback_group);
     if (!adapted) return tl::unexpected<Failure>(adapted.error());
-    options.callback_group(std::move(*adapted));
-    return options;
+    agnocast_rclcpp::override_qos(node, name.topic, options.ros.qos_overriding_options, qos,
+                                  rclcpp::detail::PublisherQosParametersTraits());
+    auto translated = agnocast_rclcpp::translate(options, name.topic, node.get_logger());
+    translated.callback_group(std::move(*adapted));
+    return translated;
   }
 };
 

@@ -61,7 +61,7 @@ class Publisher : public core::Publisher<MessageT> {
                    const PublisherOptions& options) {
     agnocastlib::refuse_other_system();
     return *core::create_publisher<MessageT>(
-        *node, topic, qos, agnocastlib::translate(options, qos, topic, node->get_logger()));
+        *node, topic, qos, agnocastlib::translate(options, topic, node->get_logger()));
   }
 
   const rmw_gid_t gid_;

@@ -36,9 +36,8 @@ class Subscription : public core::Subscription<MessageT> {
                    const SubscriptionOptions& options) {
     agnocastlib::refuse_other_system();
     agnocastlib::keep_group(node->get_node_base_interface(), options.callback_group);
-    return *core::create_subscription<MessageT>(
-        *node, topic, qos, std::forward<Func>(callback),
-        agnocastlib::translate(options, qos, topic, node->get_logger()));
+    return *core::create_subscription<MessageT>(*node, topic, qos, std::forward<Func>(callback),
+                                                agnocastlib::translate(options));
   }
 
   agnocastlib::LocalSubscription local_;
@@ -80,8 +79,7 @@ class TakeSubscription : public core::Subscription<MessageT> {
                    const SubscriptionOptions& options) {
     agnocastlib::refuse_other_system();
     agnocastlib::keep_group(node->get_node_base_interface(), options.callback_group);
-    return *core::create_subscription<MessageT>(
-        *node, topic, qos, agnocastlib::translate(options, qos, topic, node->get_logger()));
+    return *core::create_subscription<MessageT>(*node, topic, qos, agnocastlib::translate(options));
   }
 
   std::mutex mutex_;

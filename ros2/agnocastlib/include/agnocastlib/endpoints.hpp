@@ -42,14 +42,11 @@ struct SubscriptionOptions {
 
 namespace agnocastlib {
 
-/// Return the options for the library below. Log what has no effect in the options and in `qos`;
+/// Return the options for the library below. The first logs what has no effect in the options;
 /// callback groups that are spun log later that the process has lost agnocastd.
 agnocast_rclcpp::PublisherOptions translate(const agnocast::PublisherOptions& options,
-                                            const rclcpp::QoS& qos, const std::string& topic,
-                                            const rclcpp::Logger& logger);
-agnocast_rclcpp::SubscriptionOptions translate(const agnocast::SubscriptionOptions& options,
-                                               const rclcpp::QoS& qos, const std::string& topic,
-                                               const rclcpp::Logger& logger);
+                                            const std::string& topic, const rclcpp::Logger& logger);
+agnocast_rclcpp::SubscriptionOptions translate(const agnocast::SubscriptionOptions& options);
 
 /// Logs that the process has lost agnocastd, at most once a second for the process.
 void report_lost_daemon() noexcept;
