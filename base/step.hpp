@@ -37,6 +37,10 @@ void crash_point(Step name) noexcept;
 #define AGNOCAST_STEP_NUMBER(name, text) name,
 #define AGNOCAST_STEP_CONSTANT(name, text) inline constexpr Step name{numbers::name};
 
+/// For templates over the memory policy M (base/memory/memory_policy.hpp). Names the following
+/// statement: the crash sweep may kill the process before it, the explorer may omit it.
+#define AGNOCAST_STEP(name) if (M::step(::agnocast::steps::name))
+
 /// For code that is no template over the memory policy: a place between two changes that other
 /// processes see. One name may stand in several places. Empty in a build without crash points.
 #ifdef AGNOCAST_CRASH_POINTS

@@ -75,7 +75,7 @@ class PublisherCore {
         history_(identity.qos.transient_local ? identity.qos.depth : 0),
         slots_(std::min<std::uint64_t>(identity.slot_count, M::slot_capacity)) {}
 
-  /// Commits one message. Calls ring(executor, armed) of `environment` for each wait set to ring,
+  /// Commits one message. Calls ring(wait_set, armed) of `environment` for each wait set to ring,
   /// and freed(slot, address) for each message to destroy. If it has commits(entry), that is called
   /// directly before the commit, when nothing can refuse the message any more. If it has
   /// scans_soon(), that is called after the rings and returns whether another thread is about to
@@ -129,19 +129,19 @@ class PublisherCore {
   }
 
   /// The control thread has mapped the client region of the subscription with this index and
-  /// generation. `executor` numbers the wait sets of this publisher (below subscription_capacity);
-  /// subscriptions that share an executor share the number. Rings once: a commit between the
+  /// generation. `wait_set` numbers the wait sets of this publisher (below subscription_capacity);
+  /// subscriptions that share a wait set share the number. Rings once: a commit between the
   /// endpoint's join and now could not ring it. The caller scans afterwards.
   template <class Environment>
   void attach(std::uint64_t index, std::uint64_t generation, typename M::Region region,
-              std::uint64_t extent, std::uint64_t armed_offset, std::uint64_t executor,
+              std::uint64_t extent, std::uint64_t armed_offset, std::uint64_t wait_set,
               Environment& environment) noexcept {
     Endpoint& endpoint = endpoints_[index];
-    endpoint.executor = executor;
+    endpoint.wait_set = wait_set;
     if (abi::generation_of(endpoint.word) != generation)
       end_withdrawal(index);  // of the previous generation
     // The number may have belonged to another wait set.
-    AGNOCAST_STEP(J7_rung) rung_[executor] = 0;
+    AGNOCAST_STEP(J7_rung) rung_[wait_set] = 0;
     AGNOCAST_STEP(J7_member) {
       endpoint.attached_generation = generation;
       endpoint.region = region;
@@ -150,7 +150,7 @@ class PublisherCore {
     }
     endpoint.limit = infinite;
     if (index >= endpoint_high_) endpoint_high_ = index + 1;
-    AGNOCAST_STEP(J7_ring) environment.ring(executor, 0);
+    AGNOCAST_STEP(J7_ring) environment.ring(wait_set, 0);
   }
   /// Call after attach(): limits what the endpoint may hold of this publisher, whatever the board
   /// allows it to hold of others.
@@ -201,7 +201,7 @@ class PublisherCore {
     end_withdrawal(index);
     endpoint.word = word;
     M::fence();  // so that the rung wait set sees the change
-    AGNOCAST_STEP(J7_ring) environment.ring(endpoint.executor, 0);
+    AGNOCAST_STEP(J7_ring) environment.ring(endpoint.wait_set, 0);
     return true;
   }
   abi::Withdrawal withdrawal(std::uint64_t index, std::uint64_t generation) const noexcept {
@@ -292,7 +292,7 @@ class PublisherCore {
     std::uint64_t attached_generation = 0;  // 0 = not mapped
     std::uint64_t extent = 0;
     std::uint64_t armed_offset = 0;
-    std::uint64_t executor = 0;
+    std::uint64_t wait_set = 0;
     std::uint64_t low = 0;           // of the last scan, for room_for_one_more
     std::uint64_t quota = 0;         // messages that it may hold at once
     std::uint64_t limit = infinite;  // likewise, of this publisher
@@ -424,10 +424,10 @@ class PublisherCore {
       // wait set or its re-check sees the commit.
       AGNOCAST_STEP(P8_armed)
       armed = M::word(endpoint.region, endpoint.armed_offset).load(std::memory_order_relaxed);
-      if (!M::holds(steps::P8_asleep, (armed & 1) != 0 && armed != rung_[endpoint.executor]))
+      if (!M::holds(steps::P8_asleep, (armed & 1) != 0 && armed != rung_[endpoint.wait_set]))
         continue;
-      AGNOCAST_STEP(P8_rung) rung_[endpoint.executor] = armed;
-      AGNOCAST_STEP(P8_ring) environment.ring(endpoint.executor, armed);
+      AGNOCAST_STEP(P8_rung) rung_[endpoint.wait_set] = armed;
+      AGNOCAST_STEP(P8_ring) environment.ring(endpoint.wait_set, armed);
     }
   }
 
@@ -584,7 +584,7 @@ class PublisherCore {
   Slots slots_;
   std::array<Endpoint, M::subscription_capacity> endpoints_{};
   std::array<std::uint64_t, M::subscription_capacity>
-      rung_{};  // per executor: the last sleep that was rung
+      rung_{};  // per wait set: the last sleep that was rung
 };
 
 }  // namespace agnocast::dataplane

@@ -29,7 +29,7 @@
   X(P7_match, "does the offer satisfy a subscription's request?")  \
   X(P7_window, "how much a new subscription can ask for")          \
   X(P7_slots, "load the present number of slots")                  \
-  X(P8_armed, "load an executor's sleep word")                     \
+  X(P8_armed, "load a wait set's sleep word")                      \
   X(P8_asleep, "is it asleep and not rung yet?")                   \
   X(P8_rung, "remember the generation rung")                       \
   X(P8_ring, "ring")                                               \
@@ -71,7 +71,7 @@
   X(J6_generation, "link line: generation")                        \
   X(J6_check, "is the publisher still the announced one?")         \
   X(J7_member, "remember the line of a newly mapped subscription") \
-  X(J7_rung, "forget the generation rung for this executor index") \
+  X(J7_rung, "forget the generation rung for this wait set index") \
   X(J7_ring, "ring a newly mapped subscription once")              \
   X(U1_generation, "unlink: generation")                           \
   X(U2_cursor, "unlink: cursor")

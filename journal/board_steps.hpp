@@ -22,7 +22,7 @@ struct SubscriptionDescriptor {
   std::uint64_t client = 0;
   std::uint64_t extent = 0;
   std::uint64_t quota = 0;
-  std::uint64_t executor = 0;
+  std::uint64_t wait_set = 0;
 };
 
 struct PublisherDescriptor {
@@ -54,8 +54,8 @@ class BoardSteps {
       topic_.subscription(index, offsetof(Entry, quota))
           .store(descriptor.quota, std::memory_order_relaxed);
       AGNOCAST_CRASH_POINT(B_board_field);
-      topic_.subscription(index, offsetof(Entry, executor))
-          .store(descriptor.executor, std::memory_order_relaxed);
+      topic_.subscription(index, offsetof(Entry, wait_set))
+          .store(descriptor.wait_set, std::memory_order_relaxed);
     }
     raise(topic_.subscription_high(), index + 1);
     AGNOCAST_STEP(J3_word)
@@ -94,7 +94,7 @@ class BoardSteps {
     AGNOCAST_STEP(J3_epoch) bump_epoch();
   }
 
-  /// Sets a subscription to leaving, revoked, dead or free; changes only the word.
+  /// Sets a subscription to leaving, dead or free; changes only the word.
   void set_subscription(std::uint64_t index, std::uint64_t generation,
                         abi::BoardState state) noexcept {
     AGNOCAST_STEP(D2_word)

@@ -69,7 +69,7 @@ enum class RemainsDecision : std::uint8_t { keep, free };
 namespace remains {
 // the subscription's word on the board · its region mapped by the publisher · its line · hold bit
 // · cursor
-inline constexpr std::uint8_t active = 1, leaving = 2, over = 4;  // over: dead, revoked or free
+inline constexpr std::uint8_t active = 1, leaving = 2, over = 4;  // over: dead or free
 inline constexpr std::uint8_t mapped = 1, unmapped = 2;
 inline constexpr std::uint8_t linked = 1, unlinked = 2;
 inline constexpr std::uint8_t held = 1, clear = 2;
@@ -140,7 +140,7 @@ enum class RequestDecision : std::uint8_t { carry_out, answer_as_before, say_don
 
 namespace request {
 // kind of request · asked · in the tables
-inline constexpr std::uint8_t create = 1, open_window = 2, open_executor = 4, leave = 8,
+inline constexpr std::uint8_t create = 1, open_window = 2, open_wait_set = 4, leave = 8,
                               drained = 16;
 inline constexpr std::uint8_t first = 1, again = 2;
 // done: carried out before; used: and a later request used the answer, so the client has read it
@@ -151,10 +151,10 @@ inline constexpr CaseRow<D, 3> rows[] = {
     {"@Q2", {create, first, done | used}, D::carry_out},
     {"@Q3", {create, again, done | used}, D::answer_as_before},
     {"@Q4", {open_window, any, done | used}, D::answer_as_before},
-    {"@Q5", {open_executor, again, done}, D::carry_out},
-    {"@Q6", {open_executor, again, used}, D::refuse},
+    {"@Q5", {open_wait_set, again, done}, D::carry_out},
+    {"@Q6", {open_wait_set, again, used}, D::refuse},
     {"@Q7", {leave | drained, again, done | used}, D::say_done},
-    {"@Q8", {open_executor | leave | drained, first, done | used}, D::refuse},
+    {"@Q8", {open_wait_set | leave | drained, first, done | used}, D::refuse},
 };
 }  // namespace request
 

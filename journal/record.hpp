@@ -22,7 +22,7 @@ namespace agnocast::journal {
   X(register_client, 1, "client generation uid gid pid domain registered_count")              \
   X(add_publisher, 2, "topic index generation client qos extent slot_count creation")         \
   X(add_subscription, 3,                                                                      \
-    "topic index generation client qos extent quota executor creation quota_of_others")       \
+    "topic index generation client qos extent quota wait_set creation quota_of_others")       \
   X(announced, 4, "topic index to kind generation client to_generation")                      \
   X(unlinked, 5, "topic index by kind generation client by_generation")                       \
   X(leave_publisher, 6, "topic index final_head generation client cause intent_count")        \
@@ -33,7 +33,7 @@ namespace agnocast::journal {
   X(client_end, 11, "client generation")                                                      \
   X(open_window, 12, "client window base bytes generation first")                             \
   X(add_topic, 15, "topic generation domain layout_hash")                                     \
-  X(open_executor, 16, "client executor generation")                                          \
+  X(open_wait_set, 16, "client wait_set generation")                                          \
   X(free_topic, 17, "topic generation")                                                       \
   X(raise_slots, 18, "topic index slot_count generation client")                              \
   X(client_forgotten, 19, "client generation")                                                \
@@ -49,7 +49,7 @@ namespace agnocast::journal {
   X(reader_served_again, 25,                                                                  \
     "topic index generation client uid pid subscription reader_generation reader reader_uid " \
     "reader_pid served_again_count")                                                          \
-  X(reader_mute, 26, "topic index generation client uid pid executor mute_count")
+  X(reader_mute, 26, "topic index generation client uid pid wait_set mute_count")
 
 enum class RecordType : std::uint32_t {
 #define AGNOCAST_RECORD_ENUMERATOR(name, number, arguments) name = number,

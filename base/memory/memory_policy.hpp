@@ -53,7 +53,3 @@ struct SharedMemory {
 };
 
 }  // namespace agnocast
-
-/// Names the following statement: the crash sweep may kill the process before it, the explorer
-/// may omit it.
-#define AGNOCAST_STEP(name) if (M::step(::agnocast::steps::name))

@@ -16,8 +16,8 @@ void reserve_one_more(std::vector<Entry>& entries) {
   if (entries.size() == entries.capacity()) entries.reserve(2 * entries.size() + 1);
 }
 
-constexpr std::uint64_t armed_offset(std::uint64_t executor) noexcept {
-  return offsetof(abi::ClientRegionHeader, executor) + executor * sizeof(abi::ExecutorLine);
+constexpr std::uint64_t armed_offset(std::uint64_t wait_set) noexcept {
+  return offsetof(abi::ClientRegionHeader, wait_set) + wait_set * sizeof(abi::WaitSetLine);
 }
 
 }  // namespace
@@ -113,22 +113,22 @@ void PublisherEndpoint::count_heap_exhausted() noexcept {
   count(offsetof(abi::PublisherEndpoint, refused_heap_exhausted), 1);
 }
 
-std::size_t PublisherEndpoint::executor_of(const Peer& peer, std::uint64_t executor,
-                                           PeerDoorbell doorbell) {
-  std::size_t free_place = executors_.size();
-  for (std::size_t i = 0; i < executors_.size(); ++i) {
-    Executor& known = executors_[i];
+std::size_t PublisherEndpoint::number_of(const Peer& peer, std::uint64_t wait_set,
+                                         PeerDoorbell doorbell) {
+  std::size_t free_place = wait_sets_.size();
+  for (std::size_t i = 0; i < wait_sets_.size(); ++i) {
+    PeerWaitSet& known = wait_sets_[i];
     if (known.users == 0) {
       free_place = std::min(free_place, i);
     } else if (known.client == peer.client() && known.client_generation == peer.generation() &&
-               known.executor == executor) {
+               known.wait_set == wait_set) {
       ++known.users;
       if (doorbell.sender) std::swap(known.doorbell, doorbell);
       return i;
     }
   }
-  if (free_place == executors_.size()) executors_.emplace_back();
-  executors_[free_place] = {peer.client(), peer.generation(), executor, 1, std::move(doorbell), 0,
+  if (free_place == wait_sets_.size()) wait_sets_.emplace_back();
+  wait_sets_[free_place] = {peer.client(), peer.generation(), wait_set, 1, std::move(doorbell), 0,
                             peer.region()};
   return free_place;
 }
@@ -142,15 +142,15 @@ bool PublisherEndpoint::attach(const Subscription& subscription, std::shared_ptr
   {
     const std::lock_guard lock(mutex_);
     reserve_one_more(attached_);
-    reserve_one_more(executors_);
+    reserve_one_more(wait_sets_);
   }
   in_control_thread([&](Work& work) {
     AGNOCAST_CRASH_POINT(C_attach);
-    const std::size_t executor = executor_of(*peer, subscription.executor, std::move(doorbell));
+    const std::size_t wait_set = number_of(*peer, subscription.wait_set, std::move(doorbell));
     core_->attach(subscription.index, subscription.generation, peer->region(), subscription.extent,
-                  armed_offset(subscription.executor), executor, work);
+                  armed_offset(subscription.wait_set), wait_set, work);
     core_->limit_holds(subscription.index, subscription.quota);
-    attached_.push_back({subscription.index, subscription.generation, subscription.extent, executor,
+    attached_.push_back({subscription.index, subscription.generation, subscription.extent, wait_set,
                          std::move(peer), subscription.owner});
     core_->scan(work);
   });
@@ -166,9 +166,9 @@ void PublisherEndpoint::replace_doorbell(const Subscription& subscription,
   for (const Attached& attached : attached_) {
     if (attached.index != subscription.index || attached.generation != subscription.generation)
       continue;
-    std::swap(executors_[attached.executor].doorbell, doorbell);
+    std::swap(wait_sets_[attached.wait_set].doorbell, doorbell);
     // A publish since the subscription fell asleep has rung the previous doorbell.
-    executors_[attached.executor].doorbell.sender.ring();
+    wait_sets_[attached.wait_set].doorbell.sender.ring();
     return;
   }
 }
@@ -216,7 +216,7 @@ void PublisherEndpoint::detach(std::uint64_t index, std::uint64_t generation) no
     core_->scan(work);  // sees that the endpoint is over while its line can still be read
     AGNOCAST_CRASH_POINT(C_detach);
     core_->detach(index, generation);
-    if (--executors_[found->executor].users == 0) executors_[found->executor] = {};
+    if (--wait_sets_[found->wait_set].users == 0) wait_sets_[found->wait_set] = {};
     ended_uses = std::move(found->peer);
     match = found->match;
     if (moved_ && match == Match::awaited) match = Match::ended;
@@ -248,20 +248,20 @@ std::vector<PublisherEndpoint::EndpointId> PublisherEndpoint::detach_all() {
     endpoints.push_back({attached.index, attached.generation});
   }
   ended_uses.swap(attached_);
-  executors_.clear();
+  wait_sets_.clear();
   return endpoints;
 }
 
 void PublisherEndpoint::run_errands() noexcept {
   note_links();
   in_control_thread([&](Work& work) {
-    for (Executor& wait_set : executors_) {
+    for (PeerWaitSet& wait_set : wait_sets_) {
       if (!std::exchange(wait_set.is_owed_ring, false) || wait_set.users == 0) continue;
       AGNOCAST_CRASH_POINT(C_errand_ring);
       // Awake: it has looked by itself, or will. Another value does not say that: one of several
       // threads that sleep there may have armed it anew.
       const std::uint64_t armed =
-          SharedMemory::word(wait_set.region, armed_offset(wait_set.executor))
+          SharedMemory::word(wait_set.region, armed_offset(wait_set.wait_set))
               .load(std::memory_order_relaxed);
       if (armed % 2 == 0) continue;
       wait_set.doorbell.sender.ring();
@@ -466,7 +466,7 @@ void PublisherEndpoint::finish() noexcept {
   std::vector<Attached> ended_uses;  // after the lock
   const std::lock_guard lock(mutex_);
   ended_uses.swap(attached_);
-  executors_.clear();
+  wait_sets_.clear();
   moved_ = true;
   core_.reset();
 }

@@ -63,7 +63,7 @@ class PublisherEndpoint {
     std::uint64_t index;
     std::uint64_t generation;
     std::uint64_t extent;
-    std::uint64_t executor;  // in its process
+    std::uint64_t wait_set;  // in its process
     PeerOwner owner;         // of its process
     std::uint64_t quota;     // messages of this publisher that it may hold
   };
@@ -208,11 +208,11 @@ class PublisherEndpoint {
   // the rest costs 2–3 µs for all.
   static constexpr std::uint64_t ring_at_once_max = 2;
 
-  struct Executor {
+  struct PeerWaitSet {
     std::uint64_t client = 0;
     std::uint64_t client_generation = 0;
-    std::uint64_t executor = 0;
-    std::uint64_t users = 0;  // attached subscriptions; 0 = free
+    std::uint64_t wait_set = 0;  // in its process
+    std::uint64_t users = 0;     // attached subscriptions; 0 = free
     PeerDoorbell doorbell;
     bool is_owed_ring = false;  // by the control thread
     std::byte* region = nullptr;
@@ -224,7 +224,7 @@ class PublisherEndpoint {
     std::uint64_t index;
     std::uint64_t generation;
     std::uint64_t extent;
-    std::size_t executor;
+    std::size_t wait_set;
     std::shared_ptr<Peer> peer;
     PeerOwner owner;
     Match match = Match::awaited;
@@ -250,7 +250,7 @@ class PublisherEndpoint {
   void count(std::size_t counter, std::uint64_t more) noexcept;
   bool see_readers(std::vector<Seen>& seen) const;
   void look_at(const Seen& reader, Watched& endpoint, const Look& look);
-  std::size_t executor_of(const Peer& peer, std::uint64_t executor, PeerDoorbell doorbell);
+  std::size_t number_of(const Peer& peer, std::uint64_t wait_set, PeerDoorbell doorbell);
   void replace_doorbell(const Subscription& subscription, PeerDoorbell doorbell) noexcept;
   bool is_linked(const Attached& attached) const noexcept;
   void note_links() noexcept;
@@ -260,7 +260,7 @@ class PublisherEndpoint {
   Identity identity_;
   mutable std::mutex mutex_;
   std::unique_ptr<Core> core_;
-  std::vector<Executor> executors_;
+  std::vector<PeerWaitSet> wait_sets_;
   std::vector<Attached> attached_;
   std::map<std::uint64_t, Watched> watched_;  // by index; control thread only
   std::vector<void*> doomed_;  // to be destroyed later; capacity for every slot from the start

@@ -36,8 +36,8 @@ struct PublisherEndpoint::Work {
         endpoint.identity_.core.words.counter(offsetof(abi::PublisherEndpoint, published_bytes));
     total.store(total.load(std::memory_order_relaxed) + entry.bytes, std::memory_order_relaxed);
   }
-  void ring(std::uint64_t executor, [[maybe_unused]] std::uint64_t armed) noexcept {
-    Executor& wait_set = endpoint.executors_[executor];
+  void ring(std::uint64_t number, [[maybe_unused]] std::uint64_t armed) noexcept {
+    PeerWaitSet& wait_set = endpoint.wait_sets_[number];
     if (!wait_set.doorbell.sender) return;
     if (rung++ < ring_at_once_max) {
       wait_set.doorbell.sender.ring();

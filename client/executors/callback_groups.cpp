@@ -25,7 +25,7 @@ namespace {
 // Of the wait sets of a process, this many are for groups; the others are for subscriptions
 // without callbacks, and for wait sets that are about to come back.
 constexpr std::size_t own_wait_sets_max = 48;
-static_assert(own_wait_sets_max < abi::executor_count_max);
+static_assert(own_wait_sets_max < abi::wait_set_count_max);
 constexpr const char* default_name = "default";
 
 struct NodePlace {

@@ -34,7 +34,7 @@ class WaitSet {
         : index(number),
           doorbells(std::move(receiver)),
           core(client_region,
-               offsetof(abi::ClientRegionHeader, executor) + number * sizeof(abi::ExecutorLine)) {}
+               offsetof(abi::ClientRegionHeader, wait_set) + number * sizeof(abi::WaitSetLine)) {}
     std::uint64_t index;
     DoorbellReceiver doorbells;
     dataplane::SleepCore<SharedMemory> core;

@@ -102,7 +102,7 @@ bool Announcements::attach_subscription(const wire::Announcement& announcement,
     return false;
   }
   const bool is_new = publisher->attach(
-      {announcement.index, announcement.generation, announcement.extent, announcement.executor,
+      {announcement.index, announcement.generation, announcement.extent, announcement.wait_set,
        owner, announcement.quota},
       peer, doorbell_among(packet.packet.fds(), used, announcement.doorbell_count, peer->owner()));
   if (is_new && readers_.shares().is_out(owner, now))

@@ -24,7 +24,7 @@ class Collector {
   /// Does the same for a session whose daemon will not come back: finds gone peers by itself, and
   /// reports nothing.
   void collect_alone();
-  /// Returns whether nothing of the session is in use any more except its executor places.
+  /// Returns whether nothing of the session is in use any more except its places of wait sets.
   bool is_unused() const noexcept { return endpoints_.is_empty() && peers_.is_empty(); }
 
  private:

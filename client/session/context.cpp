@@ -174,8 +174,8 @@ Result<void> Context::make_place(WaitSet& wait_set) {
         if (!state_.is_alone()) return {};
         return fail(Errc::started_anew, "agnocastd has lost its state");
       },
-      [this](std::uint64_t executor, bool again) {
-        return creations_.open_executor(executor, again);
+      [this](std::uint64_t wait_set, bool again) {
+        return creations_.open_wait_set(wait_set, again);
       });
 }
 

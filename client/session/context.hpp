@@ -11,7 +11,7 @@
 //   part             what it has                                          who uses it
 //   Registration     the connection, the arena, board and own region      all threads
 //   Creations        requests to the daemon for new endpoints             user threads
-//   ExecutorPlaces   sleep words and doorbells, two mutexes               all threads
+//   WaitSetPlaces   sleep words and doorbells, two mutexes               all threads
 //   EndpointTable    publishers and subscriptions, a mutex                all threads
 //   Departures       endpoints that leave, and their waiters, a mutex     all threads
 //   OwnHeap          the heap and its windows, a mutex                    all threads
@@ -36,11 +36,11 @@
 #include <client/session/creations.hpp>
 #include <client/session/departures.hpp>
 #include <client/session/endpoint_request.hpp>
-#include <client/session/executor_places.hpp>
 #include <client/session/own_heap.hpp>
 #include <client/session/reconnection.hpp>
 #include <client/session/registration.hpp>
 #include <client/session/session_state.hpp>
+#include <client/session/wait_set_places.hpp>
 
 #include <atomic>
 #include <chrono>
@@ -82,7 +82,7 @@ class Context {
   /// Connects and opens the heap, for a caller that lends messages before it creates its publisher.
   /// Errors also: hook_missing, hook_ineffective.
   [[nodiscard]] Result<void> prepare_to_publish(bool uses_shared_allocator);
-  /// Creates a wait set. At most executor_count_max at a time; an unused one is given out again.
+  /// Creates a wait set. At most wait_set_count_max at a time; an unused one is given out again.
   [[nodiscard]] Result<std::shared_ptr<WaitSet>> create_wait_set();
   /// Returns the process's wait set for polled subscriptions. It never arms, so no publisher rings
   /// it.
@@ -158,7 +158,7 @@ class Context {
   bool has_thread_ = false;
   mutable std::mutex connecting_;
   Registration registration_;
-  ExecutorPlaces places_;  // ahead of the endpoints, whose wait sets give them back
+  WaitSetPlaces places_;  // ahead of the endpoints, whose wait sets give them back
   EndpointTable endpoints_;
   PeerTable peers_{endpoints_};
   OwnHeap heap_{peers_};

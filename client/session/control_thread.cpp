@@ -204,11 +204,11 @@ void ControlThread::on_doorbells_renewed(Incoming& packet) {
   const auto fds = packet.packet.fds();
   DoorbellReceiver doorbells(std::move(fds[0]), std::move(fds[1]));  // later the previous ones
   for (const auto& wait_set : Reregistration::instance().wait_sets()) {
-    if (wait_set->index_in(context_) != renewed.executor) continue;
+    if (wait_set->index_in(context_) != renewed.wait_set) continue;
     wait_set->renew(context_, doorbells);
     return;
   }
-  places_.renew(renewed.executor, doorbells);
+  places_.renew(renewed.wait_set, doorbells);
 }
 
 void ControlThread::run_errands() {

@@ -19,7 +19,6 @@
 #include <client/session/announcements.hpp>
 #include <client/session/collector.hpp>
 #include <client/session/departures.hpp>
-#include <client/session/executor_places.hpp>
 #include <client/session/own_heap.hpp>
 #include <client/session/reader_look.hpp>
 #include <client/session/reannouncement.hpp>
@@ -28,6 +27,7 @@
 #include <client/session/scan_timer.hpp>
 #include <client/session/session_state.hpp>
 #include <client/session/thread_report.hpp>
+#include <client/session/wait_set_places.hpp>
 
 #include <chrono>
 
@@ -42,7 +42,7 @@ class ControlThread {
     Context* context;
     SessionState& state;
     Registration& registration;
-    ExecutorPlaces& places;
+    WaitSetPlaces& places;
     EndpointTable& endpoints;
     PeerTable& peers;
     OwnHeap& heap;
@@ -105,7 +105,7 @@ class ControlThread {
   Context* const context_;
   SessionState& state_;
   Registration& registration_;
-  ExecutorPlaces& places_;
+  WaitSetPlaces& places_;
   EndpointTable& endpoints_;
   PeerTable& peers_;
   OwnHeap& heap_;

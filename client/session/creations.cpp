@@ -14,11 +14,11 @@ using wire::Opcode;
 namespace {
 
 Result<wire::CreateEndpoint> describe(const EndpointRequest& request,
-                                      std::uint64_t executor) noexcept {
+                                      std::uint64_t wait_set) noexcept {
   wire::CreateEndpoint body{};
   body.qos = abi::pack_qos(request.qos);
   body.layout_hash = request.layout_hash;
-  body.executor = executor;
+  body.wait_set = wait_set;
   body.quota = request.quota | (request.quota_or_less ? wire::quota_or_less : 0);
   if (!write_name(body.topic, request.topic))
     return fail(Errc::invalid_name, "a topic name of more than 255 characters");
@@ -130,23 +130,23 @@ Result<std::shared_ptr<SubscriptionEndpoint>> Creations::make_subscription(
   return subscription;
 }
 
-Result<std::unique_ptr<WaitSet::Place>> Creations::open_executor(std::uint64_t executor,
+Result<std::unique_ptr<WaitSet::Place>> Creations::open_wait_set(std::uint64_t wait_set,
                                                                  bool again) {
-  wire::ExecutorRequest request{};
-  request.executor = executor;
+  wire::WaitSetRequest request{};
+  request.wait_set = wait_set;
   std::unique_ptr<WaitSet::Place> place;
   Result<void> opened = registration_.connection().request(
-      Opcode::open_executor, request,
+      Opcode::open_wait_set, request,
       [&](Incoming& packet) -> Result<void> {
         wire::Done answer{};
         if (Result<void> read =
-                packet.read_as(Opcode::executor_opened, answer, 2, "the answer with an executor");
+                packet.read_as(Opcode::wait_set_opened, answer, 2, "the answer with a wait set");
             !read)
           return read;
         const auto fds = packet.packet.fds();
         AGNOCAST_CRASH_POINT(C_sleeper);
         place = std::make_unique<WaitSet::Place>(
-            registration_.region_base(), executor,
+            registration_.region_base(), wait_set,
             DoorbellReceiver(std::move(fds[0]), std::move(fds[1])));
         return {};
       },

@@ -1,6 +1,6 @@
 // SPDX-License-Identifier: Apache-2.0
 //
-// Creations: a session's requests to its daemon for new publishers, subscriptions and executors.
+// Creations: a session's requests to its daemon for new publishers, subscriptions and wait sets.
 // The caller waits for the answer. The control thread handles it, so an endpoint is in its table
 // before the daemon can announce anything to it.
 //
@@ -43,9 +43,9 @@ class Creations {
   [[nodiscard]] Result<std::shared_ptr<SubscriptionEndpoint>> make_subscription(
       const EndpointRequest& request, const std::shared_ptr<WaitSet>& wait_set,
       const Continued& continued);
-  /// Returns a place with the doorbells of an executor and its sleep word. `again`: the daemon may
+  /// Returns a place with the doorbells of a wait set and its sleep word. `again`: the daemon may
   /// have opened it before.
-  [[nodiscard]] Result<std::unique_ptr<WaitSet::Place>> open_executor(std::uint64_t executor,
+  [[nodiscard]] Result<std::unique_ptr<WaitSet::Place>> open_wait_set(std::uint64_t wait_set,
                                                                       bool again);
 
  private:

@@ -53,7 +53,7 @@ Object object_of(const Process& process, const KeptNumbers& kept) {
           {"client_generation", facts.generation},
           {"publisher_count", process.publisher_count},
           {"subscription_count", process.subscription_count},
-          {"executor_count", std::popcount(facts.executors)},
+          {"executor_count", std::popcount(facts.wait_sets)},
           {"window_count", facts.window_count},
           {"window_bytes", heap_bytes_of(process)},
           {"unread_messages", kept.unread},
@@ -185,7 +185,7 @@ Outcome<void> list_processes(const Arguments& arguments, Console& console) {
          std::to_string(facts.domain), state_of(facts), duration_for_people(facts.age_ns),
          std::to_string(process.publisher_count), std::to_string(process.subscription_count),
          std::to_string(kept.unread), std::to_string(kept.held), counted(kept.slots, "slot"),
-         std::to_string(std::popcount(facts.executors)),
+         std::to_string(std::popcount(facts.wait_sets)),
          std::to_string(facts.window_count) + " (" + bytes_for_people(heap_bytes_of(process)) + ")",
          client_of(facts)});
   }

@@ -45,7 +45,7 @@ Object share_object(const wire::UserShare& share) {
   return {{"processes", limit_or_null(share.clients)},
           {"publishers", limit_or_null(share.publishers)},
           {"subscriptions", limit_or_null(share.subscriptions)},
-          {"executors", limit_or_null(share.executors)},
+          {"executors", limit_or_null(share.wait_sets)},
           {"heap_bytes", limit_or_null(share.heap_bytes)},
           {"held_messages", limit_or_null(share.held_messages)},
           {"topics", limit_or_null(share.topics)},
@@ -187,7 +187,7 @@ void print(const System& system, const std::string& socket, Console& console) {
   for (const wire::DumpUser& user : system.users)
     table.add({std::to_string(user.uid), std::to_string(user.use.clients),
                std::to_string(user.use.topics), std::to_string(user.use.publishers),
-               std::to_string(user.use.subscriptions), std::to_string(user.use.executors),
+               std::to_string(user.use.subscriptions), std::to_string(user.use.wait_sets),
                bytes_for_people(user.use.heap_bytes), counted(user.use.held_messages, "message"),
                std::to_string(user.observers)});
   table.print(console);

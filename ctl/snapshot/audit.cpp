@@ -247,7 +247,7 @@ class Auditor {
          {offsetof(Entry, client), facts.client},
          {offsetof(Entry, extent), facts.extent},
          {offsetof(Entry, quota), facts.quota},
-         {offsetof(Entry, executor), facts.executor}});
+         {offsetof(Entry, wait_set), facts.wait_set}});
   }
   /// Compares board words with the dump. `fields`: offsets on the board, and the dumped values.
   template <class Word>

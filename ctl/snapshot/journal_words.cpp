@@ -181,8 +181,8 @@ std::string deed_of(const JournalRecord& record) {
              bytes_for_people(argument(record, "bytes"));
     case RecordType::add_topic:
       return "created";
-    case RecordType::open_executor:
-      return "opened executor " + number_of(record, "executor");
+    case RecordType::open_wait_set:
+      return "opened wait set " + number_of(record, "wait_set");
     case RecordType::readers:
       return "publishes for one set of readers";
     case RecordType::free_topic:
@@ -203,7 +203,7 @@ std::string deed_of(const JournalRecord& record) {
     case RecordType::reader_served_again:
       return "reports that it serves " + reader_words(record) + " again";
     case RecordType::reader_mute:
-      return "has no doorbell (executor " + number_of(record, "executor") + ", uid " +
+      return "has no doorbell (wait set " + number_of(record, "wait_set") + ", uid " +
              number_of(record, "uid") + "), it finds messages only by polling";
   }
   return "unknown";

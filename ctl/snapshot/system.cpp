@@ -177,8 +177,8 @@ std::string process_words_of(const System& system, const Endpoint& endpoint) {
 bool System::is_silent(const Endpoint& subscription) const {
   const Process* const process = process_of(subscription);
   return process != nullptr && !subscription.is_publisher() &&
-         subscription.facts.executor < abi::executor_count_max &&
-         (process->facts.silent_executors >> subscription.facts.executor & 1) != 0;
+         subscription.facts.wait_set < abi::wait_set_count_max &&
+         (process->facts.silent_wait_sets >> subscription.facts.wait_set & 1) != 0;
 }
 
 std::byte* System::region_of(const Endpoint& endpoint) const {

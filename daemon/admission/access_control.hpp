@@ -19,7 +19,7 @@
 #include <base/text/log.hpp>
 #include <daemon/config/access.hpp>
 #include <daemon/state/registry.hpp>
-#include <daemon/transport/requests.hpp>
+#include <daemon/transport/request_reading.hpp>
 
 #include <cstdint>
 #include <string>

@@ -50,9 +50,9 @@ Result<void> Admission::admit_observer(std::uint64_t used) {
                     "this user may have " + std::to_string(abi::observer_count_max) + " observers");
 }
 
-Result<void> Admission::admit_executor(std::uint32_t uid) {
+Result<void> Admission::admit_wait_set(std::uint32_t uid) {
   if (auto kept = check_kept(uid, 1); !kept) return kept;
-  return check_limit(registry_.usage_of(uid).executors, 1, config_.quota.executors,
+  return check_limit(registry_.usage_of(uid).wait_sets, 1, config_.quota.wait_sets,
                      "[quota] executors");
 }
 
@@ -105,7 +105,7 @@ Result<void> Admission::check_window(std::uint32_t uid, std::uint64_t bytes) {
 Result<void> Admission::check_kept(std::uint32_t uid, std::uint64_t more) {
   if (!store_.keeps()) return {};
   const Usage usage = registry_.usage_of(uid);
-  return check_limit(kept_per_client * usage.clients + usage.windows + usage.executors, more,
+  return check_limit(kept_per_client * usage.clients + usage.windows + usage.wait_sets, more,
                      share_of_one_user(store_.capacity()),
                      "three quarters of FileDescriptorStoreMax");
 }

@@ -13,7 +13,7 @@
 #include <daemon/state/address_plan.hpp>
 #include <daemon/state/registry.hpp>
 #include <daemon/transport/descriptor_store.hpp>
-#include <daemon/transport/requests.hpp>
+#include <daemon/transport/request_reading.hpp>
 
 #include <cstdint>
 #include <string>
@@ -38,8 +38,8 @@ class Admission {
   [[nodiscard]] Result<void> admit_client(std::uint32_t uid, bool counts_as_observer);
   /// `used`: the user's number of observers. Errors: quota_exceeded.
   [[nodiscard]] Result<void> admit_observer(std::uint64_t used);
-  /// Checks the number of executors. Errors: quota_exceeded.
-  [[nodiscard]] Result<void> admit_executor(std::uint32_t uid);
+  /// Checks the number of wait sets. Errors: quota_exceeded.
+  [[nodiscard]] Result<void> admit_wait_set(std::uint32_t uid);
   /// Check a new heap window. Errors: window_exhausted, quota_exceeded.
   [[nodiscard]] Result<void> admit_window(const ClientRecord& record);
   [[nodiscard]] Result<void> admit_brought_window(const ClientRecord& record, std::uint64_t bytes);

@@ -3,7 +3,7 @@
 #include <daemon/admission/check_caller.hpp>
 
 #include <agnocast/abi/fingerprint.hpp>
-#include <daemon/transport/requests.hpp>
+#include <daemon/transport/request_reading.hpp>
 
 namespace agnocast::daemon {
 

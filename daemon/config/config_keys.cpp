@@ -101,8 +101,10 @@ constexpr Key keys[] = {
      AGNOCAST_NUMBER(quota.held_messages),
      "total of the messages that the subscriptions of one user may hold"},
     {"quota", "executors", Kind::count, 1, many, 0, "unlimited", unlimited,
-     AGNOCAST_NUMBER(quota.executors),
-     "executors of one user; each costs the daemon two descriptors"},
+     AGNOCAST_NUMBER(quota.wait_sets),
+     "wait sets of one user, where subscriptions sleep: one for each callback group, of which a "
+     "process shares at most 48, and for each subscription without callbacks; each costs the "
+     "daemon two descriptors"},
     {"quota", "callback_groups", Kind::count, 0, many, 0, "unlimited", unlimited,
      AGNOCAST_NUMBER(quota.callback_groups),
      "callback groups of one user that agnocastd knows, for thread rules and agnocast-ctl thread "

@@ -5,7 +5,7 @@
 #include <base/check.hpp>
 #include <base/clock.hpp>
 #include <daemon/state/steps.hpp>
-#include <journal/recovery.hpp>
+#include <journal/queue_recovery.hpp>
 
 #include <sys/sysmacros.h>
 

@@ -90,7 +90,7 @@ void Announcer::announce_subscription(TopicIndex topic, std::uint32_t index,
   auto packet = announcement_of({Kind::subscription, topic, index}, subscription, registry_);
   packet.own_index = publisher;
   packet.own_generation = receiver.generation;
-  packet.executor = subscription.executor;
+  packet.wait_set = subscription.wait_set;
   packet.quota = registry_.hold_quota(subscription, receiver);
   const bool same_user = are_of_one_user(subscription.client, receiver.client);
   packet.same_user = same_user ? 1 : 0;
@@ -114,7 +114,7 @@ void Announcer::add_doorbells(Outgoing& packet, const EndpointRef& ref, std::uin
       (subscription.state != EndpointState::active && subscription.state != EndpointState::leaving))
     return;
   const auto doorbells =
-      doorbells_.for_publisher(subscription.client, subscription.executor, same_user);
+      doorbells_.for_publisher(subscription.client, subscription.wait_set, same_user);
   if (!doorbells) {
     waiting_.emplace(generation, ref);
     return;

@@ -50,7 +50,7 @@ void EffectRunner::carry_out(const effect::AcknowledgeRegion& effect) {
 
 void EffectRunner::carry_out(const effect::Ring& effect) {
   AGNOCAST_CRASH_POINT(B_ring);
-  doorbells_.ring(effect.client, effect.executor);
+  doorbells_.ring(effect.client, effect.wait_set);
 }
 void EffectRunner::carry_out(const effect::Send& effect) {
   std::visit([&](const auto& packet) { channel_.send(effect.to, packet_of(packet), {}); },

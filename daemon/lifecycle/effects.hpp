@@ -76,7 +76,7 @@ struct AcknowledgeRegion {
 
 struct Ring {
   ClientIndex client{};
-  std::uint64_t executor = 0;
+  std::uint64_t wait_set = 0;
 };
 using Packet =
     std::variant<wire::Reference, wire::Orphaned, wire::Done, wire::EndpointCreated, wire::Own>;

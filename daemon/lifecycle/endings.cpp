@@ -29,7 +29,7 @@ Effects Endings::orphan(const EndpointRef& ref, std::uint64_t final_head,
   Effects effects{effect::OrphanPublisher{ref, final_head, cause}};
   registry_.for_each_subscription(ref.topic, [&](std::uint32_t, const SubscriptionRecord& record) {
     if (record.state == EndpointState::active)
-      effects.push_back(effect::Ring{record.client, record.executor});
+      effects.push_back(effect::Ring{record.client, record.wait_set});
   });
   const auto packet = orphaned(ref, final_head);
   for_each_notified(registry_, registry_.notified_of(ref), [&](ClientIndex to) {

@@ -81,8 +81,8 @@ Result<void> EndpointManager::create_publisher(ClientIndex client, TopicIndex to
 
 Result<void> EndpointManager::create_subscription(ClientIndex client, TopicIndex topic,
                                                   const CreateRequest& request) {
-  if (!doorbells_.is_open(client, request.executor))
-    return fail(Errc::invalid_argument, "the executor of the subscription is not open");
+  if (!doorbells_.is_open(client, request.wait_set))
+    return fail(Errc::invalid_argument, "the wait set of the subscription is not open");
   const HoldPool pool = registry_.hold_pool();
   const HoldPool::Use use = registry_.pool_use(registry_.client(client).uid, topic);
   const HoldQuota quota{request.quota, request.quota_or_less
@@ -94,7 +94,7 @@ Result<void> EndpointManager::create_subscription(ClientIndex client, TopicIndex
   // Before it joins, publishers can keep the history that it may ask for (docs/protocol.md,
   // slots).
   for (const SlotRaise& raise : plan->raises) registry_.raise_slots(topic, raise);
-  registry_.add_subscription(client, topic, request.qos, quota, request.executor, *plan,
+  registry_.add_subscription(client, topic, request.qos, quota, request.wait_set, *plan,
                              request.node, request.request);
   run(announcing_.created({Kind::subscription, topic, plan->index}, request.request));
   return {};
@@ -155,10 +155,10 @@ void EndpointManager::notice_types(ClientIndex client, TopicIndex topic, const s
 
 // --- doorbells that have changed
 
-void EndpointManager::renewed(ClientIndex client, std::uint64_t executor) {
+void EndpointManager::renewed(ClientIndex client, std::uint64_t wait_set) {
   for (const EndpointRef& ref : registry_.endpoints_of(client)) {
     if (ref.kind == Kind::subscription &&
-        registry_.subscription(ref.topic, ref.index).executor == executor)
+        registry_.subscription(ref.topic, ref.index).wait_set == wait_set)
       renewed_.emplace(registry_.generation_of(ref), ref);
   }
 }

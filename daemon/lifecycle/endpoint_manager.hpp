@@ -24,7 +24,7 @@
 #include <daemon/state/registry.hpp>
 #include <daemon/transport/client_channel.hpp>
 #include <daemon/transport/doorbells.hpp>
-#include <daemon/transport/requests.hpp>
+#include <daemon/transport/request_reading.hpp>
 #include <daemon/transport/session.hpp>
 
 #include <bitset>
@@ -65,9 +65,9 @@ class EndpointManager {
   /// Announcements without doorbells, for lack of descriptors; announce_renewed() repeats them.
   bool has_waiting() const noexcept { return announcer_.has_waiting(); }
   void announce_waiting() { announcer_.move_waiting_to(renewed_); }
-  /// The doorbells of an executor have changed: its subscriptions are announced to publishers once
+  /// The doorbells of a wait set have changed: its subscriptions are announced to publishers once
   /// more, some of them with each announce_renewed().
-  void renewed(ClientIndex client, std::uint64_t executor);
+  void renewed(ClientIndex client, std::uint64_t wait_set);
   bool has_renewed() const noexcept { return !renewed_.empty(); }
   void announce_renewed();
   /// Sends a process on a new connection its endpoints and their peers. If that is much, sends a

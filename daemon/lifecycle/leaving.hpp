@@ -10,7 +10,7 @@
 #include <agnocast/result.hpp>
 #include <daemon/lifecycle/effects.hpp>
 #include <daemon/lifecycle/endings.hpp>
-#include <daemon/transport/requests.hpp>
+#include <daemon/transport/request_reading.hpp>
 
 #include <cstdint>
 

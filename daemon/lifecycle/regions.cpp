@@ -8,7 +8,7 @@
 #include <base/memory/memfd.hpp>
 #include <base/memory/populate.hpp>
 #include <daemon/state/steps.hpp>
-#include <daemon/transport/requests.hpp>
+#include <daemon/transport/request_reading.hpp>
 
 #include <fcntl.h>
 #include <sys/mman.h>

@@ -58,13 +58,13 @@ class Writer {
     body.state = facts.state;
     body.domain = record.domain;
     body.age_ns = facts.age_ns;
-    body.executors = record.executors;
+    body.wait_sets = record.wait_sets;
     body.window_count = static_cast<std::uint32_t>(record.window_count);
     const bool has_region = facts.region != nullptr && request_.without_regions == 0;
     body.region_count = has_region ? 1 : 0;
     for (std::uint64_t w = 0; w < record.window_count; ++w)
       body.window[w] = {record.window[w].base, record.window[w].bytes, record.window[w].first};
-    body.silent_executors = facts.silent_executors;
+    body.silent_wait_sets = facts.silent_wait_sets;
     body.blocked_bytes = facts.blocked_bytes;
     body.threads_left_out = facts.threads != nullptr ? facts.threads->left_out() : 0;
     body.blocked_by = name_of(facts.blocked_by);
@@ -99,7 +99,7 @@ class Writer {
           wire::DumpEndpoint endpoint = endpoint_of(Kind::subscription, index, i, subscription);
           endpoint.quota = subscription.quota;
           endpoint.quota_of_others = subscription.quota_of_others;
-          endpoint.executor = subscription.executor;
+          endpoint.wait_set = subscription.wait_set;
           write_endpoint(endpoint);
         });
   }
@@ -135,7 +135,7 @@ class Writer {
       body.connections = user.connections;
       body.observers = user.observers;
       body.use = {usage.clients,        usage.publishers,     usage.subscriptions,
-                  usage.executors,      usage.heap_bytes,     usage.held_messages,
+                  usage.wait_sets,      usage.heap_bytes,     usage.held_messages,
                   usage.topics,         user.queued_bytes,    user.waits_ms / 1000,
                   user.answers_ahead,   places.publishers,    places.subscriptions,
                   user.callback_groups, user.callback_threads};

@@ -29,7 +29,7 @@ struct DumpFacts {
     abi::wire::ProcessState state = abi::wire::ProcessState::dead;
     std::uint64_t age_ns = 0;
     SharedFd region;  // empty when there is none
-    std::uint64_t silent_executors = 0;
+    std::uint64_t silent_wait_sets = 0;
     std::uint64_t blocked_bytes = 0;
     std::string blocked_by;
     const CallbackThreads* threads = nullptr;  // null: it has said nothing of them

@@ -41,7 +41,7 @@ void DumpCollector::collect_daemon(wire::DumpDaemon& daemon, std::uint64_t now_n
   daemon.quota = {quota.clients,
                   quota.publishers,
                   quota.subscriptions,
-                  quota.executors,
+                  quota.wait_sets,
                   from_.admission.heap_quota(),
                   quota.held_messages,
                   quota.topics,
@@ -63,10 +63,10 @@ DumpFacts::Process DumpCollector::process_of(ClientIndex client, std::uint64_t n
   if (from_.registry.is_revoked(client)) process.state = wire::ProcessState::revoked;
   process.age_ns = now_ns - from_.registry.client(client).since_ns;
   process.region = from_.regions.region_reader(client);
-  const std::uint64_t executors = from_.registry.client(client).executors;
-  for (std::uint64_t executor = 0; executor < abi::executor_count_max; ++executor) {
-    if ((executors >> executor & 1) != 0 && from_.doorbells.is_silent(client, executor))
-      process.silent_executors |= std::uint64_t{1} << executor;
+  const std::uint64_t wait_sets = from_.registry.client(client).wait_sets;
+  for (std::uint64_t wait_set = 0; wait_set < abi::wait_set_count_max; ++wait_set) {
+    if ((wait_sets >> wait_set & 1) != 0 && from_.doorbells.is_silent(client, wait_set))
+      process.silent_wait_sets |= std::uint64_t{1} << wait_set;
   }
   for (const Obstacles::Claim& claim : from_.obstacles.of(client)) {
     process.blocked_bytes += claim.bytes;

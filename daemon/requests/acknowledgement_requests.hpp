@@ -8,7 +8,7 @@
 #include <daemon/lifecycle/endpoint_manager.hpp>
 #include <daemon/requests/reader_reports.hpp>
 #include <daemon/transport/connection_table.hpp>
-#include <daemon/transport/requests.hpp>
+#include <daemon/transport/request_reading.hpp>
 
 namespace agnocast::daemon {
 

@@ -79,7 +79,7 @@ Broker::Broker(const BrokerOptions& options, Log& log, Dispatcher& dispatcher, L
                         connections_, output_, termination_, log}),
       window_requests_(options_.arena, registry_, regions_, plan_, endpoint_manager_, conflicts_,
                        admission_, output_, log),
-      executor_requests_(registry_, doorbells_, admission_, output_),
+      wait_set_requests_(registry_, doorbells_, admission_, output_),
       endpoint_requests_(options_.config, registry_, regions_, endpoint_manager_, admission_,
                          scheduler_, server_, refusal_report_, readers_, log),
       acknowledgement_requests_(endpoint_manager_, conflicts_, readers_),
@@ -102,7 +102,7 @@ void Broker::fill_request_table() {
   table.add(rejoin_requests_, &RejoinRequests::rejoin);
   table.add(window_requests_, &WindowRequests::open_window);
   table.add(window_requests_, &WindowRequests::bring_window);
-  table.add(executor_requests_, &ExecutorRequests::open_executor);
+  table.add(wait_set_requests_, &WaitSetRequests::open_wait_set);
   table.add(endpoint_requests_, &EndpointRequests::create);
   table.add(endpoint_requests_, &EndpointRequests::leave);
   table.add(acknowledgement_requests_, &AcknowledgementRequests::drained);

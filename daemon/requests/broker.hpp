@@ -38,11 +38,11 @@
 #include <daemon/observers/observer_requests.hpp>
 #include <daemon/requests/acknowledgement_requests.hpp>
 #include <daemon/requests/endpoint_requests.hpp>
-#include <daemon/requests/executor_requests.hpp>
 #include <daemon/requests/hello_requests.hpp>
 #include <daemon/requests/reader_reports.hpp>
 #include <daemon/requests/rejoin_requests.hpp>
 #include <daemon/requests/thread_requests.hpp>
+#include <daemon/requests/wait_set_requests.hpp>
 #include <daemon/requests/window_requests.hpp>
 #include <daemon/serving/acceptor.hpp>
 #include <daemon/serving/packet_reader.hpp>
@@ -137,7 +137,7 @@ class Broker final {
   HelloRequests hello_requests_;
   RejoinRequests rejoin_requests_;
   WindowRequests window_requests_;
-  ExecutorRequests executor_requests_;
+  WaitSetRequests wait_set_requests_;
   EndpointRequests endpoint_requests_;
   AcknowledgementRequests acknowledgement_requests_;
   ThreadRequests thread_requests_;

@@ -17,7 +17,7 @@
 #include <daemon/transport/connection_table.hpp>
 #include <daemon/transport/descriptor_store.hpp>
 #include <daemon/transport/peer_output.hpp>
-#include <daemon/transport/requests.hpp>
+#include <daemon/transport/request_reading.hpp>
 
 #include <cstdint>
 

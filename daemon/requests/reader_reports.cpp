@@ -64,7 +64,7 @@ void ReaderReports::mute(const EndpointRef& subscription) {
 }
 
 void ReaderReports::created(ClientIndex client, const CreateRequest& request) {
-  if (!doorbells_.is_known_silent(client, request.executor)) return;
+  if (!doorbells_.is_known_silent(client, request.wait_set)) return;
   const auto made = registry_.find_creation(client, Kind::subscription, request.request);
   if (made) mute(*made);
 }
@@ -76,7 +76,7 @@ void ReaderReports::look_for_silent_doorbells(std::uint64_t now_ms) {
     for (const EndpointRef& ref : registry_.endpoints_of(silent.client)) {
       if (ref.kind != Kind::subscription) continue;
       const SubscriptionRecord& record = registry_.subscription(ref.topic, ref.index);
-      if (record.state == EndpointState::active && record.executor == silent.executor) mute(ref);
+      if (record.state == EndpointState::active && record.wait_set == silent.wait_set) mute(ref);
     }
   }
 }

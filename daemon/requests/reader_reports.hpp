@@ -11,7 +11,7 @@
 #include <daemon/requests/reader_notes.hpp>
 #include <daemon/state/registry.hpp>
 #include <daemon/transport/doorbells.hpp>
-#include <daemon/transport/requests.hpp>
+#include <daemon/transport/request_reading.hpp>
 
 #include <cstdint>
 
@@ -24,7 +24,7 @@ class ReaderReports {
 
   /// Handles a client's report about a publisher of its own.
   void withdrawn(const PeerIdentity& identity, ClientIndex client, const wire::Withdrawn& report);
-  /// Checks whether the executor of a new subscription can be rung.
+  /// Checks whether the wait set of a new subscription can be rung.
   void created(ClientIndex client, const CreateRequest& request);
   /// Tries some of the doorbells, see Doorbells::look().
   void look_for_silent_doorbells(std::uint64_t now_ms);

@@ -76,8 +76,8 @@ Result<journal::FoundDecision> Recovery::adopt_client(ClientIndex client, std::u
   };
   UniqueFd process;
   if (takes(stored::process)) process = of_.store.take(DescriptorStore::process(client));
-  for (std::uint64_t x = 0; takes(stored::doorbell) && x < abi::executor_count_max; ++x) {
-    if ((record.executors >> x & 1) != 0) of_.doorbells.restore(client, x);
+  for (std::uint64_t x = 0; takes(stored::doorbell) && x < abi::wait_set_count_max; ++x) {
+    if ((record.wait_sets >> x & 1) != 0) of_.doorbells.restore(client, x);
   }
   const bool is_lost = loses_owner(stored::memory, adopted.has_value()) ||
                        loses_owner(stored::process, static_cast<bool>(process));

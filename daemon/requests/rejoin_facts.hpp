@@ -4,7 +4,7 @@
 #pragma once
 
 #include <daemon/state/registry.hpp>
-#include <daemon/transport/requests.hpp>
+#include <daemon/transport/request_reading.hpp>
 #include <journal/cases.hpp>
 
 namespace agnocast::daemon {

@@ -64,7 +64,7 @@ Result<void> RejoinRequests::rejoin(Peer& peer, const wire::Rejoin& request) {
   peer.session.greet(client);
   of_.connections.set_client(client, &peer);
   of_.connections.remove((*before)->id);
-  if (of_.registry.endpoints_of(client).empty() && of_.registry.client(client).executors == 0)
+  if (of_.registry.endpoints_of(client).empty() && of_.registry.client(client).wait_sets == 0)
     expect_windows(peer);
   of_.registry.note_rejoined(client);
   auto packet = make_body<wire::Rejoined>(wire::Opcode::rejoined, request.header.request);
@@ -82,16 +82,16 @@ Result<void> RejoinRequests::rejoin(Peer& peer, const wire::Rejoin& request) {
 // Without them its wait sets would be deaf to publishers of other users for as long as it lives.
 void RejoinRequests::renew_doorbells(Peer& peer) {
   const ClientIndex client = *peer.session.client();
-  const std::uint64_t executors = of_.registry.client(client).executors;
-  for (std::uint64_t executor = 0; executor < abi::executor_count_max; ++executor) {
-    if ((executors >> executor & 1) == 0) continue;
-    auto doorbells = of_.doorbells.renew(client, executor, of_.registry.client(client).uid);
+  const std::uint64_t wait_sets = of_.registry.client(client).wait_sets;
+  for (std::uint64_t wait_set = 0; wait_set < abi::wait_set_count_max; ++wait_set) {
+    if ((wait_sets >> wait_set & 1) == 0) continue;
+    auto doorbells = of_.doorbells.renew(client, wait_set, of_.registry.client(client).uid);
     if (!doorbells || doorbells->empty()) continue;
     AGNOCAST_CRASH_POINT(B_bell_bound);
     auto packet = make_body<wire::DoorbellsRenewed>(wire::Opcode::doorbells_renewed);
-    packet.executor = executor;
+    packet.wait_set = wait_set;
     of_.output.reply(peer, packet_of(packet), std::move(*doorbells));
-    of_.endpoint_manager.renewed(client, executor);
+    of_.endpoint_manager.renewed(client, wait_set);
   }
 }
 

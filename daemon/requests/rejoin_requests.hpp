@@ -13,7 +13,7 @@
 #include <daemon/transport/connection_table.hpp>
 #include <daemon/transport/doorbells.hpp>
 #include <daemon/transport/peer_output.hpp>
-#include <daemon/transport/requests.hpp>
+#include <daemon/transport/request_reading.hpp>
 
 namespace agnocast::daemon {
 

@@ -14,7 +14,7 @@
 #include <daemon/state/registry.hpp>
 #include <daemon/transport/connection_table.hpp>
 #include <daemon/transport/peer_output.hpp>
-#include <daemon/transport/requests.hpp>
+#include <daemon/transport/request_reading.hpp>
 
 #include <span>
 

@@ -54,7 +54,7 @@ void RequestServer::serve(Peer& peer, const Request& request, std::span<UniqueFd
   conflicts_.begin_request();
   if (std::holds_alternative<CreateRequest>(request) ||
       std::holds_alternative<wire::WindowRequest>(request) ||
-      std::holds_alternative<ExecutorRequest>(request))
+      std::holds_alternative<WaitSetRequest>(request))
     expect_no_windows(peer);
   const std::uint64_t id = request_id_of(request);  // the handler may end the peer
   const Result<void> served = handlers_.serve(peer, request, fds);

@@ -13,7 +13,7 @@
 #include <daemon/death/client_termination.hpp>
 #include <daemon/serving/request_table.hpp>
 #include <daemon/transport/connection_table.hpp>
-#include <daemon/transport/requests.hpp>
+#include <daemon/transport/request_reading.hpp>
 
 #include <cstddef>
 #include <cstdint>

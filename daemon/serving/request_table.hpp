@@ -9,7 +9,7 @@
 #include <base/check.hpp>
 #include <base/descriptors/unique_fd.hpp>
 #include <daemon/transport/connection_table.hpp>
-#include <daemon/transport/requests.hpp>
+#include <daemon/transport/request_reading.hpp>
 
 #include <array>
 #include <cstddef>

@@ -48,7 +48,7 @@ using journal::DeathReason;
 using journal::LeaveCause;
 
 constexpr std::uint64_t Usage::*usage_fields[] = {
-    &Usage::clients, &Usage::publishers, &Usage::subscriptions, &Usage::executors,
+    &Usage::clients, &Usage::publishers, &Usage::subscriptions, &Usage::wait_sets,
     &Usage::windows, &Usage::heap_bytes, &Usage::held_messages, &Usage::topics};
 static_assert(sizeof(Usage) == std::size(usage_fields) * sizeof(std::uint64_t));
 }  // namespace
@@ -107,7 +107,7 @@ void Registry::count_client(ClientIndex index) {
   view.own = Usage();
   if (record.state == ClientState::free) return;
   view.own.clients = 1;
-  view.own.executors = static_cast<std::uint64_t>(std::popcount(record.executors));
+  view.own.wait_sets = static_cast<std::uint64_t>(std::popcount(record.wait_sets));
   // open() completes a change before it checks the tables.
   view.own.windows = std::min<std::uint64_t>(record.window_count, abi::window_count_max);
   for (std::uint64_t w = 0; w < view.own.windows; ++w)
@@ -283,10 +283,10 @@ void Registry::set_readers(ClientIndex index, std::uint64_t readers) {
   change(Type::readers, {number(index), readers, client(index).generation});
 }
 
-void Registry::open_executor(ClientIndex index, std::uint32_t executor) {
+void Registry::open_wait_set(ClientIndex index, std::uint32_t wait_set) {
   AGNOCAST_CHECK(is_alive(index));
-  AGNOCAST_CHECK(executor < abi::executor_count_max);
-  change(Type::open_executor, {number(index), executor, client(index).generation});
+  AGNOCAST_CHECK(wait_set < abi::wait_set_count_max);
+  change(Type::open_wait_set, {number(index), wait_set, client(index).generation});
 }
 
 void Registry::client_died(ClientIndex index, DeathReason reason) {
@@ -461,7 +461,7 @@ void Registry::raise_slots(TopicIndex topic, const SlotRaise& raise) {
 }
 
 void Registry::add_subscription(ClientIndex client, TopicIndex topic, const abi::Qos& qos,
-                                const HoldQuota& quota, std::uint64_t executor,
+                                const HoldQuota& quota, std::uint64_t wait_set,
                                 const SubscriptionPlan& plan, std::string_view node,
                                 std::uint64_t creation) {
   SubscriptionRecord& record = tables_.subscription[number(topic)][plan.index];
@@ -471,7 +471,7 @@ void Registry::add_subscription(ClientIndex client, TopicIndex topic, const abi:
   put(record.node, node);
   change(Type::add_subscription,
          {number(topic), plan.index, plan.generation, number(client), abi::pack_qos(qos),
-          plan.extent, quota.own, executor, creation, quota.others});
+          plan.extent, quota.own, wait_set, creation, quota.others});
 }
 
 HoldPool::Use Registry::pool_use(std::uint32_t uid, TopicIndex topic) const {

@@ -116,7 +116,7 @@ struct Usage {
   std::uint64_t clients = 0;
   std::uint64_t publishers = 0;
   std::uint64_t subscriptions = 0;
-  std::uint64_t executors = 0;
+  std::uint64_t wait_sets = 0;
   std::uint64_t windows = 0;
   std::uint64_t heap_bytes = 0;
   std::uint64_t held_messages = 0;  // total that its subscriptions may hold
@@ -207,7 +207,7 @@ class Registry {
   /// Returns the user's places in the topic where it has most, for each kind on its own.
   Places most_places_of(std::uint32_t uid) const;
   void open_window(ClientIndex index, const WindowRecord& window);
-  void open_executor(ClientIndex index, std::uint32_t executor);
+  void open_wait_set(ClientIndex index, std::uint32_t wait_set);
   /// Sets who may read what the process publishes (access.hpp, readers_of), for its whole life.
   void set_readers(ClientIndex index, std::uint64_t readers);
   /// Marks a process as without a session. Its endpoints stay as they are until they are changed
@@ -274,7 +274,7 @@ class Registry {
                                                            const HoldQuota& quota) const;
   void raise_slots(TopicIndex topic, const SlotRaise& raise);
   void add_subscription(ClientIndex client, TopicIndex topic, const abi::Qos& qos,
-                        const HoldQuota& quota, std::uint64_t executor,
+                        const HoldQuota& quota, std::uint64_t wait_set,
                         const SubscriptionPlan& plan, std::string_view node,
                         std::uint64_t creation = 0);
   /// Returns what the topic's subscriptions use of the pool (hold_pool.hpp), seen by this user.
@@ -343,7 +343,7 @@ class Registry {
   using Type = journal::RecordType;
 
   /// Derived: what a process has in its region, what it knows, and its own part of its user's
-  /// usage: the process, its executors and windows.
+  /// usage: the process, its wait sets and windows.
   struct View {
     std::vector<EndpointRef> endpoints;
     std::map<std::uint64_t, std::uint64_t> extents;  // offset → bytes

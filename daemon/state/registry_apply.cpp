@@ -64,7 +64,7 @@ void Registry::apply(const Record& record) {
       break;
     case Type::register_client:
     case Type::open_window:
-    case Type::open_executor:
+    case Type::open_wait_set:
     case Type::readers:
     case Type::client_dead:
     case Type::client_forgotten:
@@ -158,7 +158,7 @@ void Registry::apply_to_client(const Record& record) {
       store(client.pid, static_cast<std::uint32_t>(record.argument[4]));
       store(client.domain, record.argument[5]);
       store(client.since_ns, record.stamp_ns);
-      store(client.executors, 0);
+      store(client.wait_sets, 0);
       store(client.readers, 0);
       store(client.window_count, 0);
       AGNOCAST_CRASH_POINT(B_told);
@@ -175,8 +175,8 @@ void Registry::apply_to_client(const Record& record) {
             {record.argument[2], record.argument[3], record.argument[5]});
       store(client.window_count, std::max(client.window_count, record.argument[1] + 1));
       break;
-    case Type::open_executor:
-      store(client.executors, client.executors | std::uint64_t{1} << record.argument[1]);
+    case Type::open_wait_set:
+      store(client.wait_sets, client.wait_sets | std::uint64_t{1} << record.argument[1]);
       break;
     case Type::readers:
       store(client.readers, record.argument[1]);
@@ -275,7 +275,7 @@ void Registry::apply_to_subscription(const Record& record) {
       store(subscription.qos, argument[4]);
       store(subscription.extent, argument[5]);
       store(subscription.quota, argument[6]);
-      store(subscription.executor, argument[7]);
+      store(subscription.wait_set, argument[7]);
       store(subscription.creation, argument[8]);
       store(subscription.quota_of_others, argument[9]);
       AGNOCAST_CRASH_POINT(B_told);
@@ -287,7 +287,7 @@ void Registry::apply_to_subscription(const Record& record) {
       track({Kind::subscription, at, index});
       board(at).add_subscription(index, subscription.generation,
                                  {abi::unpack_qos(subscription.qos), number(subscription.client),
-                                  subscription.extent, subscription.quota, subscription.executor});
+                                  subscription.extent, subscription.quota, subscription.wait_set});
       break;
     case Type::leave_subscription: {
       const auto state = static_cast<EndpointState>(argument[2]);
@@ -401,7 +401,7 @@ void Registry::note_mute(const EndpointRef& ref) {
   const SubscriptionRecord& record = subscription(ref.topic, ref.index);
   const ClientRecord& owner = client(record.client);
   change(Type::reader_mute, {number(ref.topic), ref.index, record.generation, number(record.client),
-                             owner.uid, owner.pid, record.executor, counters().readers_mute + 1});
+                             owner.uid, owner.pid, record.wait_set, counters().readers_mute + 1});
 }
 
 void Registry::note_generation(std::uint64_t generation) noexcept {

@@ -29,7 +29,7 @@ constexpr std::uint64_t layout_of_tables() noexcept {
   abi::Fingerprint sum;
   sum.add(sizeof(TableHeader), offsetof(TableHeader, arena_base), offsetof(TableHeader, counters),
           offsetof(TableHeader, doorbells));
-  sum.add(sizeof(ClientRecord), offsetof(ClientRecord, reason), offsetof(ClientRecord, executors),
+  sum.add(sizeof(ClientRecord), offsetof(ClientRecord, reason), offsetof(ClientRecord, wait_sets),
           offsetof(ClientRecord, readers), offsetof(ClientRecord, window_count),
           offsetof(ClientRecord, window), offsetof(ClientRecord, notified),
           offsetof(ClientRecord, name));
@@ -42,7 +42,7 @@ constexpr std::uint64_t layout_of_tables() noexcept {
           offsetof(PublisherRecord, last_joined), offsetof(PublisherRecord, notified),
           offsetof(PublisherRecord, node));
   sum.add(sizeof(SubscriptionRecord), offsetof(SubscriptionRecord, quota),
-          offsetof(SubscriptionRecord, executor), offsetof(SubscriptionRecord, creation),
+          offsetof(SubscriptionRecord, wait_set), offsetof(SubscriptionRecord, creation),
           offsetof(SubscriptionRecord, notified), offsetof(SubscriptionRecord, node));
   sum.add(ClientState::dead, ClientState::forgotten, EndpointState::leaving, EndpointState::orphan,
           EndpointState::over, EndpointState::dead);
@@ -188,7 +188,7 @@ const char* Registry::flaw_of_change(const Record& record) const noexcept {
     if (has(process) && argument(process) >= abi::client_count_max) return flawed;
   }
   if (has("window") && argument("window") >= abi::window_count_max) return flawed;
-  if (record.type == Type::open_executor && argument("executor") >= abi::executor_count_max)
+  if (record.type == Type::open_wait_set && argument("wait_set") >= abi::wait_set_count_max)
     return flawed;
   if (of_region) return record.argument[0] < abi::client_count_max ? nullptr : flawed;
   if (!has("topic")) return nullptr;
@@ -217,7 +217,7 @@ const char* Registry::flaw_of_client(std::uint32_t index) const noexcept {
   if (record.generation == 0 || record.generation > tables_.header.last_generation)
     return "the generation of a process";
   if (record.window_count > abi::window_count_max) return "the windows of a process";
-  if (record.executors >> abi::executor_count_max != 0) return "the executors of a process";
+  if (record.wait_sets >> abi::wait_set_count_max != 0) return "the wait sets of a process";
   return ends(record.name) ? nullptr : "the name of a process";
 }
 
@@ -255,7 +255,7 @@ const char* Registry::flaw_of_topic(std::uint32_t index) const noexcept {
                        record.state == EndpointState::leaving ||
                        record.state == EndpointState::over || record.state == EndpointState::dead;
     if (!check(record, abi::subscription_extent_bytes, known) ||
-        record.executor >= abi::executor_count_max)
+        record.wait_set >= abi::wait_set_count_max)
       flaw = "a subscription";
   });
   return flaw;
@@ -301,7 +301,7 @@ std::uint64_t Registry::repair_subscription(TopicIndex topic, std::uint32_t inde
   repaired += agree(at(offsetof(Entry, client)), number(record.client));
   repaired += agree(at(offsetof(Entry, extent)), record.extent);
   repaired += agree(at(offsetof(Entry, quota)), record.quota);
-  repaired += agree(at(offsetof(Entry, executor)), record.executor);
+  repaired += agree(at(offsetof(Entry, wait_set)), record.wait_set);
   return repaired + agree(at(offsetof(Entry, word)),
                           abi::pack_board_word(record.generation, on_board(record.state)));
 }

@@ -62,7 +62,7 @@ struct ClientRecord {
   // then it maps its memory and must be refused when it comes back.
   journal::DeathReason reason;
   std::uint64_t domain;
-  std::uint64_t executors;  // one bit each
+  std::uint64_t wait_sets;  // one bit each
   std::uint64_t since_ns;   // CLOCK_MONOTONIC of its hello
   std::uint64_t readers;    // who may read its heap, from readers_of(); 0: it never published
   std::uint64_t window_count;
@@ -70,7 +70,7 @@ struct ClientRecord {
   AnnounceSet notified;  // peers that have its region and windows
   char name[abi::wire::name_bytes];
 };
-static_assert(abi::executor_count_max < 64, "the executors of a client are one word of bits");
+static_assert(abi::wait_set_count_max < 64, "the wait sets of a client are one word of bits");
 
 /// Which places of a topic are in use: one bit each.
 template <std::uint32_t capacity>
@@ -113,7 +113,7 @@ struct SubscriptionRecord {
   std::uint64_t qos;
   std::uint64_t extent;
   std::uint64_t quota;
-  std::uint64_t executor;
+  std::uint64_t wait_set;
   std::uint64_t creation;         // id of the request that created it
   std::uint64_t quota_of_others;  // messages of a publisher of another user
   AnnounceSet notified;

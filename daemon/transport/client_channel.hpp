@@ -5,7 +5,7 @@
 
 #include <agnocast/abi/wire.hpp>
 #include <daemon/state/tables.hpp>
-#include <daemon/transport/requests.hpp>
+#include <daemon/transport/request_reading.hpp>
 #include <daemon/transport/session.hpp>
 #include <daemon/transport/shared_fd.hpp>
 

@@ -152,8 +152,8 @@ std::string DescriptorStore::process(ClientIndex client) { return indexed('p', c
 std::string DescriptorStore::window(ClientIndex client, std::uint64_t window) {
   return indexed('w', client) + '.' + std::to_string(window);
 }
-std::string DescriptorStore::eventfd(ClientIndex client, std::uint64_t executor) {
-  return indexed('e', client) + '.' + std::to_string(executor);
+std::string DescriptorStore::eventfd(ClientIndex client, std::uint64_t wait_set) {
+  return indexed('e', client) + '.' + std::to_string(wait_set);
 }
 
 void notify(const std::string& state) noexcept { static_cast<void>(::sd_notify(0, state.c_str())); }

@@ -8,7 +8,7 @@
 //
 //   board, journal, lock, listen   once, in this order: if the lock is there, a run continues
 //   rN     region of process N, writable            pN     its pidfd
-//   wN.K   its window K, read-only                  eN.X   eventfd of its executor X
+//   wN.K   its window K, read-only                  eN.X   eventfd of its wait set X
 //
 // A descriptor is put before the log record that makes it count, and removed after the record that
 // ends it. Those left over by a death in between are not taken by the next start.
@@ -95,7 +95,7 @@ class DescriptorStore {
   static std::string region(ClientIndex client);
   static std::string process(ClientIndex client);
   static std::string window(ClientIndex client, std::uint64_t window);
-  static std::string eventfd(ClientIndex client, std::uint64_t executor);
+  static std::string eventfd(ClientIndex client, std::uint64_t wait_set);
 
  private:
   bool keeps_ = false;

@@ -44,26 +44,26 @@ Result<SharedFd> Doorbells::duplicate_receiver(int fd, std::uint32_t uid) const 
   });
 }
 
-Result<std::vector<SharedFd>> Doorbells::open(ClientIndex client, std::uint64_t executor,
+Result<std::vector<SharedFd>> Doorbells::open(ClientIndex client, std::uint64_t wait_set,
                                               std::uint32_t uid) {
-  const Key key{number(client), executor};
+  const Key key{number(client), wait_set};
   if (const auto found = doorbells_.find(key); found != doorbells_.end()) {
     if (SharedFd datagram = found->second.given.lock())
       return std::vector<SharedFd>{found->second.eventfd, std::move(datagram)};
-    close(client, executor);
+    close(client, wait_set);
   }
-  auto fds = make(client, executor, uid, nullptr);
+  auto fds = make(client, wait_set, uid, nullptr);
   if (!fds) return fds;
-  if (auto kept = store_.put(DescriptorStore::eventfd(client, executor), (*fds)[0]->get()); !kept) {
+  if (auto kept = store_.put(DescriptorStore::eventfd(client, wait_set), (*fds)[0]->get()); !kept) {
     doorbells_.erase(key);
     return tl::unexpected(kept.error());
   }
   return fds;
 }
 
-Result<std::vector<SharedFd>> Doorbells::make(ClientIndex client, std::uint64_t executor,
+Result<std::vector<SharedFd>> Doorbells::make(ClientIndex client, std::uint64_t wait_set,
                                               std::uint32_t uid, SharedFd eventfd) {
-  const Key key{number(client), executor};
+  const Key key{number(client), wait_set};
   const std::string name = name_of(key);
   AGNOCAST_CRASH_POINT(B_bell_bind);
   ::mkdir(directory_.c_str(), 0700);  // it may have been removed; make_doorbell() checks its owner
@@ -83,9 +83,9 @@ Result<std::vector<SharedFd>> Doorbells::make(ClientIndex client, std::uint64_t 
   return std::vector<SharedFd>{std::move(eventfd), std::move(*datagram)};
 }
 
-Result<std::vector<SharedFd>> Doorbells::renew(ClientIndex client, std::uint64_t executor,
+Result<std::vector<SharedFd>> Doorbells::renew(ClientIndex client, std::uint64_t wait_set,
                                                std::uint32_t uid) {
-  const Key key{number(client), executor};
+  const Key key{number(client), wait_set};
   const auto found = doorbells_.find(key);
   SharedFd eventfd;
   unsigned left = renewals_max;
@@ -97,20 +97,20 @@ Result<std::vector<SharedFd>> Doorbells::renew(ClientIndex client, std::uint64_t
     eventfd = found->second.eventfd;
   }
   const bool is_new = eventfd == nullptr;
-  auto fds = make(client, executor, uid, std::move(eventfd));
+  auto fds = make(client, wait_set, uid, std::move(eventfd));
   if (!fds) return fds;
   doorbells_[key].renewals_left = left - 1;
   if (!is_new) return fds;
-  if (auto kept = store_.put(DescriptorStore::eventfd(client, executor), (*fds)[0]->get()); !kept) {
+  if (auto kept = store_.put(DescriptorStore::eventfd(client, wait_set), (*fds)[0]->get()); !kept) {
     doorbells_.erase(key);
     return tl::unexpected(kept.error());
   }
   return fds;
 }
 
-void Doorbells::restore(ClientIndex client, std::uint64_t executor) {
-  const Key key{number(client), executor};
-  UniqueFd eventfd = store_.take(DescriptorStore::eventfd(client, executor));
+void Doorbells::restore(ClientIndex client, std::uint64_t wait_set) {
+  const Key key{number(client), wait_set};
+  UniqueFd eventfd = store_.take(DescriptorStore::eventfd(client, wait_set));
   if (!eventfd) return;  // its process opens it again
   UniqueFd way = way_to(name_of(key));
   auto sender = connect_to(way, name_of(key));
@@ -168,9 +168,9 @@ void Doorbells::remove_unknown_names() noexcept {
   }
 }
 
-Result<std::vector<SharedFd>> Doorbells::for_publisher(ClientIndex client, std::uint64_t executor,
+Result<std::vector<SharedFd>> Doorbells::for_publisher(ClientIndex client, std::uint64_t wait_set,
                                                        bool same_user) {
-  const Key key{number(client), executor};
+  const Key key{number(client), wait_set};
   std::vector<SharedFd> fds;
   const auto found = doorbells_.find(key);
   if (found == doorbells_.end()) return fds;
@@ -186,8 +186,8 @@ Result<std::vector<SharedFd>> Doorbells::for_publisher(ClientIndex client, std::
   return fds;
 }
 
-void Doorbells::ring(ClientIndex client, std::uint64_t executor) noexcept {
-  const auto found = doorbells_.find({number(client), executor});
+void Doorbells::ring(ClientIndex client, std::uint64_t wait_set) noexcept {
+  const auto found = doorbells_.find({number(client), wait_set});
   if (found != doorbells_.end()) found->second.own.ring();
 }
 
@@ -195,11 +195,11 @@ void Doorbells::ring_all() noexcept {
   for (auto& [key, doorbell] : doorbells_) doorbell.own.ring();
 }
 
-void Doorbells::close(ClientIndex client, std::uint64_t executor) noexcept {
-  const Key key{number(client), executor};
+void Doorbells::close(ClientIndex client, std::uint64_t wait_set) noexcept {
+  const Key key{number(client), wait_set};
   if (doorbells_.erase(key) == 0) return;
   ::unlink((directory_ + "/" + name_of(key)).c_str());
-  store_.remove(DescriptorStore::eventfd(client, executor));
+  store_.remove(DescriptorStore::eventfd(client, wait_set));
 }
 
 void Doorbells::close_client(ClientIndex client) noexcept {

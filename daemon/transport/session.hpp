@@ -20,7 +20,7 @@
 #include <base/sockets/packet_socket.hpp>
 #include <base/sockets/peer_identity.hpp>
 #include <daemon/state/tables.hpp>
-#include <daemon/transport/requests.hpp>
+#include <daemon/transport/request_reading.hpp>
 #include <daemon/transport/shared_fd.hpp>
 
 #include <algorithm>

@@ -170,11 +170,11 @@ class Daemon {
         rejoined.incarnation = 1;
         return say(Opcode::rejoined, rejoined, {}, request);
       }
-      case Opcode::open_executor: {
+      case Opcode::open_wait_set: {
         const UniqueFd doorbell(::eventfd(0, EFD_CLOEXEC | EFD_NONBLOCK));
         const UniqueFd datagram(::socket(AF_UNIX, SOCK_DGRAM | SOCK_CLOEXEC, 0));
         const int fds[] = {doorbell.get(), datagram.get()};
-        return say(Opcode::executor_opened, wire::Done{}, fds, request);
+        return say(Opcode::wait_set_opened, wire::Done{}, fds, request);
       }
       case Opcode::create_subscription: {
         wire::EndpointCreated created{};
@@ -335,7 +335,7 @@ class Script {
     body.qos = input_.ConsumeBool() ? input_.ConsumeIntegral<std::uint64_t>()
                                     : abi::pack_qos({10, false, true, false, false});
     body.first_sequence = some(0);
-    body.executor = few() % abi::executor_count_max;
+    body.wait_set = few() % abi::wait_set_count_max;
     body.from_start = input_.ConsumeBool();
     body.window_count = static_cast<std::uint32_t>(some(1));
     body.doorbell_count = static_cast<std::uint32_t>(few());

@@ -13,7 +13,7 @@
 #include <dataplane/publisher_core.hpp>
 #include <dataplane/subscription_core.hpp>
 #include <journal/board_steps.hpp>
-#include <journal/recovery.hpp>
+#include <journal/queue_recovery.hpp>
 #include <journal/verify.hpp>
 #include <region/windows.hpp>
 
@@ -220,7 +220,7 @@ void publish_to_a_liar(FuzzedDataProvider& input) {
   for (std::uint64_t s = 0; s < 2; ++s) {
     steps.add_subscription(s, s + 1, {requested, s, extent, quota, 0});
     publisher->attach(s, s + 1, (s == 0 ? honest_lines : liars_lines).base(), extent,
-                      offsetof(abi::ClientRegionHeader, executor), s, environment);
+                      offsetof(abi::ClientRegionHeader, wait_set), s, environment);
   }
   LinkCore<M> honest({topic,
                       words,

@@ -60,7 +60,7 @@ void live(Registry& registry, FuzzedDataProvider& input) {
     if (clients.empty() || what == 0) {
       if (const auto made = registry.add_client({1, 1, 1, 0, "process"})) {
         clients.push_back(*made);
-        registry.open_executor(*made, 0);
+        registry.open_wait_set(*made, 0);
         registry.open_window(*made, {std::uint64_t{1} << 45, 2 << 20, 0});
       }
       continue;

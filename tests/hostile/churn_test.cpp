@@ -74,7 +74,7 @@ TEST(HostileChurn, OtherTypesUnderTheRightNameMatchNobody) {
   Chance chance(71);
   Attacker attacker([&](Attack& attack) {
     HostileNode node(path);
-    EXPECT_EQ(node.wire().open_executor().opcode(), Opcode::executor_opened);
+    EXPECT_EQ(node.wire().open_wait_set().opcode(), Opcode::wait_set_opened);
     for (attack.ready(); attack.goes_on(); ++attack.word(0)) {
       auto body =
           WireClient::endpoint(stream_topic, {}, "wrong/msg/Type" + std::to_string(chance()));
@@ -103,7 +103,7 @@ TEST(HostileChurn, NamesFullOfControlCharactersReachNoTerminal) {
     range.bytes = 4096;
     range.what = wire_name(escapes);
     wire.send(Opcode::blocked, range);
-    EXPECT_EQ(wire.open_executor().opcode(), Opcode::executor_opened);
+    EXPECT_EQ(wire.open_wait_set().opcode(), Opcode::wait_set_opened);
     auto body = WireClient::endpoint(open_topic, {}, escapes);
     body.node = wire_name(escapes);
     for (int field = 0; field < 3; ++field) {

@@ -426,7 +426,7 @@ TEST(HostileControl, RequestsBeforeHelloAndASecondHelloAreRefused) {
   Attacker attacker([&](Attack&) {
     WireClient client(stage.socket_path());
     EXPECT_EQ(client.open_window(0).refused_code(), Errc::protocol_violation);
-    EXPECT_EQ(client.open_executor().refused_code(), Errc::protocol_violation);
+    EXPECT_EQ(client.open_wait_set().refused_code(), Errc::protocol_violation);
     EXPECT_EQ(client.create_publisher(open_topic).refused_code(), Errc::protocol_violation);
     EXPECT_EQ(client.create_subscription(open_topic).refused_code(), Errc::protocol_violation);
     for (const Opcode opcode : {Opcode::leave, Opcode::drained})

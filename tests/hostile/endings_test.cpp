@@ -173,7 +173,7 @@ void publish_in_masses(const std::string& path, Attack& attack) {
 
 void subscribe_in_masses(const std::string& path, Attack& attack) {
   HostileNode node(path);
-  node.open_executor();
+  node.open_wait_set();
   // So many requests are under way at once; sent one by one, each would wait for a time slice of
   // both processes.
   constexpr std::uint64_t row = 50;

@@ -72,24 +72,24 @@ class HostileNode {
   int window_read_fd() const { return window_fds_[1].get(); }
   std::byte* heap() const { return heap_.base(); }
 
-  void open_executor() {
-    Incoming opened = wire_.open_executor();
-    EXPECT_EQ(opened.opcode(), wire::Opcode::executor_opened) << opened.refused_text();
+  void open_wait_set() {
+    Incoming opened = wire_.open_wait_set();
+    EXPECT_EQ(opened.opcode(), wire::Opcode::wait_set_opened) << opened.refused_text();
     doorbells_ = std::move(opened.fds);
     executor_ = true;
   }
   /// A subscription of this depth with an additional executor. Returns false if the daemon refused
   /// it.
   bool subscribe_with_executor(const char* topic, std::uint64_t executor, std::uint32_t depth) {
-    Incoming opened = wire_.open_executor(executor);
-    if (opened.opcode() != wire::Opcode::executor_opened) return false;
+    Incoming opened = wire_.open_wait_set(executor);
+    if (opened.opcode() != wire::Opcode::wait_set_opened) return false;
     for (UniqueFd& fd : opened.fds) more_doorbells_.push_back(std::move(fd));
     auto body = WireClient::endpoint(topic, {depth, false, true, false, false});
     static std::map<std::string, std::pair<wire::Name, std::uint64_t>> types;  // a dump costs time
     if (types.count(topic) == 0) types[topic] = type_of(topic);
     body.type = types[topic].first;
     body.layout_hash = types[topic].second;
-    body.executor = executor;
+    body.wait_set = executor;
     body.quota = 1;  // any process may hold that many of others
     return wire_.ask(wire::Opcode::create_subscription, body).opcode() ==
            wire::Opcode::endpoint_created;
@@ -105,7 +105,7 @@ class HostileNode {
     if (kind == wire::Kind::publisher) {
       open_window();
     } else if (!executor_) {
-      open_executor();
+      open_wait_set();
     }
     const Incoming made =
         wire_.ask(kind == wire::Kind::publisher ? wire::Opcode::create_publisher
@@ -143,7 +143,7 @@ class HostileNode {
                             std::uint64_t publisher) const {
     return {region_.base(), subscription.extent, publisher};
   }
-  abi::SharedWord& armed() const { return word(offsetof(abi::ClientRegionHeader, executor)); }
+  abi::SharedWord& armed() const { return word(offsetof(abi::ClientRegionHeader, wait_set)); }
   abi::SharedWord& frontier(std::uint64_t window = 0) const {
     return word(128 + window * sizeof(abi::WindowEntry) + offsetof(abi::WindowEntry, frontier));
   }

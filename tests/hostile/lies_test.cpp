@@ -174,7 +174,7 @@ TEST(HostileLies, AGreedySubscriptionGetsWhatItsUserMayHoldAndNoMore) {
         constexpr std::uint64_t most = 115;
         LyingSubscriber greedy(stage, 1000, most);
         HostileNode second(stage.socket_path());
-        EXPECT_EQ(second.wire().open_executor().opcode(), Opcode::executor_opened);
+        EXPECT_EQ(second.wire().open_wait_set().opcode(), Opcode::wait_set_opened);
         EXPECT_EQ(
             second.wire()
                 .ask(Opcode::create_subscription, second.body_like(stream_topic, stream_topic, {}))

@@ -39,7 +39,7 @@ TEST(HostileMute, ASubscriptionThatNobodyCanRingKeepsNoPublisherFromItsSlots) {
   Stage stage;
   Attacker attacker([&](Attack& attack) {
     HostileNode node(stage.socket_path());
-    node.open_executor();
+    node.open_wait_set();
     node.close_doorbells();
     node.join(Kind::subscription, stream_topic, {1, false, true, false, false});
     attack.ready();

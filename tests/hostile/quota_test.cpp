@@ -80,7 +80,7 @@ TEST(HostileQuotas, PublishersSubscriptionsAndExecutorsCountForOneUserAlone) {
     const auto topic = [](std::uint64_t i) { return "/t" + std::to_string(i); };
     std::uint64_t all = takes_all([&](std::uint64_t i) { return wire.create_publisher(topic(i)); },
                                   "[quota] publishers");
-    all += takes_all([&](std::uint64_t i) { return wire.open_executor(i); }, "[quota] executors");
+    all += takes_all([&](std::uint64_t i) { return wire.open_wait_set(i); }, "[quota] executors");
     all += takes_all([&](std::uint64_t i) { return wire.create_subscription(topic(i)); },
                      "[quota] subscriptions");
     EXPECT_EQ(all, 12u);
@@ -103,7 +103,7 @@ TEST(HostileQuotas, HeldMessagesCountForOneUserAlone) {
   Stage stage({.quota = small_quotas});
   comes_back(stage, [&](const std::string& path) {
     HostileNode node(path);
-    EXPECT_EQ(node.wire().open_executor().opcode(), Opcode::executor_opened);
+    EXPECT_EQ(node.wire().open_wait_set().opcode(), Opcode::wait_set_opened);
     auto greedy = WireClient::endpoint("/held", {});
     greedy.quota = 100;
     return takes_all(
@@ -198,7 +198,7 @@ TEST(HostileQuotas, NobodyTakesTheLastPlacesOfATopicAlone) {
                 // The region of a process has room for some hundred.
                 if (i % 96 == 0) {
                   nodes.push_back(std::make_unique<HostileNode>(path));
-                  nodes.back()->open_executor();
+                  nodes.back()->open_wait_set();
                   body = nodes.back()->body_like(open_topic, topic, {});
                 }
                 return nodes.back()->wire().ask(what, body);
@@ -258,7 +258,7 @@ TEST(HostileQuotas, EndpointsCostTheDaemonNoMappings) {
   const std::uint64_t before = mappings_of(stage.daemon().pid());
   Attacker attacker([&](Attack& attack) {
     HostileNode node(stage.socket_path());
-    EXPECT_EQ(node.wire().open_executor().opcode(), Opcode::executor_opened);
+    EXPECT_EQ(node.wire().open_wait_set().opcode(), Opcode::wait_set_opened);
     for (std::uint64_t i = 0; i < 300; ++i) {
       EXPECT_EQ(node.wire().create_subscription("/maps" + std::to_string(i)).opcode(),
                 Opcode::endpoint_created);

@@ -34,7 +34,7 @@ constexpr uid_t more_hostile_uids[] = {65521, 65522};
 /// The subscriptions of an attacker on a topic with one publisher.
 class Holder {
  public:
-  explicit Holder(const std::string& path) : node_(path) { node_.open_executor(); }
+  explicit Holder(const std::string& path) : node_(path) { node_.open_wait_set(); }
 
   /// Adds one on the stream; returns false when the daemon refused it.
   bool subscribe(std::uint64_t quota) {
@@ -165,7 +165,7 @@ TEST(HostileRetention, ALaterPublisherHasItsSlots) {
   Stage stage({.quota = "", .more = small_topic});
   Attacker attacker([&](Attack& attack) {
     HostileNode node(stage.socket_path());
-    node.open_executor();
+    node.open_wait_set();
     std::vector<wire::EndpointCreated> made;
     for (int i = 0; i < 20; ++i) {
       auto body = node.body_like(stream_topic, "/later", {deepest, false, true, false, false});

@@ -104,8 +104,8 @@ TEST(HostileSecrets, ASubscriberToAnotherTopicReceivesNoWindowWithSecrets) {
   Attacker attacker([&](Attack& attack) {
     HostileNode node(stage.socket_path());
     for (const char* topic : {"/secret", "/_service/request/vault"}) {
-      EXPECT_EQ(node.wire().open_executor(topic[1] == 's' ? 0 : 1).opcode(),
-                Opcode::executor_opened);
+      EXPECT_EQ(node.wire().open_wait_set(topic[1] == 's' ? 0 : 1).opcode(),
+                Opcode::wait_set_opened);
       EXPECT_EQ(node.wire().create_subscription(topic).refused_code(), Errc::access_denied);
     }
     attack.ready();
@@ -179,7 +179,7 @@ TEST(HostileSecrets, StricterRulesHoldForPresentProcesses) {
   attacker.end();
   Attacker another([&](Attack& attack) {
     HostileNode node(stage.socket_path());
-    EXPECT_EQ(node.wire().open_executor().opcode(), Opcode::executor_opened);
+    EXPECT_EQ(node.wire().open_wait_set().opcode(), Opcode::wait_set_opened);
     EXPECT_EQ(node.wire().create_subscription("/secret").refused_code(), Errc::access_denied);
     attack.ready();
   });
@@ -198,7 +198,7 @@ TEST(HostileSecrets, AReaderThatMayNotReadAllTopicsOfAProcessIsRefusedLater) {
   change_rules(stage, loose, only("/secret", honest));
   Attacker attacker([&](Attack& attack) {
     HostileNode node(stage.socket_path());
-    EXPECT_EQ(node.wire().open_executor().opcode(), Opcode::executor_opened);
+    EXPECT_EQ(node.wire().open_wait_set().opcode(), Opcode::wait_set_opened);
     const Incoming refused = node.wire().create_subscription("/public");
     EXPECT_EQ(refused.refused_code(), Errc::access_denied);
     EXPECT_NE(refused.refused_text().find("/secret"), std::string::npos) << refused.refused_text();

@@ -54,14 +54,14 @@ std::map<std::string, Struct> in_headers() {
              FIELD(PublisherEntry, final_head)),
       STRUCT(SubscriptionEntry, FIELD(SubscriptionEntry, word), FIELD(SubscriptionEntry, qos),
              FIELD(SubscriptionEntry, client), FIELD(SubscriptionEntry, extent),
-             FIELD(SubscriptionEntry, quota), FIELD(SubscriptionEntry, executor)),
+             FIELD(SubscriptionEntry, quota), FIELD(SubscriptionEntry, wait_set)),
       STRUCT(ClientRegionHeader, FIELD(ClientRegionHeader, magic),
              FIELD(ClientRegionHeader, fingerprint), FIELD(ClientRegionHeader, generation),
              FIELD(ClientRegionHeader, window), FIELD(ClientRegionHeader, reserved),
-             FIELD(ClientRegionHeader, executor)),
+             FIELD(ClientRegionHeader, wait_set)),
       STRUCT(WindowEntry, FIELD(WindowEntry, base), FIELD(WindowEntry, length),
              FIELD(WindowEntry, frontier), FIELD(WindowEntry, reserved)),
-      STRUCT(ExecutorLine, FIELD(ExecutorLine, armed)),
+      STRUCT(WaitSetLine, FIELD(WaitSetLine, armed)),
       STRUCT(PublisherEndpoint, FIELD(PublisherEndpoint, head),
              FIELD(PublisherEndpoint, persistent_id), FIELD(PublisherEndpoint, inherited),
              FIELD(PublisherEndpoint, published_bytes), FIELD(PublisherEndpoint, intent_op),
@@ -145,7 +145,7 @@ TEST(RegionsDocument, HasTheLimitsOfTheHeaders) {
   says("LinkLine[" + number(publisher_count_max) + "] · SubscriptionCounters · far hold words [" +
        number(publisher_count_max) + "][" + number(far_hold_word_count) + "]");
   says("`WindowEntry[" + number(window_count_max) + "]`");
-  says("`ExecutorLine[" + number(executor_count_max) + "]`");
+  says("`WaitSetLine[" + number(wait_set_count_max) + "]`");
   says("slots 0 to " + number(near_slot_count - 1) + ";");
   says("multiple of " + number(window_granule_bytes >> 20) + " MiB");
 }

@@ -68,7 +68,7 @@ inline void QueueScenario::build_map() const {
   address_map.add(board, p + offsetof(abi::PublisherEntry, final_head), "pub.final_head");
   for (std::uint64_t s = 0; s < 2; ++s) {
     const std::uint64_t at = abi::subscription_entry_offset(1, s);
-    const char* fields[] = {"word", "qos", "client", "extent", "quota", "executor"};
+    const char* fields[] = {"word", "qos", "client", "extent", "quota", "wait_set"};
     for (std::uint64_t f = 0; f < 6; ++f) {
       std::snprintf(name, sizeof name, "sub%llu.%s", static_cast<unsigned long long>(s), fields[f]);
       address_map.add(board, at + f * 8, name);

@@ -16,7 +16,7 @@
 #include <dataplane/publisher_core.hpp>
 #include <dataplane/subscription_core.hpp>
 #include <journal/board_steps.hpp>
-#include <journal/recovery.hpp>
+#include <journal/queue_recovery.hpp>
 #include <region/windows.hpp>
 #include <tests/model/explorer.hpp>
 #include <tests/model/queue_plan.hpp>
@@ -248,7 +248,7 @@ class QueueScenario {
   // --- addresses
 
   static constexpr std::uint64_t armed_offset() {
-    return offsetof(abi::ClientRegionHeader, executor);
+    return offsetof(abi::ClientRegionHeader, wait_set);
   }
   static constexpr std::uint64_t frontier_offset(std::uint64_t window) {
     return offsetof(abi::ClientRegionHeader, window) + window * sizeof(abi::WindowEntry) +

@@ -13,7 +13,7 @@
 #include <dataplane/publisher_core.hpp>
 #include <dataplane/subscription_core.hpp>
 #include <journal/board_steps.hpp>
-#include <journal/recovery.hpp>
+#include <journal/queue_recovery.hpp>
 #include <journal/verify.hpp>
 #include <tests/support/crash/crash_point.hpp>
 
@@ -43,7 +43,7 @@ inline constexpr std::uint64_t region_bytes = 1 << 20;
 inline constexpr std::uint64_t heap_bytes = 4 << 20;
 inline constexpr std::uint64_t growth_bytes = 256 << 10;
 inline constexpr std::uint64_t slot_count = 64;
-inline constexpr std::uint64_t armed_offset = offsetof(abi::ClientRegionHeader, executor);
+inline constexpr std::uint64_t armed_offset = offsetof(abi::ClientRegionHeader, wait_set);
 
 /// A message that points to its data, like a std::vector.
 struct Message {

@@ -84,9 +84,9 @@ class Core final : private ClientChannel {
     registry_.open_window(index, {core_window_base(client, window), core_window_bytes, 0});
     endpoint_manager_.announce_window(index);
   }
-  void open_executor(std::uint32_t client) {
+  void open_wait_set(std::uint32_t client) {
     ring_at(client);
-    registry_.open_executor(ClientIndex{client}, 0);
+    registry_.open_wait_set(ClientIndex{client}, 0);
   }
   void create(std::uint32_t client, Kind kind, const char* topic, std::uint64_t request,
               std::uint32_t depth, bool again) {
@@ -187,7 +187,7 @@ class Core final : private ClientChannel {
     endpoint_manager_.carry_out_what_is_owed();
     for (std::uint32_t i = 0; i < registry_.client_high(); ++i) {
       if (!registry_.is_alive(ClientIndex{i})) continue;
-      if (registry_.client(ClientIndex{i}).executors != 0) ring_at(i);
+      if (registry_.client(ClientIndex{i}).wait_sets != 0) ring_at(i);
       connect(i);
       endpoint_manager_.welcome_back(ClientIndex{i});
     }
@@ -291,7 +291,7 @@ inline std::string Core::state(Generations generations) const {
     text << "process " << i << " state " << static_cast<int>(client.state);
     if (client.state != ClientState::free) {
       text << " generation " << shown(client.generation) << " uid " << client.uid << " gid "
-           << client.gid << " pid " << client.pid << " executors " << client.executors << " name "
+           << client.gid << " pid " << client.pid << " executors " << client.wait_sets << " name "
            << client.name;
       if (client.state != ClientState::alive) text << " reason " << static_cast<int>(client.reason);
       text << " windows";
@@ -305,7 +305,7 @@ inline std::string Core::state(Generations generations) const {
   }
   const Usage usage = registry.usage_of(1000);
   text << "user " << usage.clients << ' ' << usage.publishers << ' ' << usage.subscriptions << ' '
-       << usage.executors << ' ' << usage.heap_bytes << ' ' << usage.held_messages << '\n';
+       << usage.wait_sets << ' ' << usage.heap_bytes << ' ' << usage.held_messages << '\n';
   for (std::uint32_t t = 0; t < registry.topic_high(); ++t) {
     const TopicIndex at{t};
     const TopicRecord& topic = registry.topic(at);
@@ -351,11 +351,11 @@ inline std::string Core::state(Generations generations) const {
       if (record.state != EndpointState::free) {
         text << " generation " << shown(record.generation) << " client " << number(record.client)
              << " qos " << record.qos << " extent " << record.extent << " quota " << record.quota
-             << " executor " << record.executor << " node " << record.node << " board";
+             << " wait set " << record.wait_set << " node " << record.node << " board";
         member(word(offsetof(Entry, word)));
         for (const std::size_t field :
              {offsetof(Entry, qos), offsetof(Entry, client), offsetof(Entry, extent),
-              offsetof(Entry, quota), offsetof(Entry, executor)})
+              offsetof(Entry, quota), offsetof(Entry, wait_set)})
           text << ' ' << word(field);
         text << " told ";
         set(record.notified);

@@ -47,7 +47,7 @@ Operation window(std::uint32_t c, std::uint64_t w) {
   return {"window", [=](Core& core, bool again) { core.open_window(c, w, again); }, {}};
 }
 Operation executor(std::uint32_t c) {
-  return {"executor", [=](Core& core, bool) { core.open_executor(c); }, {}};
+  return {"executor", [=](Core& core, bool) { core.open_wait_set(c); }, {}};
 }
 Operation publisher(std::uint32_t c, const char* topic, std::uint64_t request) {
   return {

@@ -475,7 +475,7 @@ class DoorbellsOfTwoUsers {
     const ctl::System system = stage_.look_in_time();
     return system.processes.size() == 2 &&
            std::all_of(system.processes.begin(), system.processes.end(),
-                       [](const auto& entry) { return entry.second.facts.silent_executors == 0; });
+                       [](const auto& entry) { return entry.second.facts.silent_wait_sets == 0; });
   }
 
   SweepStage stage_;

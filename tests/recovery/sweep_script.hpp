@@ -428,7 +428,7 @@ class Performance {
     for (const auto& [index, process] : system.processes) {
       text += "process " + std::to_string(index) + " " + name_of(process.facts.pid) +
               (process.facts.state == ctl::wire::ProcessState::dead ? " dead" : "") +
-              " executors " + std::to_string(process.facts.executors) + " windows";
+              " executors " + std::to_string(process.facts.wait_sets) + " windows";
       for (std::uint32_t w = 0; w < process.facts.window_count; ++w)
         text += " " + std::to_string(process.facts.window[w].base);
       text += "\n";
@@ -442,7 +442,7 @@ class Performance {
                   std::to_string(endpoint.facts.client) + " at " +
                   std::to_string(endpoint.facts.extent) + " slots " +
                   std::to_string(endpoint.facts.slot_count) + " executor " +
-                  std::to_string(endpoint.facts.executor) + "\n";
+                  std::to_string(endpoint.facts.wait_set) + "\n";
       }
     }
     return text;
@@ -463,7 +463,7 @@ class Performance {
       const char name = names[index] = name_of_process(process.facts.pid);
       const bool dead = process.facts.state == ctl::wire::ProcessState::dead;
       lines.insert(std::string("process ") + name + (dead ? " dead" : "") + " executors " +
-                   std::to_string(process.facts.executors) + " windows " +
+                   std::to_string(process.facts.wait_sets) + " windows " +
                    std::to_string(process.facts.window_count));
     }
     for (const auto& [index, topic] : system.topics) {

@@ -115,7 +115,7 @@ class World {
         for (; !attach_.empty(); attach_.pop_front()) {
           core->attach(attach_.front().first, attach_.front().second,
                        subscriber_[attach_.front().first].base(), extent,
-                       offsetof(abi::ClientRegionHeader, executor), attach_.front().first,
+                       offsetof(abi::ClientRegionHeader, wait_set), attach_.front().first,
                        environment);
         }
         for (; !detach_.empty(); detach_.pop_front())

@@ -41,7 +41,7 @@ namespace {
 using test::eventually;
 using M = SharedMemory;
 
-constexpr std::uint64_t word_offset = offsetof(abi::ClientRegionHeader, executor);
+constexpr std::uint64_t word_offset = offsetof(abi::ClientRegionHeader, wait_set);
 
 /// A queue whose messages are taken without a consumer lock: the callbacks of one exclusive
 /// group exclude each other, or this is a race.

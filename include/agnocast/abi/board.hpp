@@ -65,17 +65,17 @@ static_assert(sizeof(PublisherEntry) == 64 && offsetof(PublisherEntry, qos) == 8
 //   16  client    u64  index of the process
 //   24  extent    u64  offset of its subscription endpoint in the client region, bytes
 //   32  quota     u64  messages it may hold, per publisher
-//   40  executor  u64  index of the executor that it sleeps in
+//   40  wait_set  u64  index of the wait set that it sleeps in
 struct alignas(cache_line_bytes) SubscriptionEntry {
   SharedWord word;
   SharedWord qos;
   SharedWord client;
   SharedWord extent;
   SharedWord quota;
-  SharedWord executor;
+  SharedWord wait_set;
 };
 static_assert(sizeof(SubscriptionEntry) == 64 && offsetof(SubscriptionEntry, qos) == 8 &&
-              offsetof(SubscriptionEntry, executor) == 40);
+              offsetof(SubscriptionEntry, wait_set) == 40);
 
 constexpr std::uint64_t publisher_entry_offset(std::uint64_t index) noexcept {
   return sizeof(TopicHeader) + index * sizeof(PublisherEntry);

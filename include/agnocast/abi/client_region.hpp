@@ -3,7 +3,7 @@
 // Client region: one memfd per process, written by that process alone, mapped read-only by its
 // peers. Sparse; the daemon assigns extents for endpoints in whole pages.
 //
-//      0  header page      windows, executors
+//      0  header page      windows, wait sets
 //   4096  extents …        publisher endpoints and subscription endpoints, in any order
 #pragma once
 
@@ -141,14 +141,14 @@ constexpr std::uint64_t far_hold_offset(std::uint64_t publisher_count, std::uint
          (publisher * far_hold_word_count + word) * sizeof(SharedWord);
 }
 
-// One executor's sleep word.   W = the process that sleeps.
+// One wait set's sleep word.   W = the process that sleeps.
 //
 //    0  armed  u64  generation; odd = asleep or about to sleep
 //                   [sync:sleep] relaxed + fence at S1/S2, relaxed at P8
-struct alignas(cache_line_bytes) ExecutorLine {
+struct alignas(cache_line_bytes) WaitSetLine {
   SharedWord armed;
 };
-static_assert(sizeof(ExecutorLine) == 64);
+static_assert(sizeof(WaitSetLine) == 64);
 
 // A heap window, as written by its owner. Peers take base and length from the daemon's
 // announcement, and read only the frontier here.
@@ -172,19 +172,19 @@ static_assert(sizeof(WindowEntry) == 32 && offsetof(WindowEntry, frontier) == 16
 //     8  fingerprint   u64
 //    16  generation    u64  of the client
 //   128  window[8]     WindowEntry
-//   512  executor[56]  ExecutorLine
+//   512  wait_set[56]  WaitSetLine
 struct ClientRegionHeader {
   SharedWord magic;
   SharedWord fingerprint;
   SharedWord generation;
   alignas(2 * cache_line_bytes) WindowEntry window[window_count_max];
   alignas(cache_line_bytes) std::byte reserved[128];
-  ExecutorLine executor[executor_count_max];
+  WaitSetLine wait_set[wait_set_count_max];
 };
 inline constexpr std::uint64_t client_region_magic =
     0x67657263742e6761;  // "ag.tcreg" in memory order
 static_assert(offsetof(ClientRegionHeader, window) == 128 &&
-              offsetof(ClientRegionHeader, executor) == 512);
+              offsetof(ClientRegionHeader, wait_set) == 512);
 static_assert(sizeof(ClientRegionHeader) == page_bytes);
 static_assert(std::is_standard_layout_v<ClientRegionHeader>);
 

@@ -49,7 +49,7 @@ constexpr std::uint64_t fingerprint() noexcept {
   Fingerprint sum;
   sum.add(layout_version, cache_line_bytes, page_bytes, depth_max, ring_count, slot_count_max,
           near_slot_count, publisher_count_max, subscription_count_max, orphan_count_max,
-          topic_count_max, client_count_max, window_count_max, executor_count_max,
+          topic_count_max, client_count_max, window_count_max, wait_set_count_max,
           observer_count_max, heap_move_max, blocked_count_max, callback_group_count_max,
           callback_thread_count_max, callback_spin_count_max, cpu_count_max);
   // Packing of words, by the results for probe values.
@@ -83,13 +83,13 @@ constexpr std::uint64_t fingerprint() noexcept {
           offsetof(SubscriptionCounters, persistent_id));
   sum.add(sizeof(LinkLine), offsetof(LinkLine, publisher_generation), offsetof(LinkLine, cursor),
           offsetof(LinkLine, hold));
-  sum.add(sizeof(ExecutorLine), offsetof(ExecutorLine, armed));
+  sum.add(sizeof(WaitSetLine), offsetof(WaitSetLine, armed));
   sum.add(sizeof(WindowEntry), offsetof(WindowEntry, base), offsetof(WindowEntry, length),
           offsetof(WindowEntry, frontier), offsetof(WindowEntry, reserved));
   sum.add(sizeof(ClientRegionHeader), offsetof(ClientRegionHeader, magic),
           offsetof(ClientRegionHeader, fingerprint), offsetof(ClientRegionHeader, generation),
           offsetof(ClientRegionHeader, window), offsetof(ClientRegionHeader, reserved),
-          offsetof(ClientRegionHeader, executor));
+          offsetof(ClientRegionHeader, wait_set));
   sum.add(sizeof(BoardHeader), offsetof(BoardHeader, magic), offsetof(BoardHeader, fingerprint),
           offsetof(BoardHeader, incarnation));
   sum.add(sizeof(TopicHeader), offsetof(TopicHeader, epoch), offsetof(TopicHeader, word),
@@ -101,7 +101,7 @@ constexpr std::uint64_t fingerprint() noexcept {
   sum.add(sizeof(SubscriptionEntry), offsetof(SubscriptionEntry, word),
           offsetof(SubscriptionEntry, qos), offsetof(SubscriptionEntry, client),
           offsetof(SubscriptionEntry, extent), offsetof(SubscriptionEntry, quota),
-          offsetof(SubscriptionEntry, executor));
+          offsetof(SubscriptionEntry, wait_set));
   sum.add(sizeof(wire::Header), offsetof(wire::Header, opcode), offsetof(wire::Header, bytes),
           offsetof(wire::Header, request));
   sum.add(sizeof(wire::Hello), offsetof(wire::Hello, header), offsetof(wire::Hello, fingerprint),
@@ -148,12 +148,12 @@ constexpr std::uint64_t fingerprint() noexcept {
           offsetof(wire::CallbackThread, executor), offsetof(wire::CallbackThread, thread),
           offsetof(wire::CallbackThread, is_there));
   sum.add(sizeof(wire::DoorbellsRenewed), offsetof(wire::DoorbellsRenewed, header),
-          offsetof(wire::DoorbellsRenewed, executor));
-  sum.add(sizeof(wire::ExecutorRequest), offsetof(wire::ExecutorRequest, header),
-          offsetof(wire::ExecutorRequest, executor));
+          offsetof(wire::DoorbellsRenewed, wait_set));
+  sum.add(sizeof(wire::WaitSetRequest), offsetof(wire::WaitSetRequest, header),
+          offsetof(wire::WaitSetRequest, wait_set));
   sum.add(sizeof(wire::CreateEndpoint), offsetof(wire::CreateEndpoint, header),
           offsetof(wire::CreateEndpoint, qos), offsetof(wire::CreateEndpoint, layout_hash),
-          offsetof(wire::CreateEndpoint, executor), offsetof(wire::CreateEndpoint, quota),
+          offsetof(wire::CreateEndpoint, wait_set), offsetof(wire::CreateEndpoint, quota),
           offsetof(wire::CreateEndpoint, topic), offsetof(wire::CreateEndpoint, type),
           offsetof(wire::CreateEndpoint, node));
   sum.add(sizeof(wire::EndpointCreated), offsetof(wire::EndpointCreated, header),
@@ -167,7 +167,7 @@ constexpr std::uint64_t fingerprint() noexcept {
           offsetof(wire::Announcement, index), offsetof(wire::Announcement, generation),
           offsetof(wire::Announcement, client), offsetof(wire::Announcement, client_generation),
           offsetof(wire::Announcement, extent), offsetof(wire::Announcement, qos),
-          offsetof(wire::Announcement, first_sequence), offsetof(wire::Announcement, executor),
+          offsetof(wire::Announcement, first_sequence), offsetof(wire::Announcement, wait_set),
           offsetof(wire::Announcement, from_start), offsetof(wire::Announcement, window_count),
           offsetof(wire::Announcement, doorbell_count), offsetof(wire::Announcement, uid),
           offsetof(wire::Announcement, same_user), offsetof(wire::Announcement, reserved),
@@ -236,7 +236,7 @@ constexpr std::uint64_t fingerprint() noexcept {
           offsetof(wire::DaemonLimits, windows_per_process));
   sum.add(sizeof(wire::UserShare), offsetof(wire::UserShare, clients),
           offsetof(wire::UserShare, publishers), offsetof(wire::UserShare, subscriptions),
-          offsetof(wire::UserShare, executors), offsetof(wire::UserShare, heap_bytes),
+          offsetof(wire::UserShare, wait_sets), offsetof(wire::UserShare, heap_bytes),
           offsetof(wire::UserShare, held_messages), offsetof(wire::UserShare, topics),
           offsetof(wire::UserShare, queued_bytes), offsetof(wire::UserShare, queued_seconds),
           offsetof(wire::UserShare, dumps_per_second),
@@ -259,7 +259,7 @@ constexpr std::uint64_t fingerprint() noexcept {
           offsetof(wire::DumpProcess, pid), offsetof(wire::DumpProcess, uid),
           offsetof(wire::DumpProcess, gid), offsetof(wire::DumpProcess, state),
           offsetof(wire::DumpProcess, domain), offsetof(wire::DumpProcess, age_ns),
-          offsetof(wire::DumpProcess, executors), offsetof(wire::DumpProcess, silent_executors),
+          offsetof(wire::DumpProcess, wait_sets), offsetof(wire::DumpProcess, silent_wait_sets),
           offsetof(wire::DumpProcess, window_count), offsetof(wire::DumpProcess, region_count),
           offsetof(wire::DumpProcess, window), offsetof(wire::DumpProcess, blocked_bytes),
           offsetof(wire::DumpProcess, threads_left_out), offsetof(wire::DumpProcess, name),
@@ -276,7 +276,7 @@ constexpr std::uint64_t fingerprint() noexcept {
           offsetof(wire::DumpEndpoint, client_generation), offsetof(wire::DumpEndpoint, qos),
           offsetof(wire::DumpEndpoint, extent), offsetof(wire::DumpEndpoint, slot_count),
           offsetof(wire::DumpEndpoint, first_sequence), offsetof(wire::DumpEndpoint, quota),
-          offsetof(wire::DumpEndpoint, quota_of_others), offsetof(wire::DumpEndpoint, executor),
+          offsetof(wire::DumpEndpoint, quota_of_others), offsetof(wire::DumpEndpoint, wait_set),
           offsetof(wire::DumpEndpoint, node));
   sum.add(sizeof(wire::DumpUser), offsetof(wire::DumpUser, header), offsetof(wire::DumpUser, uid),
           offsetof(wire::DumpUser, connections), offsetof(wire::DumpUser, observers),
@@ -329,9 +329,9 @@ constexpr std::uint64_t fingerprint() noexcept {
   sum.add(wire::version, wire::name_bytes, wire::packet_bytes_max, wire::answer_bytes_max,
           wire::descriptor_count_max, sizeof(wire::Announcement::Window));
   using wire::Opcode;
-  sum.add(Opcode::hello, Opcode::open_window, Opcode::open_executor, Opcode::create_publisher,
+  sum.add(Opcode::hello, Opcode::open_window, Opcode::open_wait_set, Opcode::create_publisher,
           Opcode::create_subscription, Opcode::leave, Opcode::drained, Opcode::unlinked,
-          Opcode::welcome, Opcode::window_opened, Opcode::executor_opened, Opcode::endpoint_created,
+          Opcode::welcome, Opcode::window_opened, Opcode::wait_set_opened, Opcode::endpoint_created,
           Opcode::done, Opcode::refused, Opcode::announce, Opcode::window_announced, Opcode::forget,
           Opcode::orphaned, Opcode::kick, Opcode::notice);
   sum.add(Opcode::rejoin, Opcode::rejoined, Opcode::own, Opcode::region, Opcode::revoked,

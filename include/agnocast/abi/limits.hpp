@@ -62,7 +62,7 @@ inline constexpr std::uint32_t observer_count_max = 8;
 
 // Wait sets of one process: one line each in the rest of the client region's first page beside the
 // windows. Callback groups share them when there are more.
-inline constexpr std::uint32_t executor_count_max = 56;
+inline constexpr std::uint32_t wait_set_count_max = 56;
 
 // What the daemon knows of the threads that run callbacks, for each process: five times the
 // required 200 executor threads, and twice the required 2,000 callback groups. In rclcpp each group

@@ -156,7 +156,7 @@ struct UserShare {
   std::uint64_t clients;
   std::uint64_t publishers;
   std::uint64_t subscriptions;
-  std::uint64_t executors;
+  std::uint64_t wait_sets;
   std::uint64_t heap_bytes;
   std::uint64_t held_messages;
   std::uint64_t topics;
@@ -208,8 +208,8 @@ struct DumpProcess {
   ProcessState state;
   std::uint64_t domain;
   std::uint64_t age_ns;            // since its hello
-  std::uint64_t executors;         // one bit each
-  std::uint64_t silent_executors;  // mute: no publisher can ring them by datagram, as far as known
+  std::uint64_t wait_sets;         // one bit each
+  std::uint64_t silent_wait_sets;  // mute: no publisher can ring them by datagram, as far as known
   std::uint32_t window_count;
   std::uint32_t region_count;  // descriptors sent with this body
   Announcement::Window window[window_count_max];
@@ -245,7 +245,7 @@ struct DumpEndpoint {
   std::uint64_t first_sequence;   // publisher
   std::uint64_t quota;            // subscription
   std::uint64_t quota_of_others;  // subscription: of publishers of other users
-  std::uint64_t executor;         // subscription
+  std::uint64_t wait_set;         // subscription
   Name node;
 };
 struct DumpUser {

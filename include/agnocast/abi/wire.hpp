@@ -17,7 +17,7 @@
 //   rejoin                Rejoin             rejoined            after the connection was lost
 //   open_window           WindowRequest      window_opened       window (write), window (read)
 //   bring_window          BringWindow        done                (comes with: window (write))
-//   open_executor         ExecutorRequest    executor_opened     eventfd, datagram socket
+//   open_wait_set         WaitSetRequest    wait_set_opened     eventfd, datagram socket
 //   create_publisher      CreateEndpoint     endpoint_created
 //   create_subscription   CreateEndpoint     endpoint_created
 //   leave                 Reference          done                stop taking or publishing
@@ -41,7 +41,7 @@
 //   notice                Notice             incompatible QoS, type mismatch, …
 //   own                   Own                after rejoined: your endpoint, as the daemon knows it
 //   region                Reference          after rejoined: a region that was announced to you
-//   doorbells_renewed         DoorbellsRenewed       eventfd, datagram socket: an executor's new doorbells
+//   doorbells_renewed         DoorbellsRenewed       eventfd, datagram socket: a wait set's new doorbells
 //   revoked               Refused            your session is over; the connection ends
 #pragma once
 
@@ -70,7 +70,7 @@ enum class Opcode : std::uint32_t {
   // client → daemon
   hello = 1,
   open_window = 2,
-  open_executor = 3,
+  open_wait_set = 3,
   create_publisher = 4,
   create_subscription = 5,
   leave = 6,
@@ -93,7 +93,7 @@ enum class Opcode : std::uint32_t {
   // daemon → client: answers
   welcome = 101,
   window_opened = 102,
-  executor_opened = 103,
+  wait_set_opened = 103,
   endpoint_created = 104,
   done = 105,
   refused = 106,
@@ -271,14 +271,14 @@ struct MoveHeap {
   Header header;
   std::uint64_t window;
 };
-struct ExecutorRequest {
+struct WaitSetRequest {
   Header header;
-  std::uint64_t executor;
+  std::uint64_t wait_set;
 };
-/// Replaces the doorbells of an executor.
+/// Replaces the doorbells of a wait set.
 struct DoorbellsRenewed {
   Header header;
-  std::uint64_t executor;
+  std::uint64_t wait_set;
 };
 /// Bit in CreateEndpoint::quota: a smaller quota for publishers of other users is acceptable.
 inline constexpr std::uint64_t quota_or_less = std::uint64_t{1} << 63;
@@ -286,7 +286,7 @@ struct CreateEndpoint {
   Header header;
   std::uint64_t qos;  // abi::Qos, packed
   std::uint64_t layout_hash;
-  std::uint64_t executor;  // of a subscription
+  std::uint64_t wait_set;  // of a subscription
   std::uint64_t quota;     // messages that a subscription holds at most
   Name topic;              // fully qualified, starts with a slash
   Name type;
@@ -318,7 +318,7 @@ struct Announcement {
   std::uint64_t extent;
   std::uint64_t qos;
   std::uint64_t first_sequence;  // publisher
-  std::uint64_t executor;        // subscription: of its process
+  std::uint64_t wait_set;        // subscription: of its process
   std::uint32_t
       from_start;  // publisher: it joined after the subscription, which may miss no message of it
   std::uint32_t window_count;    // publisher

@@ -93,8 +93,8 @@ void FakeBroker::serve(Process& from, std::span<const std::byte> packet, const E
     bring_window(from, *former, *brought);
   } else if (const auto* const blocked = std::get_if<wire::Blocked>(&request)) {
     block(from, *blocked);
-  } else if (const auto* const executor = std::get_if<ExecutorRequest>(&request)) {
-    open_executor(from, *executor);
+  } else if (const auto* const executor = std::get_if<WaitSetRequest>(&request)) {
+    open_wait_set(from, *executor);
   } else if (const auto* const endpoint = std::get_if<CreateRequest>(&request)) {
     create(from, *endpoint);
   } else if (const auto* const leave = std::get_if<LeaveRequest>(&request)) {
@@ -184,10 +184,10 @@ void FakeBroker::block(Process& from, const wire::Blocked& request) {
     oracle_.blocked(from, {request.base, request.base + request.bytes});
 }
 
-void FakeBroker::open_executor(const Process& from, const ExecutorRequest& request) {
-  if (!doorbells_.is_open(*from.client, request.executor) &&
-      doorbells_.open(*from.client, request.executor, 0))
-    registry_.open_executor(*from.client, static_cast<std::uint32_t>(request.executor));
+void FakeBroker::open_wait_set(const Process& from, const WaitSetRequest& request) {
+  if (!doorbells_.is_open(*from.client, request.wait_set) &&
+      doorbells_.open(*from.client, request.wait_set, 0))
+    registry_.open_wait_set(*from.client, static_cast<std::uint32_t>(request.wait_set));
 }
 
 void FakeBroker::create(Process& from, const CreateRequest& request) {

@@ -65,7 +65,7 @@ class FakeBroker final : public ClientChannel {
   void open_window(Process& from, const wire::WindowRequest& request);
   void bring_window(Process& from, const wire::BringWindow& request, const BroughtWindow& brought);
   void begin_window(Process& owner, const WindowRecord& window);
-  void open_executor(const Process& from, const ExecutorRequest& request);
+  void open_wait_set(const Process& from, const WaitSetRequest& request);
   void create(Process& from, const CreateRequest& request);
   void block(Process& from, const wire::Blocked& request);
   void revoke(const wire::Revoke& request);

@@ -7,7 +7,7 @@
 // compares those with each other. Any error aborts.
 #pragma once
 
-#include <daemon/transport/requests.hpp>
+#include <daemon/transport/request_reading.hpp>
 #include <daemon/transport/session.hpp>
 #include <journal/cases.hpp>
 

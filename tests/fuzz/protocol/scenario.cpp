@@ -117,7 +117,7 @@ void Scenario::say_anything(Process& process) {
 void Scenario::say_right_in_length(Process& process) {
   constexpr std::pair<Opcode, std::size_t> packets[] = {
       {Opcode::open_window, sizeof(wire::WindowRequest)},
-      {Opcode::open_executor, sizeof(wire::ExecutorRequest)},
+      {Opcode::open_wait_set, sizeof(wire::WaitSetRequest)},
       {Opcode::create_publisher, sizeof(wire::CreateEndpoint)},
       {Opcode::create_subscription, sizeof(wire::CreateEndpoint)},
       {Opcode::leave, sizeof(wire::Reference)},
@@ -149,7 +149,7 @@ void Scenario::say_first(Process& process) {
   body.fingerprint = abi::fingerprint();
   body.domain = rarely() ? 1 : 0;
   ask(process, Opcode::hello, body);
-  ask(process, Opcode::open_executor, wire::ExecutorRequest{});
+  ask(process, Opcode::open_wait_set, wire::WaitSetRequest{});
 }
 
 void Scenario::say_hello(Process& process) {
@@ -199,9 +199,9 @@ void Scenario::say_blocked(Process& process) {
 }
 
 void Scenario::say_open_executor(Process& process) {
-  wire::ExecutorRequest body{};
-  body.executor = up_to(1);
-  ask(process, Opcode::open_executor, body);
+  wire::WaitSetRequest body{};
+  body.wait_set = up_to(1);
+  ask(process, Opcode::open_wait_set, body);
 }
 
 void Scenario::say_create(Process& process) {
@@ -209,7 +209,7 @@ void Scenario::say_create(Process& process) {
   abi::Qos qos{input_.ConsumeIntegralInRange(1u, abi::depth_max), rarely(), !rarely(), rarely(),
                false};
   body.layout_hash = rarely() ? 2 : 1;
-  body.executor = rarely() ? 1 : 0;
+  body.wait_set = rarely() ? 1 : 0;
   body.quota = input_.ConsumeIntegralInRange<std::uint64_t>(1, 800);
   // One draw for both. Three of eight subscriptions ignore the publishers of their own process; a
   // publisher with that bit is refused.

@@ -47,7 +47,7 @@ struct CtlNode {
   wire::EndpointCreated subscription(const std::string& topic, const abi::Qos& qos = {5},
                                      const std::string& node = "/listener",
                                      const std::string& type = "test/msg/Type") {
-    if (!executor) doorbells = wire.open_executor().fds;
+    if (!executor) doorbells = wire.open_wait_set().fds;
     executor = true;
     return create(wire::Opcode::create_subscription, topic, qos, node, type);
   }

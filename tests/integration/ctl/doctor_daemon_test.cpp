@@ -66,7 +66,7 @@ TEST_F(DoctorDaemon, NamesTheQuotaThatHasRefusedARequest) {
   DaemonProcess daemon({.more_config = "[quota]\nheld_messages = 10\n"});
   Doctored doctor(daemon.socket_path());
   Node node(daemon.socket_path());
-  node.wire.open_executor();
+  node.wire.open_wait_set();
   auto greedy = WireClient::endpoint("/points", {5});
   greedy.quota = 11;
   ASSERT_EQ(node.wire.ask(wire::Opcode::create_subscription, greedy).refused_code(),

@@ -62,7 +62,7 @@ TEST(DaemonProtocol, SurvivesGarbageWhileAnHonestPairGoesOn) {
   std::mt19937_64 random(4711);
   const Opcode opcodes[] = {Opcode::hello,
                             Opcode::open_window,
-                            Opcode::open_executor,
+                            Opcode::open_wait_set,
                             Opcode::create_publisher,
                             Opcode::create_subscription,
                             Opcode::leave,
@@ -159,7 +159,7 @@ TEST(DaemonProtocol, SurvivesAnyOrderOfPlausibleRequests) {
         const Incoming answer = process.wire->hello();
         ASSERT_EQ(answer.opcode(), Opcode::welcome) << answer.refused_text();
         process.welcome = answer.as<wire::Welcome>();
-        process.wire->open_executor();
+        process.wire->open_wait_set();
         ++lives;
       }
       WireClient& client = *process.wire;
@@ -295,13 +295,13 @@ TEST(DaemonProtocol, AnswersThatNobodyReadsCostNoDescriptorEach) {
   WireClient deaf(daemon.socket_path());
   deaf.hello();
   ASSERT_EQ(deaf.open_window(0).opcode(), Opcode::window_opened);
-  ASSERT_EQ(deaf.open_executor().opcode(), Opcode::executor_opened);
+  ASSERT_EQ(deaf.open_wait_set().opcode(), Opcode::wait_set_opened);
   const std::size_t before = daemon.descriptor_count();
   constexpr std::uint64_t count = 1'000;
   for (std::uint64_t i = 0; i < count; ++i) {
     deaf.send(Opcode::open_window, wire::WindowRequest{});
-    wire::ExecutorRequest executor{};
-    executor.header = {Opcode::open_executor, sizeof executor, (i + 1) | wire::asked_again};
+    wire::WaitSetRequest executor{};
+    executor.header = {Opcode::open_wait_set, sizeof executor, (i + 1) | wire::asked_again};
     ASSERT_TRUE(deaf.send_bytes(std::as_bytes(std::span(&executor, 1))));
   }
   ASSERT_TRUE(eventually([&] {
@@ -326,7 +326,7 @@ TEST(DaemonProtocol, AnAnnouncementThatIsReadLateHasNoDoorbellsOfAnotherSubscrip
   std::vector<Incoming> doorbells;  // keeps their ends open: closed ones cannot be connected to
   const auto subscribe = [&](WireClient& client) {
     client.hello();
-    doorbells.push_back(client.open_executor());
+    doorbells.push_back(client.open_wait_set());
     return client.create_subscription("/topic").as<wire::EndpointCreated>();
   };
   const auto is_left = [&](std::size_t endpoints) {

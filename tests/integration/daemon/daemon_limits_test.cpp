@@ -47,9 +47,9 @@ TEST(DaemonLimits, CountsEndpointsExecutorsAndHeldMessagesOfAUser) {
   EXPECT_EQ(b->create_publisher("/b").opcode(), Opcode::endpoint_created);
   expect_quota(a->create_publisher("/c"), "[quota] publishers is 3");
 
-  EXPECT_EQ(a->open_executor(0).opcode(), Opcode::executor_opened);
-  EXPECT_EQ(b->open_executor(0).opcode(), Opcode::executor_opened);
-  expect_quota(b->open_executor(1), "[quota] executors is 2");
+  EXPECT_EQ(a->open_wait_set(0).opcode(), Opcode::wait_set_opened);
+  EXPECT_EQ(b->open_wait_set(0).opcode(), Opcode::wait_set_opened);
+  expect_quota(b->open_wait_set(1), "[quota] executors is 2");
 
   auto greedy = WireClient::endpoint("/x", Qos{});
   greedy.quota = 10;
@@ -117,8 +117,8 @@ TEST(DaemonLimits, CountsThePlacesOfAUserInEachTopic) {
   EXPECT_EQ(a->create_publisher("/a").refused_text(),
             "[quota] publishers_per_topic is 2, this user has 2 and asks for 1 more");
   EXPECT_EQ(a->create_publisher("/b").opcode(), Opcode::endpoint_created);
-  EXPECT_EQ(a->open_executor().opcode(), Opcode::executor_opened);
-  EXPECT_EQ(b->open_executor().opcode(), Opcode::executor_opened);
+  EXPECT_EQ(a->open_wait_set().opcode(), Opcode::wait_set_opened);
+  EXPECT_EQ(b->open_wait_set().opcode(), Opcode::wait_set_opened);
   EXPECT_EQ(a->create_subscription("/a").opcode(), Opcode::endpoint_created);
   expect_quota(b->create_subscription("/a"), "[quota] subscriptions_per_topic is 1");
   EXPECT_EQ(b->create_subscription("/b").opcode(), Opcode::endpoint_created);
@@ -136,7 +136,7 @@ TEST(DaemonLimits, GivesAHoldQuotaOrNamesThePossibleOne) {
   DaemonProcess daemon;
   const auto a = greeted(daemon);
   EXPECT_EQ(a->create_publisher("/t").opcode(), Opcode::endpoint_created);
-  EXPECT_EQ(a->open_executor().opcode(), Opcode::executor_opened);
+  EXPECT_EQ(a->open_wait_set().opcode(), Opcode::wait_set_opened);
   auto wanted = WireClient::endpoint("/t", Qos{});
   wanted.quota = abi::slot_count_max;
   for (int i = 0; i < 5; ++i) {
@@ -148,7 +148,7 @@ TEST(DaemonLimits, GivesAHoldQuotaOrNamesThePossibleOne) {
   }
   EXPECT_EQ(in_other_user([&] {
               const auto other = greeted(daemon);
-              EXPECT_EQ(other->open_executor().opcode(), Opcode::executor_opened);
+              EXPECT_EQ(other->open_wait_set().opcode(), Opcode::wait_set_opened);
               const auto ask = [&](std::uint64_t quota) {
                 wanted.quota = quota;
                 return other->ask(Opcode::create_subscription, wanted);
@@ -222,7 +222,7 @@ TEST(DaemonLimits, KeepsAQuarterOfTheStoreFromAnyOneUser) {
     expect_quota(taker.answer, "three quarters of FileDescriptorStoreMax is 168");
     EXPECT_EQ(in_other_user([&] {
                 const auto other = greeted(daemon);
-                EXPECT_EQ(other->open_executor().opcode(), Opcode::executor_opened);
+                EXPECT_EQ(other->open_wait_set().opcode(), Opcode::wait_set_opened);
                 EXPECT_EQ(other->open_window(0).opcode(), Opcode::window_opened);
                 return 0;
               }),
@@ -359,7 +359,7 @@ TEST(DaemonLimits, BoundsTheTablesOfTheDaemon) {
   EXPECT_EQ(b->create_publisher("/a").refused_code(), Errc::limit_reached);
   EXPECT_EQ(a->create_publisher("/b").opcode(), Opcode::endpoint_created);
   EXPECT_EQ(b->create_publisher("/c").refused_code(), Errc::limit_reached);
-  EXPECT_EQ(b->open_executor().opcode(), Opcode::executor_opened);
+  EXPECT_EQ(b->open_wait_set().opcode(), Opcode::wait_set_opened);
   EXPECT_EQ(b->create_subscription("/a").opcode(), Opcode::endpoint_created);
   EXPECT_EQ(b->create_subscription("/a").refused_code(), Errc::limit_reached);
   const Incoming deep = b->create_publisher("/b", {21, false, true, false, false});
@@ -410,7 +410,7 @@ TEST(DaemonLimits, FollowsTheRulesOfAccess) {
   EXPECT_EQ(root->create_publisher("/cmd").opcode(), Opcode::endpoint_created);
   EXPECT_EQ(in_other_user([&] {
               const auto other = greeted(daemon);
-              EXPECT_EQ(other->open_executor().opcode(), Opcode::executor_opened);
+              EXPECT_EQ(other->open_wait_set().opcode(), Opcode::wait_set_opened);
               const Incoming refused = other->create_subscription("/secret/a");
               EXPECT_EQ(refused.refused_code(), Errc::access_denied);
               EXPECT_EQ(refused.refused_text(),
@@ -489,8 +489,8 @@ TEST(DaemonLimits, RepeatsAnAnnouncementThatItHadNoDescriptorFor) {
   DaemonProcess daemon;
   const auto publisher = greeted(daemon), subscriber = greeted(daemon);
   ASSERT_EQ(publisher->create_publisher("/topic").opcode(), Opcode::endpoint_created);
-  const Incoming doorbells = subscriber->open_executor();
-  ASSERT_EQ(doorbells.opcode(), Opcode::executor_opened);
+  const Incoming doorbells = subscriber->open_wait_set();
+  ASSERT_EQ(doorbells.opcode(), Opcode::wait_set_opened);
   rlimit before{};
   ASSERT_EQ(::prlimit(daemon.pid(), RLIMIT_NOFILE, nullptr, &before), 0);
   const rlimit none{3, before.rlim_max};
@@ -514,8 +514,8 @@ TEST(DaemonLimits, AnnouncementsThatNobodyReadsCostNoDescriptorEach) {
   DaemonProcess daemon({.more_config = "[quota]\nsubscriptions_per_topic = \"unlimited\"\n"});
   const auto deaf = greeted(daemon), subscriber = greeted(daemon);
   ASSERT_EQ(deaf->create_publisher("/topic").opcode(), Opcode::endpoint_created);
-  const Incoming doorbells = subscriber->open_executor();
-  ASSERT_EQ(doorbells.opcode(), Opcode::executor_opened);
+  const Incoming doorbells = subscriber->open_wait_set();
+  ASSERT_EQ(doorbells.opcode(), Opcode::wait_set_opened);
   const std::size_t before = daemon.descriptor_count();
   constexpr int count = 700;  // more than a socket holds
   for (int i = 0; i < count; ++i)

@@ -138,8 +138,8 @@ TEST_P(ShortOfMemory, WindowsExecutorsAndBlockedAddresses) {
   sweep("open_window", nothing, [](RawNode& node) {
     return node.wire.try_ask(Opcode::open_window, wire::WindowRequest{});
   });
-  sweep("open_executor", nothing, [](RawNode& node) {
-    return node.wire.try_ask(Opcode::open_executor, wire::ExecutorRequest{});
+  sweep("open_wait_set", nothing, [](RawNode& node) {
+    return node.wire.try_ask(Opcode::open_wait_set, wire::WaitSetRequest{});
   });
   sweep("blocked", nothing, [](RawNode& node) {
     wire::Blocked range{};
@@ -177,7 +177,7 @@ TEST_P(ShortOfMemory, SubscriptionsForOthers) {
         writer = std::make_unique<RawNode>(daemon_);
         EXPECT_EQ(writer->wire.open_window(0).opcode(), Opcode::window_opened);
         writer->publisher("/sweep");
-        EXPECT_EQ(node.wire.open_executor().opcode(), Opcode::executor_opened);
+        EXPECT_EQ(node.wire.open_wait_set().opcode(), Opcode::wait_set_opened);
       },
       [](RawNode& node) {
         return node.wire.try_ask(Opcode::create_subscription,

@@ -106,9 +106,9 @@ TEST(DaemonObserver, GetsTheWholeStateOfOneMoment) {
   const auto a = greeted(daemon), b = greeted(daemon);
   const auto window = a->open_window(0).as<wire::WindowOpened>();
   const auto p = a->create_publisher("/topic").as<wire::EndpointCreated>();
-  b->open_executor(3);
+  b->open_wait_set(3);
   auto wanted = WireClient::endpoint("/topic", {7, false, true, false, false});
-  wanted.executor = 3;
+  wanted.wait_set = 3;
   const auto s = b->ask(Opcode::create_subscription, wanted).as<wire::EndpointCreated>();
 
   const auto observer = observing(daemon);
@@ -130,7 +130,7 @@ TEST(DaemonObserver, GetsTheWholeStateOfOneMoment) {
   ASSERT_EQ(all.processes[0].window_count, 1u);
   EXPECT_EQ(all.processes[0].window[0].base, window.base);
   EXPECT_EQ(all.processes[0].window[0].bytes, window.bytes);
-  EXPECT_EQ(all.processes[1].executors, std::uint64_t{1} << 3);
+  EXPECT_EQ(all.processes[1].wait_sets, std::uint64_t{1} << 3);
   ASSERT_EQ(all.topics.size(), 1u);
   EXPECT_STREQ(all.topics[0].name.text, "/topic");
   EXPECT_STREQ(all.topics[0].type.text, "test/msg/Type");
@@ -144,7 +144,7 @@ TEST(DaemonObserver, GetsTheWholeStateOfOneMoment) {
   EXPECT_STREQ(all.endpoints[0].node.text, "node");
   EXPECT_EQ(all.endpoints[1].kind, Kind::subscription);
   EXPECT_EQ(all.endpoints[1].generation, s.generation);
-  EXPECT_EQ(all.endpoints[1].executor, 3u);
+  EXPECT_EQ(all.endpoints[1].wait_set, 3u);
   EXPECT_EQ(abi::unpack_qos(all.endpoints[1].qos).depth, 7u);
   ASSERT_EQ(all.users.size(), 1u);
   EXPECT_EQ(all.users[0].use.publishers, 1u);
@@ -260,7 +260,7 @@ TEST(DaemonObserver, IsNeverAnnouncedAndTakesNoPlace) {
   const auto observer = observing(daemon);
   const auto a = greeted(daemon), b = greeted(daemon);
   a->create_publisher("/topic");
-  b->open_executor();
+  b->open_wait_set();
   b->create_subscription("/topic");
   EXPECT_EQ(a->expect<wire::Announcement>(Opcode::announce).kind, Kind::subscription);
   EXPECT_EQ(observer->dump().endpoints.size(), 2u);
@@ -377,7 +377,7 @@ TEST(DaemonObserver, LeavesNothingBehind) {
 TEST(DaemonObserver, SeesTheRegionOfADeadProcessUntilItsPlaceIsFree) {
   DaemonProcess daemon;
   const auto subscriber = greeted(daemon);
-  subscriber->open_executor();
+  subscriber->open_wait_set();
   subscriber->create_subscription("/topic");
   const auto observer = observing(daemon);
   const pid_t pid = ::fork();

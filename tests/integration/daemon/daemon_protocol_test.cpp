@@ -270,7 +270,7 @@ TEST(DaemonProtocol, NotifiesBothSidesOfAnotherType) {
   DaemonProcess daemon;
   Node publisher(daemon), wrong(daemon);
   const auto p = publisher.publisher("/topic");
-  ASSERT_EQ(wrong.wire.open_executor().opcode(), Opcode::executor_opened);
+  ASSERT_EQ(wrong.wire.open_wait_set().opcode(), Opcode::wait_set_opened);
   auto other_name = WireClient::endpoint("/topic", reliable, "test/msg/Other");
   const Incoming by_name = wrong.wire.ask(Opcode::create_subscription, other_name);
   EXPECT_EQ(by_name.refused_code(), Errc::type_mismatch);
@@ -340,10 +340,10 @@ TEST(DaemonProtocol, RefusesImpossibleCreations) {
                 .refused_code(),
             Errc::invalid_name);
   auto unknown_executor = WireClient::endpoint("/x", reliable);
-  unknown_executor.executor = 3;
+  unknown_executor.wait_set = 3;
   EXPECT_EQ(node.wire.ask(Opcode::create_subscription, unknown_executor).refused_code(),
             Errc::invalid_argument);
-  EXPECT_EQ(node.wire.open_executor().refused_code(), Errc::protocol_violation)
+  EXPECT_EQ(node.wire.open_wait_set().refused_code(), Errc::protocol_violation)
       << "it is already open";
   EXPECT_EQ(node.wire.hello().refused_code(), Errc::protocol_violation);
   EXPECT_EQ(subscription_word(node.board, 1, 0), 0u) << "a failed creation leaves no topic behind";

@@ -63,7 +63,7 @@ const Case cases[] = {
     {"subscriptions", "[quota]\nsubscriptions = 1\n",
      [](const DaemonProcess& daemon, Clients& clients) {
        WireClient& one = greeted(daemon, clients);
-       EXPECT_EQ(one.open_executor().opcode(), Opcode::executor_opened);
+       EXPECT_EQ(one.open_wait_set().opcode(), Opcode::wait_set_opened);
        EXPECT_EQ(one.create_subscription("/one").opcode(), Opcode::endpoint_created);
        return one.create_subscription("/one");
      },
@@ -72,7 +72,7 @@ const Case cases[] = {
     {"held_messages", "[quota]\nheld_messages = 6\n",
      [](const DaemonProcess& daemon, Clients& clients) {
        WireClient& one = greeted(daemon, clients);
-       EXPECT_EQ(one.open_executor().opcode(), Opcode::executor_opened);
+       EXPECT_EQ(one.open_wait_set().opcode(), Opcode::wait_set_opened);
        EXPECT_EQ(one.create_subscription("/one").opcode(), Opcode::endpoint_created);
        return one.create_subscription("/one");  // each holds four
      },
@@ -81,8 +81,8 @@ const Case cases[] = {
     {"executors", "[quota]\nexecutors = 1\n",
      [](const DaemonProcess& daemon, Clients& clients) {
        WireClient& one = greeted(daemon, clients);
-       EXPECT_EQ(one.open_executor(0).opcode(), Opcode::executor_opened);
-       return one.open_executor(1);
+       EXPECT_EQ(one.open_wait_set(0).opcode(), Opcode::wait_set_opened);
+       return one.open_wait_set(1);
      },
      Errc::quota_exceeded,
      "limit=\"[quota] executors\" value=1 used=1 asked=1 code=quota_exceeded"},
@@ -104,7 +104,7 @@ const Case cases[] = {
     {"access_to_subscribe", "[[access]]\ntopic = \"/secret\"\nsubscribe = []\n",
      [](const DaemonProcess& daemon, Clients& clients) {
        WireClient& one = greeted(daemon, clients);
-       EXPECT_EQ(one.open_executor().opcode(), Opcode::executor_opened);
+       EXPECT_EQ(one.open_wait_set().opcode(), Opcode::wait_set_opened);
        return one.create_subscription("/secret");
      },
      Errc::access_denied, "topic=/secret code=access_denied"},

@@ -57,7 +57,7 @@ struct Node {
     return made(wire.create_publisher(topic, reliable));
   }
   wire::EndpointCreated subscription(std::string_view topic) {
-    if (doorbells.empty()) doorbells = std::move(wire.open_executor().fds);
+    if (doorbells.empty()) doorbells = std::move(wire.open_wait_set().fds);
     EXPECT_EQ(doorbells.size(), 2u);
     return made(wire.create_subscription(topic, reliable));
   }
@@ -175,7 +175,7 @@ TEST(DaemonRejoin, DoorbellsWhoseNamesWereRemovedAreRecreated) {
   auto packets = receiver.wire.drain();
   ASSERT_FALSE(packets.empty());
   ASSERT_EQ(packets[0].opcode(), Opcode::doorbells_renewed);
-  EXPECT_EQ(packets[0].as<wire::DoorbellsRenewed>().executor, 0u);
+  EXPECT_EQ(packets[0].as<wire::DoorbellsRenewed>().wait_set, 0u);
   ASSERT_EQ(packets[0].fds.size(), 2u);
   DoorbellReceiver doorbells(std::move(packets[0].fds[0]), std::move(packets[0].fds[1]));
   // The daemon repeats it to its publishers, which ring the new socket.
@@ -510,15 +510,15 @@ TEST(DaemonRejoin, ARepeatedRequestIsCarriedOutOnce) {
   EXPECT_NE(never_heard.generation, publisher.generation);
   EXPECT_EQ(never_heard.index, publisher.index + 1) << "the first request did not arrive";
 
-  wire::ExecutorRequest executor{};
-  EXPECT_EQ(node.wire.ask_again(Opcode::open_executor, executor, 1001).refused_code(),
+  wire::WaitSetRequest executor{};
+  EXPECT_EQ(node.wire.ask_again(Opcode::open_wait_set, executor, 1001).refused_code(),
             Errc::protocol_violation)
       << "a subscription uses that executor";
-  executor.executor = 1;
-  ASSERT_EQ(node.wire.open_executor(1).opcode(), Opcode::executor_opened);
+  executor.wait_set = 1;
+  ASSERT_EQ(node.wire.open_wait_set(1).opcode(), Opcode::wait_set_opened);
   const std::uint64_t opening = node.wire.last_request();
-  EXPECT_EQ(node.wire.open_executor(1).refused_code(), Errc::protocol_violation);
-  EXPECT_EQ(node.wire.ask_again(Opcode::open_executor, executor, opening).fds.size(), 2u);
+  EXPECT_EQ(node.wire.open_wait_set(1).refused_code(), Errc::protocol_violation);
+  EXPECT_EQ(node.wire.ask_again(Opcode::open_wait_set, executor, opening).fds.size(), 2u);
 
   const auto reference = [](Kind kind, const wire::EndpointCreated& made) {
     wire::Reference body{};

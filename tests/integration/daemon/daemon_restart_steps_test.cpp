@@ -178,7 +178,7 @@ TEST(DaemonRestart, TheNextDaemonRingsForAPredecessorThatDiedBeforeItsRing) {
   WireClient subscriber(daemon.socket_path());
   const Incoming welcome = subscriber.hello();
   ASSERT_EQ(welcome.opcode(), wire::Opcode::welcome);
-  const Incoming doorbells = subscriber.open_executor();
+  const Incoming doorbells = subscriber.open_wait_set();
   ASSERT_EQ(doorbells.fds.size(), 2u);
   const int datagram = doorbells.fds[1].get();
   ASSERT_EQ(subscriber.create_subscription(topic_name, deep).opcode(),

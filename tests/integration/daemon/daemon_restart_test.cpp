@@ -54,7 +54,7 @@ TEST(DaemonRestart, ContinuesTheSameIncarnationWithItsWholeState) {
       EXPECT_EQ(after.processes[i].generation, before.processes[i].generation);
       EXPECT_EQ(after.processes[i].pid, before.processes[i].pid);
       EXPECT_GE(after.processes[i].age_ns, before.processes[i].age_ns);
-      EXPECT_EQ(after.processes[i].executors, before.processes[i].executors);
+      EXPECT_EQ(after.processes[i].wait_sets, before.processes[i].wait_sets);
       EXPECT_EQ(after.processes[i].state, wire::ProcessState::orphaned) << "it has no connection";
       EXPECT_EQ(after.processes[i].region_count, 1u);
     }

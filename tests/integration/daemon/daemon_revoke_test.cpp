@@ -127,7 +127,7 @@ TEST(DaemonRevoke, NotifiesAProcessWithAFullSocketOnceItReads) {
   ASSERT_EQ(::kill(publisher.pid(), SIGSTOP), 0);
   WireClient many(daemon.socket_path());
   many.hello();
-  many.open_executor();
+  many.open_wait_set();
   for (int i = 0; i < 700; ++i)
     ASSERT_EQ(many.create_subscription(topic_name, deep).opcode(), wire::Opcode::endpoint_created);
   Observer observer(daemon.socket_path());

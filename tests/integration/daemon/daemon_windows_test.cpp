@@ -173,7 +173,7 @@ TEST(DaemonProtocol, AsksAHeapToMoveForAReaderThatCannotMapIt) {
   reader.hello();
   say_blocked(reader, window.base + window.bytes / 2, abi::window_granule_bytes);
   say_blocked(reader, window.base + window.bytes, window.bytes);
-  reader.open_executor();
+  reader.open_wait_set();
   ASSERT_EQ(reader.create_subscription("/topic").opcode(), Opcode::endpoint_created);
 
   const auto announced = reader.expect<wire::Announcement>(Opcode::announce);
@@ -213,7 +213,7 @@ TEST(DaemonProtocol, TellsNoOtherUserWhatAProcessHasMapped) {
               WireClient reader(daemon.socket_path());
               reader.hello();
               say_blocked(reader, window.base, abi::window_granule_bytes);
-              reader.open_executor();
+              reader.open_wait_set();
               reader.create_subscription("/topic");
               return notice_of(reader).find("a test") != std::string::npos ? 0 : 1;
             }),
@@ -233,7 +233,7 @@ TEST(DaemonProtocol, NotifiesPublishersOnceOfARangeThatIsReportedRepeatedly) {
   const auto window = publisher.open_window(0).as<wire::WindowOpened>();
   ASSERT_EQ(publisher.create_publisher("/topic").opcode(), Opcode::endpoint_created);
   reader.hello();
-  reader.open_executor();
+  reader.open_wait_set();
   ASSERT_EQ(reader.create_subscription("/topic").opcode(), Opcode::endpoint_created);
   for (int i = 0; i < 100; ++i) say_blocked(reader, window.base, window.bytes);
   reader.drain();

@@ -79,8 +79,8 @@ struct RawNode {
   }
   wire::EndpointCreated subscription(std::string_view topic, const abi::Qos& qos = reliable) {
     if (!executor) {
-      Incoming answer = wire.open_executor();
-      EXPECT_EQ(answer.opcode(), wire::Opcode::executor_opened) << answer.refused_text();
+      Incoming answer = wire.open_wait_set();
+      EXPECT_EQ(answer.opcode(), wire::Opcode::wait_set_opened) << answer.refused_text();
       EXPECT_EQ(answer.fds.size(), 2u);
       if (answer.fds.size() == 2)
         doorbells = DoorbellReceiver(std::move(answer.fds[0]), std::move(answer.fds[1]));

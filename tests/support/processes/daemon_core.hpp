@@ -51,7 +51,7 @@ struct DaemonCore {
     EXPECT_TRUE(regions.open_client(plan.index, plan.generation));
     registry.add_client({uid, uid, 1, 0, "a process"}, plan);
     EXPECT_TRUE(doorbells.open(plan.index, 0, 0));
-    registry.open_executor(plan.index, 0);
+    registry.open_wait_set(plan.index, 0);
     return plan.index;
   }
   daemon::EndpointRef create(daemon::ClientIndex client, daemon::Kind kind,

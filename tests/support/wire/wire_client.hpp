@@ -209,10 +209,10 @@ class WireClient {
     EXPECT_TRUE(send_bytes(std::as_bytes(std::span(&body, 1)), std::span(&fd, 1)));
     return answer_to(last_request_);
   }
-  Incoming open_executor(std::uint64_t executor = 0) {
-    wire::ExecutorRequest body{};
-    body.executor = executor;
-    return ask(wire::Opcode::open_executor, body);
+  Incoming open_wait_set(std::uint64_t executor = 0) {
+    wire::WaitSetRequest body{};
+    body.wait_set = executor;
+    return ask(wire::Opcode::open_wait_set, body);
   }
   static wire::CreateEndpoint endpoint(std::string_view topic, const abi::Qos& qos,
                                        std::string_view type = "test/msg/Type") {

@@ -124,8 +124,8 @@ class WireNode {
 
   // --- subscription
   bool create_subscription(const char* topic_name, const abi::Qos& qos) {
-    Incoming opened = wire_.open_executor();
-    if (opened.opcode() != wire::Opcode::executor_opened || opened.fds.size() != 2) return false;
+    Incoming opened = wire_.open_wait_set();
+    if (opened.opcode() != wire::Opcode::wait_set_opened || opened.fds.size() != 2) return false;
     doorbells_ = DoorbellReceiver(std::move(opened.fds[0]), std::move(opened.fds[1]));
     const Incoming created = wire_.create_subscription(topic_name, qos);
     if (created.opcode() != wire::Opcode::endpoint_created) return false;
@@ -359,7 +359,7 @@ class WireNode {
       Environment environment{*this};
       core_->attach(
           body.index, body.generation, peer.region->base(), body.extent,
-          offsetof(abi::ClientRegionHeader, executor) + body.executor * sizeof(abi::ExecutorLine),
+          offsetof(abi::ClientRegionHeader, wait_set) + body.wait_set * sizeof(abi::WaitSetLine),
           body.index, environment);
       attached_[body.index] = body.client;
       scan();

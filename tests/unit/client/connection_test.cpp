@@ -68,7 +68,7 @@ struct Asker {
   Asker(Connection& connection, wire::Opcode opcode, Connection::OnAnswer on_answer = accept_all,
         Connection::OnAnswer on_late = nullptr)
       : thread([this, &connection, opcode, on_answer, on_late] {
-          result = connection.request(opcode, wire::ExecutorRequest{}, on_answer, on_late);
+          result = connection.request(opcode, wire::WaitSetRequest{}, on_answer, on_late);
         }) {}
   Result<void> result;
   std::thread thread;
@@ -78,7 +78,7 @@ TEST(Connection, AnAnswerWithoutMemoryForItFailsItsRequest) {
   Connection connection(nobody, "/socket");
   Daemon daemon(connection);
   daemon.connect();
-  Asker asks(connection, wire::Opcode::open_executor,
+  Asker asks(connection, wire::Opcode::open_wait_set,
              [](Incoming&) -> Result<void> { throw std::bad_alloc(); });
   const auto asked = daemon.hear();
   ASSERT_TRUE(asked);
@@ -111,7 +111,7 @@ TEST(Connection, UnansweredRequestsAreSentAgainInOrder) {
   Connection connection(nobody, "/socket");
   Daemon daemon(connection);
   daemon.connect();
-  Asker first(connection, wire::Opcode::open_executor);
+  Asker first(connection, wire::Opcode::open_wait_set);
   const auto one = daemon.hear();
   ASSERT_TRUE(one);
   EXPECT_EQ(one->request & wire::asked_again, 0u);
@@ -129,7 +129,7 @@ TEST(Connection, UnansweredRequestsAreSentAgainInOrder) {
   EXPECT_FALSE(connection.is_open());
 
   daemon.connect();
-  for (const auto& [opcode, id] : {std::pair(wire::Opcode::open_executor, one->request),
+  for (const auto& [opcode, id] : {std::pair(wire::Opcode::open_wait_set, one->request),
                                    std::pair(wire::Opcode::open_window, two->request),
                                    std::pair(wire::Opcode::open_window, two->request + 1)}) {
     const auto again = daemon.hear();
@@ -172,7 +172,7 @@ TEST(Connection, AFinalRefusalFailsAllRequests) {
   Connection connection(nobody, "/socket");
   Daemon daemon(connection);
   daemon.connect();
-  Asker asks(connection, wire::Opcode::open_executor);
+  Asker asks(connection, wire::Opcode::open_wait_set);
   ASSERT_TRUE(daemon.hear());
   std::vector<Errc> later;
   const auto remember = [&](Result<Incoming*> answer) { later.push_back(answer.error().code); };
@@ -184,7 +184,7 @@ TEST(Connection, AFinalRefusalFailsAllRequests) {
   connection.request_later(wire::Opcode::leave, wire::Reference{}, remember);
   EXPECT_EQ(later, (std::vector{Errc::started_anew, Errc::started_anew}));
   const auto refused =
-      connection.request(wire::Opcode::open_executor, wire::ExecutorRequest{}, accept_all);
+      connection.request(wire::Opcode::open_wait_set, wire::WaitSetRequest{}, accept_all);
   ASSERT_FALSE(refused);
   EXPECT_EQ(refused.error().code, Errc::started_anew);
   EXPECT_STREQ(detail_of(refused.error()), "a reason");

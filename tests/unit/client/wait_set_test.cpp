@@ -45,7 +45,7 @@ struct Session {
     EXPECT_EQ(::write(eventfd.get(), &one, sizeof one), static_cast<ssize_t>(sizeof one));
   }
   bool is_armed() const {
-    return SharedMemory::word(region, offsetof(abi::ClientRegionHeader, executor)).load() % 2 == 1;
+    return SharedMemory::word(region, offsetof(abi::ClientRegionHeader, wait_set)).load() % 2 == 1;
   }
 
   std::byte* const region;
@@ -118,7 +118,7 @@ TEST_F(WaitSetTest, IsArmedAnewByEachThreadAndDisarmedByTheLast) {
   const Session session;
   ASSERT_TRUE(wait_set_->add(&session, session.place));
   const auto word = [&] {
-    return SharedMemory::word(session.region, offsetof(abi::ClientRegionHeader, executor)).load();
+    return SharedMemory::word(session.region, offsetof(abi::ClientRegionHeader, wait_set)).load();
   };
   wait_set_->arm();
   const std::uint64_t first = word();

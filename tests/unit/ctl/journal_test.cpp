@@ -128,9 +128,9 @@ TEST(Journal, DescribesWithdrawnReadersAndTheReason) {
                           "viewer", 977)),
             who + reader + " again");
   EXPECT_EQ(sentence(named(
-                record(RecordType::reader_mute, {{"index", 2}, {"executor", 4}, {"uid", 1001}}),
+                record(RecordType::reader_mute, {{"index", 2}, {"wait_set", 4}, {"uid", 1001}}),
                 "/points", "viewer", 977)),
-            "subscription 2 of /points (viewer, pid 977): has no doorbell (executor 4, uid 1001), "
+            "subscription 2 of /points (viewer, pid 977): has no doorbell (wait set 4, uid 1001), "
             "it finds messages only by polling");
   const auto object = record_object(withdrawn(2), {});
   EXPECT_EQ(object["type"], "reader_withdrawn");

@@ -22,7 +22,7 @@ class AdmissionTest : public testing::Test {
     config.quota.clients = 2;
     config.quota.publishers = 2;
     config.quota.topics = 2;
-    config.quota.executors = 2;
+    config.quota.wait_sets = 2;
     config.quota.publishers_per_topic = 1;
     config.limits.depth_max = 10;
     config.heap.windows_per_process = 1;

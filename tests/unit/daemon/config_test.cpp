@@ -112,7 +112,7 @@ publish = []
   EXPECT_EQ(config->quota.subscriptions, 17U);
   EXPECT_EQ(config->quota.heap_bytes, std::uint64_t{1} << 31);
   EXPECT_EQ(config->quota.held_messages, 18U);
-  EXPECT_EQ(config->quota.executors, unlimited);
+  EXPECT_EQ(config->quota.wait_sets, unlimited);
   EXPECT_EQ(config->quota.callback_groups, 21U);
   EXPECT_EQ(config->quota.callback_threads, 0U);
   EXPECT_EQ(config->quota.queued_bytes, std::uint64_t{2} << 20);

@@ -165,7 +165,7 @@ TEST_F(Redo, CompletesEveryChangeWhateverPartWasMade) {
       ASSERT_TRUE(r.add_client({1000, 1001, 77, 3, name}));
     });
   step(RecordType::open_window, [&](R& r) { r.open_window(a, {0x200000000000, 1 << 21, 0}); });
-  step(RecordType::open_executor, [&](R& r) { r.open_executor(b, 5); });
+  step(RecordType::open_wait_set, [&](R& r) { r.open_wait_set(b, 5); });
   step(RecordType::readers, [&](R& r) { r.set_readers(a, 0x1234567890); });
   step(RecordType::add_topic, [&](R& r) { ASSERT_TRUE(r.add_topic({3, "/topic", "T", 9})); });
   step(RecordType::add_publisher,
@@ -230,7 +230,7 @@ TEST_F(Redo, RefusesAChangeThatItCannotApplyAndWritesNothing) {
       {RecordType::register_client, {abi::client_count_max, 1}},
       {RecordType::client_end, {far, 1}},
       {RecordType::open_window, {0, abi::window_count_max}},
-      {RecordType::open_executor, {0, abi::executor_count_max}},
+      {RecordType::open_wait_set, {0, abi::wait_set_count_max}},
       {RecordType::add_topic, {far, 1}},
       {RecordType::free_topic, {abi::topic_count_max, 1}},
       {RecordType::add_publisher, {0, abi::publisher_count_max, 1, 0}},

@@ -46,7 +46,7 @@ Usage counted(const Registry& registry, std::uint32_t uid) {
       if (ref.kind == Kind::subscription)
         usage.held_messages += registry.subscription(ref.topic, ref.index).quota;
     }
-    usage.executors += static_cast<std::uint64_t>(std::popcount(record.executors));
+    usage.wait_sets += static_cast<std::uint64_t>(std::popcount(record.wait_sets));
     usage.windows += record.window_count;
     for (std::uint64_t w = 0; w < record.window_count; ++w)
       usage.heap_bytes += record.window[w].bytes;
@@ -91,7 +91,7 @@ TEST_F(RegistryTest, KeepsTheUsageEqualToACount) {
           life->open_window(one, {0x1000, 4096 * (1 + random() % 9), 0});
         break;
       case 3:
-        life->open_executor(one, static_cast<std::uint32_t>(random() % 8));
+        life->open_wait_set(one, static_cast<std::uint32_t>(random() % 8));
         break;
       case 4:
         for (int i = 0; i < 3 && !endpoints.empty(); ++i) {

@@ -93,13 +93,13 @@ TEST_F(RegistryTest, CountsPerUser) {
   subscription(b, t, 1, 7);
   subscription(c, t);
   registry.open_window(a, {0x1000, 4096, 0});
-  registry.open_executor(b, 0);
-  registry.open_executor(b, 5);
+  registry.open_wait_set(b, 0);
+  registry.open_wait_set(b, 5);
   const Usage usage = registry.usage_of(1);
   EXPECT_EQ(usage.clients, 2u);
   EXPECT_EQ(usage.publishers, 1u);
   EXPECT_EQ(usage.subscriptions, 1u);
-  EXPECT_EQ(usage.executors, 2u);
+  EXPECT_EQ(usage.wait_sets, 2u);
   EXPECT_EQ(usage.windows, 1u);
   EXPECT_EQ(usage.heap_bytes, 4096u);
   EXPECT_EQ(usage.held_messages, 7u);

@@ -11,8 +11,8 @@
 #include <journal/announce_set.hpp>
 #include <journal/board_steps.hpp>
 #include <journal/cases.hpp>
+#include <journal/queue_recovery.hpp>
 #include <journal/record.hpp>
-#include <journal/recovery.hpp>
 #include <journal/redo_log.hpp>
 #include <tests/support/memory/aligned_region.hpp>
 #include <tests/support/recovery_document.hpp>
@@ -157,7 +157,7 @@ bool scan_keeps(const std::array<std::uint8_t, 5>& found) {
       dataplane::PublisherCore<M>::Identity{topic, words, 0, generation, first, offered, 64, 0});
   Freed environment;
   if (found[1] == remains::mapped)
-    core->attach(0, member, subscriber.base(), extent, offsetof(abi::ClientRegionHeader, executor),
+    core->attach(0, member, subscriber.base(), extent, offsetof(abi::ClientRegionHeader, wait_set),
                  0, environment);
   environment.live.insert(0x1000);
   EXPECT_EQ(core->publish({0x1000, 16, 1}, environment), dataplane::PublishOutcome::published);

@@ -6,7 +6,7 @@
 #include <dataplane/publisher_core.hpp>
 #include <dataplane/subscription_core.hpp>
 #include <journal/board_steps.hpp>
-#include <journal/recovery.hpp>
+#include <journal/queue_recovery.hpp>
 #include <tests/support/memory/aligned_region.hpp>
 
 #include <gtest/gtest.h>

@@ -1,6 +1,6 @@
 // SPDX-License-Identifier: Apache-2.0
 //
-// ExecutorRequests: executors of a process, and the doorbells by which publishers wake them.
+// WaitSetRequests: wait sets of a process, and the doorbells by which publishers wake them.
 #pragma once
 
 #include <daemon/admission/admission.hpp>
@@ -8,20 +8,20 @@
 #include <daemon/transport/connection_table.hpp>
 #include <daemon/transport/doorbells.hpp>
 #include <daemon/transport/peer_output.hpp>
-#include <daemon/transport/requests.hpp>
+#include <daemon/transport/request_reading.hpp>
 
 namespace agnocast::daemon {
 
-class ExecutorRequests {
+class WaitSetRequests {
  public:
-  ExecutorRequests(Registry& registry, Doorbells& doorbells, Admission& admission,
-                   PeerOutput& output) noexcept
+  WaitSetRequests(Registry& registry, Doorbells& doorbells, Admission& admission,
+                  PeerOutput& output) noexcept
       : registry_(registry), doorbells_(doorbells), admission_(admission), output_(output) {}
 
-  [[nodiscard]] Result<void> open_executor(Peer& peer, const ExecutorRequest& request);
+  [[nodiscard]] Result<void> open_wait_set(Peer& peer, const WaitSetRequest& request);
 
  private:
-  [[nodiscard]] Result<void> admit_executor(ClientIndex client, const ExecutorRequest& request);
+  [[nodiscard]] Result<void> admit_wait_set(ClientIndex client, const WaitSetRequest& request);
 
   Registry& registry_;
   Doorbells& doorbells_;

@@ -4,8 +4,7 @@
 // leave, death" (D3).
 //
 // The commit is one store (head, P5), so the intent beside head decides every interruption: rows
-// @A to
-// @F of cases.hpp; docs/recovery.md has the reason of each.
+// @A to @F of cases.hpp; docs/recovery.md has the reason of each.
 //
 // The words of the dead process are input: copied once and checked. A vfork child of it may still
 // write them after its death, so the result (the final head) goes to the board, which only the

@@ -31,17 +31,17 @@ struct CreateRequest {
   std::uint64_t request = 0;
   abi::Qos qos;
   std::uint64_t layout_hash = 0;
-  std::uint64_t executor = 0;
+  std::uint64_t wait_set = 0;
   std::uint64_t quota = 0;
   bool quota_or_less = false;  // for publishers of other users
   std::string topic;
   std::string type;
   std::string node;
 };
-struct ExecutorRequest {
+struct WaitSetRequest {
   bool again = false;
   std::uint64_t request = 0;
-  std::uint64_t executor = 0;
+  std::uint64_t wait_set = 0;
 };
 struct LeaveRequest {
   bool again = false;
@@ -62,7 +62,7 @@ struct Rejected {
 };
 
 using Request =
-    std::variant<wire::Hello, wire::Rejoin, wire::WindowRequest, ExecutorRequest, CreateRequest,
+    std::variant<wire::Hello, wire::Rejoin, wire::WindowRequest, WaitSetRequest, CreateRequest,
                  LeaveRequest, DrainedRequest, wire::Unlinked, wire::Blocked, wire::Withdrawn,
                  wire::CallbackGroup, wire::CallbackThread, wire::BringWindow, wire::Observe,
                  wire::Dump, wire::ReadJournal, wire::Revoke, wire::SetLogLevel, wire::AskAccess,

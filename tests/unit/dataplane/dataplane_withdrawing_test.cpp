@@ -3,7 +3,7 @@
 // Goal: a publisher withdraws a reader that keeps too much, and serves the next reader as before.
 // Method: as in dataplane_test.cpp.
 
-#include <tests/unit/client/dataplane_pair.hpp>
+#include <tests/unit/dataplane/dataplane_pair.hpp>
 
 namespace agnocast::dataplane {
 namespace {
@@ -22,7 +22,7 @@ struct Withdrawing : Pair {
   }
   void attach(std::uint64_t subscription_generation) {
     core->attach(0, subscription_generation, subscriber[0].base(), extent,
-                 offsetof(abi::ClientRegionHeader, executor), 0, environment);
+                 offsetof(abi::ClientRegionHeader, wait_set), 0, environment);
     core->scan(environment);
   }
   bool publish() {

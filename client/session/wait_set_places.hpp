@@ -1,7 +1,7 @@
 // SPDX-License-Identifier: Apache-2.0
 //
-// ExecutorPlaces: the executor places of this process in one session. Each is a sleep word in the
-// client region and the doorbells that ring for it, by number.
+// WaitSetPlaces: the places of the wait sets of this process in one session. Each is a sleep word
+// in the client region and the doorbells that ring for it, by number.
 //
 //   never asked for ──▶ lent to a wait set ◀──▶ unused, with its doorbells
 //          └── refused, or no answer in time ──▶ failed: asked for once more before a new number is
@@ -23,12 +23,12 @@
 
 namespace agnocast {
 
-class ExecutorPlaces {
+class WaitSetPlaces {
  public:
-  /// Asks the daemon for the doorbells of an executor. `again`: the daemon may have opened it for
+  /// Asks the daemon for the doorbells of a wait set. `again`: the daemon may have opened it for
   /// an earlier request.
   using Open =
-      std::function<Result<std::unique_ptr<WaitSet::Place>>(std::uint64_t executor, bool again)>;
+      std::function<Result<std::unique_ptr<WaitSet::Place>>(std::uint64_t wait_set, bool again)>;
   /// Returns whether the session has a daemon that could open one.
   using Permit = std::function<Result<void>()>;
 
@@ -42,7 +42,7 @@ class ExecutorPlaces {
   // --- control thread
 
   /// Swaps the doorbells of an unused place with `doorbells`.
-  void renew(std::uint64_t executor, DoorbellReceiver& doorbells) noexcept;
+  void renew(std::uint64_t wait_set, DoorbellReceiver& doorbells) noexcept;
   /// Ends the unused places for good. Returns false, and does nothing, while any place is lent.
   bool end() noexcept;
 
@@ -50,7 +50,7 @@ class ExecutorPlaces {
   /// The next place to give: an unused one, or a number and whether it was asked for before.
   struct Next {
     std::unique_ptr<WaitSet::Place> place;
-    std::uint64_t executor = 0;
+    std::uint64_t wait_set = 0;
     bool again = false;
   };
   Result<Next> next();

@@ -4,7 +4,7 @@
 // values inside every table. Method: one honest packet of each kind, one wrong field at a time;
 // then seeded random packets, which under AddressSanitizer lie at the end of their allocation.
 
-#include <daemon/transport/requests.hpp>
+#include <daemon/transport/request_reading.hpp>
 
 #include <agnocast/abi/fingerprint.hpp>
 
@@ -55,8 +55,8 @@ TEST(Requests, PassesEveryHonestPacket) {
       decoded(body<wire::Hello>(wire::Opcode::hello), {}, Role::unknown)));
   EXPECT_TRUE(std::holds_alternative<wire::WindowRequest>(
       decoded(body<wire::WindowRequest>(wire::Opcode::open_window))));
-  EXPECT_TRUE(std::holds_alternative<ExecutorRequest>(
-      decoded(body<wire::ExecutorRequest>(wire::Opcode::open_executor))));
+  EXPECT_TRUE(std::holds_alternative<WaitSetRequest>(
+      decoded(body<wire::WaitSetRequest>(wire::Opcode::open_wait_set))));
   EXPECT_TRUE(std::holds_alternative<wire::Observe>(
       decoded(body<wire::Observe>(wire::Opcode::observe), {}, Role::unknown)));
   EXPECT_TRUE(std::holds_alternative<wire::Dump>(
@@ -162,8 +162,8 @@ TEST(Requests, RefusesParsablePacketsWithWrongContent) {
   EXPECT_EQ(rejected(decoded(body<wire::Done>(wire::Opcode::hello), {}, Role::unknown)).code,
             Errc::layout_mismatch)
       << "a hello of another version";
-  auto executor = body<wire::ExecutorRequest>(wire::Opcode::open_executor);
-  executor.executor = abi::executor_count_max;
+  auto executor = body<wire::WaitSetRequest>(wire::Opcode::open_wait_set);
+  executor.wait_set = abi::wait_set_count_max;
   EXPECT_EQ(rejected(decoded(executor)).code, Errc::limit_reached);
 }
 
@@ -215,7 +215,7 @@ TEST(Requests, RefusesImpossibleEndpoints) {
   EXPECT_EQ(with([](auto& c) { c.qos |= std::uint64_t{1} << 63; }), Errc::invalid_argument);
   EXPECT_EQ(with([](auto& c) { c.quota = 0; }), Errc::invalid_argument);
   EXPECT_EQ(with([](auto& c) { c.quota = abi::slot_count_max + 1; }), Errc::quota_exceeded);
-  EXPECT_EQ(with([](auto& c) { c.executor = abi::executor_count_max; }), Errc::protocol_violation);
+  EXPECT_EQ(with([](auto& c) { c.wait_set = abi::wait_set_count_max; }), Errc::protocol_violation);
   EXPECT_EQ(with([](auto& c) { c.type = name_of(""); }), Errc::invalid_argument);
 }
 
@@ -245,7 +245,7 @@ TEST(Requests, SurvivesRandomPackets) {
   std::mt19937_64 random(20260101);
   const wire::Opcode opcodes[] = {wire::Opcode::hello,
                                   wire::Opcode::open_window,
-                                  wire::Opcode::open_executor,
+                                  wire::Opcode::open_wait_set,
                                   wire::Opcode::create_publisher,
                                   wire::Opcode::create_subscription,
                                   wire::Opcode::leave,
@@ -298,7 +298,7 @@ TEST(Requests, SurvivesRandomPackets) {
       ASSERT_LE(create->qos.depth, abi::depth_max);
       ASSERT_LT(create->topic.size(), sizeof(wire::Name));
       if (create->kind == wire::Kind::subscription) {
-        ASSERT_LT(create->executor, abi::executor_count_max);
+        ASSERT_LT(create->wait_set, abi::wait_set_count_max);
         ASSERT_LE(create->quota, abi::slot_count_max);
       }
     } else if (const auto* const leave = std::get_if<LeaveRequest>(&request)) {

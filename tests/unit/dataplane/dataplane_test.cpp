@@ -7,7 +7,7 @@
 // seeded garbage in a subscription's lines while an honest publisher publishes to it and to an
 // honest one; a publisher that commits between any two loads of a subscription.
 
-#include <tests/unit/client/dataplane_pair.hpp>
+#include <tests/unit/dataplane/dataplane_pair.hpp>
 
 namespace agnocast::dataplane {
 namespace {
@@ -94,7 +94,7 @@ TEST(Dataplane, AnHonestSubscriptionLosesNothingBesideALyingOne) {
       journal::BoardSteps<M>(pair.topic())
           .add_subscription(s, s + 1, {pair.requested, s, extent, 8, 0});
       publisher->attach(s, s + 1, pair.subscriber[s].base(), extent,
-                        offsetof(abi::ClientRegionHeader, executor), s, environment);
+                        offsetof(abi::ClientRegionHeader, wait_set), s, environment);
     }
     LinkCore<M> honest = pair.link(0);
     ASSERT_TRUE(honest.link(true));
@@ -114,7 +114,7 @@ TEST(Dataplane, AnHonestSubscriptionLosesNothingBesideALyingOne) {
             pair.line(1).hold(0).store(nasty(random));
             break;
           default:
-            M::word(pair.subscriber[1].base(), offsetof(abi::ClientRegionHeader, executor))
+            M::word(pair.subscriber[1].base(), offsetof(abi::ClientRegionHeader, wait_set))
                 .store(nasty(random));
             break;
         }
@@ -174,7 +174,7 @@ struct InterruptedPublisher : Pair {
     Interrupted::before_load = [] {};
     core = std::make_unique<PublisherCore<Interrupted>>(PublisherCore<Interrupted>::Identity{
         {board.base(), 0}, {publisher.base(), extent}, 0, generation, first(), offered, 200, 0});
-    core->attach(0, 1, subscriber[0].base(), extent, offsetof(abi::ClientRegionHeader, executor), 0,
+    core->attach(0, 1, subscriber[0].base(), extent, offsetof(abi::ClientRegionHeader, wait_set), 0,
                  environment);
     reader = std::make_unique<LinkCore<M>>(link(0));
     EXPECT_TRUE(reader->link(true));
@@ -319,7 +319,7 @@ TEST(Dataplane, TakesAfterOneLookBehaveLikeSlowTakes) {
         pair.topic(), pair.words(), 0, generation, Pair::first(), pair.offered, 64, 0});
     Freed environment;
     publisher->attach(0, 1, pair.subscriber[0].base(), extent,
-                      offsetof(abi::ClientRegionHeader, executor), 0, environment);
+                      offsetof(abi::ClientRegionHeader, wait_set), 0, environment);
     LinkCore<M> link = pair.link(0);
     ASSERT_TRUE(link.link(true));
     NumberWindow window;
@@ -387,7 +387,7 @@ TEST(Dataplane, EverySlotOfAFullQueueCanBeHeldThenPublishFails) {
   auto publisher = std::make_unique<PublisherCore<M>>(PublisherCore<M>::Identity{
       pair.topic(), words, index, generation, Pair::first(), offered, abi::slot_count_max, 0});
   Freed environment;
-  publisher->attach(0, 1, wide.base(), extent, offsetof(abi::ClientRegionHeader, executor), 0,
+  publisher->attach(0, 1, wide.base(), extent, offsetof(abi::ClientRegionHeader, wait_set), 0,
                     environment);
   LinkCore<M> link({pair.topic(),
                     words,
@@ -499,7 +499,7 @@ TEST(Dataplane, DeferredScansRefuseNothingWhereSlotsAreFew) {
   publisher.requested.depth = depth;
   journal::BoardSteps<M>(publisher.topic())
       .add_subscription(0, 1, {publisher.requested, 1, extent, 8, 0});
-  publisher.core->attach(0, 1, reader.base(), extent, offsetof(abi::ClientRegionHeader, executor),
+  publisher.core->attach(0, 1, reader.base(), extent, offsetof(abi::ClientRegionHeader, wait_set),
                          0, publisher.environment);
   LinkCore<M> link({publisher.topic(),
                     {publisher.queue.base(), extent},

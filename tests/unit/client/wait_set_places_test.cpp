@@ -3,7 +3,7 @@
 // Goal: a wait set gets one place in a session, places and numbers are reused, and none is lost.
 // Method: wait sets of this process, a page as the client region, and a function as the daemon.
 
-#include <client/session/executor_places.hpp>
+#include <client/session/wait_set_places.hpp>
 
 #include <agnocast/abi/client_region.hpp>
 
@@ -26,26 +26,26 @@ DoorbellReceiver doorbells() {
   return {UniqueFd(::eventfd(0, EFD_CLOEXEC | EFD_NONBLOCK)), UniqueFd(pair[1])};
 }
 
-struct ExecutorPlacesTest : testing::Test {
+struct WaitSetPlacesTest : testing::Test {
   struct Asked {
-    std::uint64_t executor;
+    std::uint64_t wait_set;
     bool again;
     friend bool operator==(const Asked&, const Asked&) = default;
   };
 
-  ExecutorPlacesTest()
+  WaitSetPlacesTest()
       : region(static_cast<std::byte*>(::mmap(nullptr, abi::page_bytes, PROT_READ | PROT_WRITE,
                                               MAP_SHARED | MAP_ANONYMOUS, -1, 0))) {}
-  ~ExecutorPlacesTest() override { ::munmap(region, abi::page_bytes); }
+  ~WaitSetPlacesTest() override { ::munmap(region, abi::page_bytes); }
 
   std::shared_ptr<WaitSet> wait_set() { return WaitSet::make().value(); }
   Result<void> give(WaitSet& to) {
     return places.give(
         to, this, [&] { return permit; },
-        [&](std::uint64_t executor, bool again) -> Result<std::unique_ptr<WaitSet::Place>> {
-          asked.push_back({executor, again});
+        [&](std::uint64_t wait_set, bool again) -> Result<std::unique_ptr<WaitSet::Place>> {
+          asked.push_back({wait_set, again});
           if (refuses) return fail(Errc::daemon_not_running, "it is away");
-          return std::make_unique<WaitSet::Place>(region, executor, doorbells());
+          return std::make_unique<WaitSet::Place>(region, wait_set, doorbells());
         });
   }
 
@@ -53,10 +53,10 @@ struct ExecutorPlacesTest : testing::Test {
   Result<void> permit;
   bool refuses = false;
   std::vector<Asked> asked;
-  ExecutorPlaces places;
+  WaitSetPlaces places;
 };
 
-TEST_F(ExecutorPlacesTest, GivesAWaitSetOnePlace) {
+TEST_F(WaitSetPlacesTest, GivesAWaitSetOnePlace) {
   const auto one = wait_set(), other = wait_set();
   ASSERT_TRUE(give(*one));
   ASSERT_TRUE(give(*one));
@@ -66,7 +66,7 @@ TEST_F(ExecutorPlacesTest, GivesAWaitSetOnePlace) {
   EXPECT_EQ(other->index_in(this), 1u);
 }
 
-TEST_F(ExecutorPlacesTest, ReusesReturnedPlaces) {
+TEST_F(WaitSetPlacesTest, ReusesReturnedPlaces) {
   auto one = wait_set();
   ASSERT_TRUE(give(*one));
   EXPECT_FALSE(places.end()) << "it is lent";
@@ -79,7 +79,7 @@ TEST_F(ExecutorPlacesTest, ReusesReturnedPlaces) {
   EXPECT_TRUE(places.end());
 }
 
-TEST_F(ExecutorPlacesTest, AsksAgainForANumberWhoseDoorbellsDidNotCome) {
+TEST_F(WaitSetPlacesTest, AsksAgainForANumberWhoseDoorbellsDidNotCome) {
   const auto one = wait_set();
   refuses = true;
   const Result<void> refused = give(*one);
@@ -94,7 +94,7 @@ TEST_F(ExecutorPlacesTest, AsksAgainForANumberWhoseDoorbellsDidNotCome) {
   EXPECT_EQ(other->index_in(this), 1u);
 }
 
-TEST_F(ExecutorPlacesTest, GivesNoPlaceWithoutPermission) {
+TEST_F(WaitSetPlacesTest, GivesNoPlaceWithoutPermission) {
   permit = fail(Errc::started_anew, "lost");
   const auto one = wait_set();
   const Result<void> refused = give(*one);
@@ -103,9 +103,9 @@ TEST_F(ExecutorPlacesTest, GivesNoPlaceWithoutPermission) {
   EXPECT_TRUE(asked.empty());
 }
 
-TEST_F(ExecutorPlacesTest, HasAsManyPlacesAsTheClientRegion) {
+TEST_F(WaitSetPlacesTest, HasAsManyPlacesAsTheClientRegion) {
   std::vector<std::shared_ptr<WaitSet>> all;
-  for (std::uint64_t i = 0; i < abi::executor_count_max; ++i) {
+  for (std::uint64_t i = 0; i < abi::wait_set_count_max; ++i) {
     all.push_back(wait_set());
     ASSERT_TRUE(give(*all.back())) << i;
   }
@@ -118,7 +118,7 @@ TEST_F(ExecutorPlacesTest, HasAsManyPlacesAsTheClientRegion) {
   EXPECT_EQ(more->index_in(this), 7u);
 }
 
-TEST_F(ExecutorPlacesTest, RenewsTheDoorbellsOfAnUnusedPlace) {
+TEST_F(WaitSetPlacesTest, RenewsTheDoorbellsOfAnUnusedPlace) {
   auto one = wait_set();
   ASSERT_TRUE(give(*one));
   DoorbellReceiver others = doorbells();

@@ -1,6 +1,6 @@
 // SPDX-License-Identifier: Apache-2.0
 
-#include <daemon/transport/requests.hpp>
+#include <daemon/transport/request_reading.hpp>
 
 #include <agnocast/abi/limits.hpp>
 #include <base/text/log.hpp>
@@ -92,13 +92,13 @@ Request decode_bring(Packet packet) {
   return body;
 }
 
-Request decode_executor(Packet packet) {
-  const auto body = body_of<wire::ExecutorRequest>(packet);
-  if (body.executor >= abi::executor_count_max)
+Request decode_wait_set(Packet packet) {
+  const auto body = body_of<wire::WaitSetRequest>(packet);
+  if (body.wait_set >= abi::wait_set_count_max)
     return refuse(
         body.header, Errc::limit_reached,
-        "a process has at most " + std::to_string(abi::executor_count_max) + " executors");
-  return ExecutorRequest{is_asked_again(packet), body.header.request, body.executor};
+        "a process has at most " + std::to_string(abi::wait_set_count_max) + " wait sets");
+  return WaitSetRequest{is_asked_again(packet), body.header.request, body.wait_set};
 }
 
 /// Returns a node's full name: with a slash in front.
@@ -116,7 +116,7 @@ Request decode_create(Packet packet) {
                                                                       : wire::Kind::subscription;
   request.request = body.header.request;
   request.layout_hash = body.layout_hash;
-  request.executor = body.executor;
+  request.wait_set = body.wait_set;
   request.quota = body.quota;
   std::string_view topic, type, node;
   if (!text_of(body.topic, topic))
@@ -143,8 +143,8 @@ Request decode_create(Packet packet) {
     return refuse(body.header, Errc::invalid_argument,
                   "only a subscription can ignore publishers of its process");
   if (request.kind == wire::Kind::subscription) {
-    if (body.executor >= abi::executor_count_max)
-      return refuse(body.header, Errc::protocol_violation, "an executor's index is out of range");
+    if (body.wait_set >= abi::wait_set_count_max)
+      return refuse(body.header, Errc::protocol_violation, "a wait set's index is out of range");
     if (body.quota == 0)
       return refuse(body.header, Errc::invalid_argument,
                     "a subscription must be able to hold one message");
@@ -255,7 +255,7 @@ constexpr Row rows[] = {
     {wire::Opcode::hello, sizeof(wire::Hello), Role::unknown, decode_hello},
     {wire::Opcode::rejoin, sizeof(wire::Rejoin), Role::unknown, decode_rejoin},
     {wire::Opcode::open_window, sizeof(wire::WindowRequest), Role::client, decode_window},
-    {wire::Opcode::open_executor, sizeof(wire::ExecutorRequest), Role::client, decode_executor},
+    {wire::Opcode::open_wait_set, sizeof(wire::WaitSetRequest), Role::client, decode_wait_set},
     {wire::Opcode::create_publisher, sizeof(wire::CreateEndpoint), Role::client, decode_create},
     {wire::Opcode::create_subscription, sizeof(wire::CreateEndpoint), Role::client, decode_create},
     {wire::Opcode::leave, sizeof(wire::Reference), Role::client, decode_reference<LeaveRequest>},
