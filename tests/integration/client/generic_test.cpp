@@ -161,7 +161,7 @@ TEST_F(Generic, EveryKindOfTypeGoesFromTypedToGenericAndBack) {
     EXPECT_TRUE(*back == sent) << name;
     EXPECT_EQ(back.get(), address) << name;
   });
-  EXPECT_GE(count, 60);
+  EXPECT_GE(count, 40);
 }
 
 TEST_F(Generic, ForeignMemoryIsAdoptedWithTheSameCountAsTyped) {
