@@ -77,7 +77,8 @@ if [ -n "${RELAY_PREFIX:-}" ]; then
   nodes=$(ros2 node list --no-daemon 2>&1)
   [ "$(grep -c '^/relay$' <<<"$nodes")" = 1 ] || fail "/relay is not there once: $nodes"
   case $nodes in *"share an exact name"*) fail "$nodes" ;; esac
-  out=$(ros2 topic list --no-daemon | grep -m 1 '^/out_')
+  topics=$(ros2 topic list --no-daemon)
+  out=$(grep -m 1 '^/out_' <<<"$topics")
   start pub ros2 topic pub --rate 10 /in std_msgs/msg/String "data: relayed"
   shows "data: relayed" ros2 topic echo --no-daemon --once "$out" std_msgs/msg/String
   echo "the node of rclcpp is there once, and relays"
