@@ -121,7 +121,6 @@ TEST_F(Generic, InvalidNamesAndUnknownTypesAreRefused) {
 
 bool is_shared(const void* memory) { return agnocast_heaphook()->owns(memory) != 0; }
 
-// Messages are compared with ==: EXPECT_EQ would print them, and compile that for each type.
 TEST_F(Generic, EveryKindOfTypeGoesFromTypedToGenericAndBack) {
   test::RandomMessages random(11, {.has_nan = false, .has_any_text = true});
   int count = 0;
@@ -143,13 +142,13 @@ TEST_F(Generic, EveryKindOfTypeGoesFromTypedToGenericAndBack) {
     const GenericMessage got = take_soon(generic_subscription);
     ASSERT_TRUE(got) << name;
     EXPECT_EQ(got.members(), &members);
-    EXPECT_TRUE(*static_cast<const T*>(got.get()) == sent) << name;
+    EXPECT_EQ(*static_cast<const T*>(got.get()), sent) << name;
     const auto same = take_soon(typed_subscription);
     EXPECT_EQ(got.get(), same.get()) << name << ": both read the same memory";
 
     GenericLoan loan = generic->borrow_loaned_message();
     ASSERT_TRUE(loan);
-    EXPECT_TRUE(*static_cast<const T*>(loan.get()) == T()) << name << ": with its defaults";
+    EXPECT_EQ(*static_cast<const T*>(loan.get()), T()) << name << ": with its defaults";
     IntrospectedType(*loan.members()).assign(&sent, loan.get());
     const void* const address = loan.get();
     const PublishResult result = generic->publish(std::move(loan));
@@ -158,7 +157,7 @@ TEST_F(Generic, EveryKindOfTypeGoesFromTypedToGenericAndBack) {
     EXPECT_FALSE(loan);
     const auto back = take_soon(typed_subscription);
     ASSERT_TRUE(back) << name;
-    EXPECT_TRUE(*back == sent) << name;
+    EXPECT_EQ(*back, sent) << name;
     EXPECT_EQ(back.get(), address) << name;
   });
   EXPECT_GE(count, 40);
@@ -190,7 +189,7 @@ TEST_F(Generic, ForeignMemoryIsAdoptedWithTheSameCountAsTyped) {
       const auto got = take_soon(subscription);
       ASSERT_TRUE(got) << name;
       EXPECT_TRUE(is_shared(got.get()));
-      EXPECT_TRUE(*got == sent) << name;
+      EXPECT_EQ(*got, sent) << name;
     }
   });
 }
