@@ -21,6 +21,7 @@
 #include <array>
 #include <cerrno>
 #include <csignal>
+#include <cstdio>
 #include <cstdlib>
 #include <cstring>
 #include <map>
@@ -44,7 +45,8 @@ constexpr std::uint64_t settled_ms = 10'000;
 
 // How long a worker may take from the request to end until its loop reports it, and from then
 // until it has ended. A worker that hangs delays the end by the first one: less than a second.
-constexpr std::uint64_t stop_patience_ms = 800, end_patience_ms = 5'000;
+// Time in which it was ready to run and had no processor does not count, up to the third one.
+constexpr std::uint64_t stop_patience_ms = 800, end_patience_ms = 5'000, wait_most_ms = 10'000;
 // How long a worker may take until it serves; systemd's default.
 constexpr std::uint64_t start_patience_ms = 90'000;
 // Interval of looks at a worker that is to end, and how long the supervisor's end waits for it.
@@ -113,6 +115,19 @@ bool first_thread_has_ended(pid_t pid) noexcept {
   const std::string_view all(text.data(), static_cast<std::size_t>(bytes));
   const std::size_t name_end = all.rfind(')');
   return name_end != std::string_view::npos && all.substr(name_end).starts_with(") Z");
+}
+
+// Returns how long the first thread of a child has waited for a processor since it began; 0 where
+// the kernel does not count it. The second figure of schedstat, in ns (Linux,
+// Documentation/scheduler/sched-stats.rst); reading it takes no lock of the child's memory.
+std::uint64_t waited_for_processor_ms(pid_t pid) noexcept {
+  const UniqueFd file(
+      ::open(("/proc/" + std::to_string(pid) + "/schedstat").c_str(), O_RDONLY | O_CLOEXEC));
+  std::array<char, 128> text{};
+  const ssize_t bytes = ::read(file.get(), text.data(), text.size() - 1);
+  unsigned long long ran_ns = 0, waited_ns = 0;
+  if (bytes <= 0 || std::sscanf(text.data(), "%llu %llu", &ran_ns, &waited_ns) != 2) return 0;
+  return waited_ns / 1'000'000;
 }
 
 std::string value_of(const char* name) {
@@ -189,6 +204,11 @@ class Supervisor {
   void look_at_worker(std::uint64_t now);
   /// Returns whether a killed worker cannot end: a client keeps a thread of it in the kernel.
   bool is_stuck(std::uint64_t now) const noexcept;
+  /// Returns for how long the worker has waited for a processor since it was asked to end.
+  std::uint64_t waited_since_asked_ms() const noexcept {
+    const std::uint64_t waited_ms = waited_for_processor_ms(worker_);
+    return std::min(waited_ms - std::min(waited_ms, waited_ms_), wait_most_ms);
+  }
   /// Returns when look_at_worker() is due; nothing: never.
   std::optional<std::uint64_t> look_due_ms() const noexcept;
   std::uint64_t patience_ms() const noexcept {
@@ -213,6 +233,7 @@ class Supervisor {
   std::uint64_t watchdog_ms_;   // 0: no watchdog
   std::uint64_t heard_ms_ = 0;  // when the worker last sent a sign of life
   std::optional<std::uint64_t> kill_due_ms_;  // when to kill a worker that was asked to end
+  std::uint64_t waited_ms_ = 0;               // for a processor, until it was asked
   std::optional<std::uint64_t> killed_ms_;
   std::optional<std::uint64_t> remains_since_ms_;  // when it was found to hold nothing any more
   std::uint64_t started_ms_ = 0;
@@ -389,6 +410,7 @@ void Supervisor::end_worker(int signal) {
     killed_ms_ = now;
   } else if (!kill_due_ms_) {
     kill_due_ms_ = now + stop_patience_ms;
+    waited_ms_ = waited_for_processor_ms(worker_);
   }
 }
 
@@ -415,7 +437,7 @@ void Supervisor::look_at_worker(std::uint64_t now) {
     return on_worker_end(is_stopping_ && !killed_ms_ ? 0 : SIGKILL);
   }
   if (remains_since_ms_) return;
-  if (!killed_ms_ && kill_due_ms_ && now >= *kill_due_ms_)
+  if (!killed_ms_ && kill_due_ms_ && now >= *kill_due_ms_ + waited_since_asked_ms())
     return kill_worker("it was asked to end and does not");
   if (!killed_ms_ && !kill_due_ms_ && watchdog_ms_ > 0 && now >= heard_ms_ + patience_ms())
     return kill_worker(is_ready_ ? "its loop does not run" : "it does not begin to serve");

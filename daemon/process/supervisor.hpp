@@ -23,8 +23,9 @@
 //
 // A worker that hangs delays neither. Asked to end, its loop sends STOPPING=1 as soon as it sees
 // the signal; a worker that sends nothing for stop_patience_ms is killed, which loses nothing that
-// is kept. While its loop runs it sends WATCHDOG=1, as to systemd with WatchdogSec=; a worker
-// without it for [daemon] watchdog_seconds is killed and started again.
+// is kept. A worker that waits for a processor does not hang: that time does not count. While its
+// loop runs it sends WATCHDOG=1, as to systemd with WatchdogSec=; a worker without it for [daemon]
+// watchdog_seconds is killed and started again.
 //
 // A dead worker may stay in the kernel for as long as a client likes
 // (base/descriptors/closing.hpp), without a report of its end. Then only a thread is left that
