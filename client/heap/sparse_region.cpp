@@ -9,7 +9,10 @@
 #include <sys/mman.h>
 #include <unistd.h>
 
+#include <algorithm>
 #include <cerrno>
+#include <iterator>
+#include <new>
 #include <utility>
 
 namespace agnocast {
@@ -52,6 +55,27 @@ void SparseRegion::swap(SparseRegion& other) noexcept {
   std::swap(reservation_, other.reservation_);
   std::swap(access_, other.access_);
   std::swap(is_ours_, other.is_ours_);
+  open_.swap(other.open_);
+}
+
+bool SparseRegion::is_open(std::uint64_t offset, std::uint64_t end) const noexcept {
+  auto range = open_.upper_bound(offset);
+  return range != open_.begin() && (--range)->second >= end;
+}
+
+void SparseRegion::note_open(std::uint64_t offset, std::uint64_t end) noexcept try {
+  auto range = open_.upper_bound(offset);
+  if (range != open_.begin() && std::prev(range)->second >= offset) {
+    --range;  // it begins before, and touches
+  } else {
+    range = open_.emplace_hint(range, offset, end);
+  }
+  range->second = std::max(range->second, end);
+  for (auto next = std::next(range); next != open_.end() && next->first <= range->second;) {
+    range->second = std::max(range->second, next->second);
+    next = open_.erase(next);
+  }
+} catch (const std::bad_alloc&) {  // then it is mapped again, which costs time only
 }
 
 Result<void> SparseRegion::claim() noexcept {
@@ -73,6 +97,7 @@ Result<void> SparseRegion::open(std::uint64_t offset, std::uint64_t bytes, int f
     return fail(Errc::invalid_argument, "a range outside its region");
   }
   const std::uint64_t whole = (bytes + abi::page_bytes - 1) & ~(abi::page_bytes - 1);
+  if (is_open(offset, offset + whole)) return {};
   const int protection = access_ == Mapping::Access::read ? PROT_READ : PROT_READ | PROT_WRITE;
   std::byte* const at = reservation_.base() + offset;
   if (fd_) file = fd_.get();
@@ -86,6 +111,7 @@ Result<void> SparseRegion::open(std::uint64_t offset, std::uint64_t bytes, int f
   // be in a core dump.
   if (access_ == Mapping::Access::read_write) ::madvise(at, whole, MADV_DONTFORK);
   if (access_ == Mapping::Access::read) ::madvise(at, whole, MADV_DONTDUMP);
+  note_open(offset, offset + whole);
   return {};
 }
 

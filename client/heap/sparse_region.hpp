@@ -13,6 +13,7 @@
 
 #include <cstddef>
 #include <cstdint>
+#include <map>
 #include <utility>
 
 namespace agnocast {
@@ -33,7 +34,8 @@ class SparseRegion {
   [[nodiscard]] static Result<SparseRegion> make(UniqueFd fd, std::uint64_t bytes,
                                                  Mapping::Access access) noexcept;
 
-  /// Makes [offset, offset + bytes) accessible, whole pages. May be repeated. Errors:
+  /// Makes [offset, offset + bytes) accessible, whole pages. May be repeated: pages that are
+  /// accessible stay as they are. Errors:
   /// invalid_argument (outside the region), os_failure, lock_limit. `file`: another descriptor of
   /// the region, if this object keeps none.
   [[nodiscard]] Result<void> open(std::uint64_t offset, std::uint64_t bytes,
@@ -51,11 +53,14 @@ class SparseRegion {
 
  private:
   void swap(SparseRegion& other) noexcept;
+  bool is_open(std::uint64_t offset, std::uint64_t end) const noexcept;
+  void note_open(std::uint64_t offset, std::uint64_t end) noexcept;
 
   UniqueFd fd_;
   Mapping reservation_;
   Mapping::Access access_ = Mapping::Access::read;
-  bool is_ours_ = false;  // claimed
+  bool is_ours_ = false;                         // claimed
+  std::map<std::uint64_t, std::uint64_t> open_;  // accessible ranges: beginning and end
 };
 
 }  // namespace agnocast

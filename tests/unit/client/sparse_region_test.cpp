@@ -19,24 +19,26 @@
 #include <cerrno>
 #include <csignal>
 #include <new>
+#include <string>
 #include <utility>
 #include <vector>
 
 namespace agnocast {
 namespace {
 
-constexpr std::uint64_t region_bytes = std::uint64_t{1} << 20;
+constexpr std::uint64_t small_region_bytes = std::uint64_t{1} << 20;
 
 /// One process may write it, others read it.
 struct Region {
-  UniqueFd writer = make_memfd("region", region_bytes).value();
+  UniqueFd writer = make_memfd("region", small_region_bytes).value();
 
   SparseRegion owned() const {
     UniqueFd fd(::fcntl(writer.get(), F_DUPFD_CLOEXEC, 0));
-    return SparseRegion::make(std::move(fd), region_bytes, Mapping::Access::read_write).value();
+    return SparseRegion::make(std::move(fd), small_region_bytes, Mapping::Access::read_write)
+        .value();
   }
   SparseRegion read() const {
-    return SparseRegion::make(reopen_read_only(writer.get()).value(), region_bytes,
+    return SparseRegion::make(reopen_read_only(writer.get()).value(), small_region_bytes,
                               Mapping::Access::read)
         .value();
   }
@@ -48,12 +50,12 @@ class SparseRegionClaim : public testing::Test {
 };
 
 /// What a child reports to its parent.
-struct Answer {
+struct Word {
   std::atomic<int> word{0};
-  static Answer& make() {
+  static Word& make() {
     void* const page =
         ::mmap(nullptr, 4096, PROT_READ | PROT_WRITE, MAP_SHARED | MAP_ANONYMOUS, -1, 0);
-    return *new (page) Answer;
+    return *new (page) Word;
   }
   int wait() const {
     while (word.load() == 0) ::usleep(1000);
@@ -78,27 +80,61 @@ TEST_F(SparseRegionClaim, IsSeenByReadersUntilTheRegionIsUnmapped) {
 
 // A program may close descriptors that it did not open, and reuse the number for its own.
 TEST(SparseRegionParts, OfAFileThatTookTheRegionsDescriptorNumberAreNotMapped) {
-  UniqueFd file = keep(make_memfd("region", region_bytes).value());
+  UniqueFd file = keep(make_memfd("region", small_region_bytes).value());
   const int number = file.get();
   SparseRegion region =
-      SparseRegion::make(std::move(file), region_bytes, Mapping::Access::read_write).value();
+      SparseRegion::make(std::move(file), small_region_bytes, Mapping::Access::read_write).value();
   ASSERT_TRUE(region.open(0, abi::page_bytes));
-  const UniqueFd strange = make_memfd("strange", region_bytes).value();
+  const UniqueFd strange = make_memfd("strange", small_region_bytes).value();
   ASSERT_EQ(::dup2(strange.get(), number), number);
   const auto refused = region.open(abi::page_bytes, abi::page_bytes);
   ASSERT_FALSE(refused);
   EXPECT_EQ(refused.error().os_errno, EBADF);
 }
 
+// Other threads use them at that time.
+TEST(SparseRegionParts, ThatAreOpenAreNotMappedAgain) {
+  const Region file;
+  SparseRegion region = file.owned();
+  constexpr std::uint64_t page = abi::page_bytes;
+  for (const auto& [first, count] :
+       {std::pair<std::uint64_t, std::uint64_t>{1, 2}, {5, 2}, {3, 2}, {8, 1}, {2, 4}})
+    ASSERT_TRUE(region.open(first * page, count * page));
+  const auto close_all = [&] { ASSERT_EQ(::mprotect(region.base(), 10 * page, PROT_NONE), 0); };
+  const auto accessible = [&] {
+    int ends[2];
+    EXPECT_EQ(::pipe(ends), 0);
+    std::string pages;
+    for (std::uint64_t i = 0; i < 10; ++i)
+      pages += ::write(ends[1], region.base() + i * page, 1) == 1 ? '1' : '0';
+    ::close(ends[0]);
+    ::close(ends[1]);
+    return pages;
+  };
+  EXPECT_EQ(accessible(), "0111111010");
+  close_all();
+  ASSERT_TRUE(region.open(page, 6 * page));
+  ASSERT_TRUE(region.open(8 * page, 1));
+  EXPECT_EQ(accessible(), "0000000000");
+  ASSERT_TRUE(region.open(0, 2 * page));
+  ASSERT_TRUE(region.open(6 * page, 3 * page));
+  EXPECT_EQ(accessible(), "1100001110");
+  close_all();
+  ASSERT_TRUE(region.open(0, 9 * page));
+  EXPECT_EQ(accessible(), "0000000000") << "all are one range now";
+  ASSERT_TRUE(region.open(0, 10 * page));
+  EXPECT_EQ(accessible(), "1111111111");
+}
+
 TEST_F(SparseRegionClaim, EndsWithItsProcessEvenIfAChildOfItLives) {
   Region region;
   const SparseRegion reader = region.read();
-  Answer& grandchild = Answer::make();
+  Word& grandchild = Word::make();
   {
     const test::Child owner([&] {
-      SparseRegion owned(
-          SparseRegion::make(std::move(region.writer), region_bytes, Mapping::Access::read_write)
-              .value());
+      SparseRegion owned(SparseRegion::make(std::move(region.writer), small_region_bytes,
+                                            Mapping::Access::read_write)
+                             .value());
       if (!owned.open(0, abi::page_bytes) || !owned.claim()) return 1;
       // The grandchild reports it: when fork has returned there, it has closed the lock.
       if (::fork() == 0) grandchild.word.store(::getpid());
