@@ -39,6 +39,9 @@ if(AGNOCAST_SANITIZE)
   string(REPLACE ";" "," sanitize_list "${AGNOCAST_SANITIZE}")
   target_compile_options(agnocast_sanitizers INTERFACE -fsanitize=${sanitize_list} -fno-sanitize-recover=all -fno-omit-frame-pointer)
   target_link_options(agnocast_sanitizers INTERFACE -fsanitize=${sanitize_list})
+  if("thread" IN_LIST AGNOCAST_SANITIZE)
+    target_compile_definitions(agnocast_sanitizers INTERFACE AGNOCAST_UNDER_THREAD_SANITIZER)
+  endif()
   # This check tests memory with a pipe, and reports a fault where no descriptor is left.
   target_compile_options(agnocast_sanitizers INTERFACE -fno-sanitize=vptr)
   # ThreadSanitizer does not model fences. Payload accesses are ordered by acquire and release

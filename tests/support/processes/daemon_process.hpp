@@ -29,7 +29,7 @@ namespace agnocast::test {
 
 /// For [heap] in every configuration whose clients run under a sanitizer: ThreadSanitizer has its
 /// shadow memory at the default arena, but not in the first 512 GiB.
-#if defined(__SANITIZE_THREAD__)
+#if defined(AGNOCAST_UNDER_THREAD_SANITIZER)
 #define AGNOCAST_TEST_ARENA_BASE "arena_base = \"64GiB\"\n"
 #else
 #define AGNOCAST_TEST_ARENA_BASE ""

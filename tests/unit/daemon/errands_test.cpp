@@ -14,6 +14,7 @@ namespace {
 thread_local bool memory_fails = false;
 }
 
+#if !defined(AGNOCAST_UNDER_THREAD_SANITIZER)  // it has its own
 void* operator new(std::size_t bytes) {
   void* const memory = memory_fails ? nullptr : std::malloc(bytes);
   if (memory == nullptr) throw std::bad_alloc();
@@ -23,6 +24,7 @@ void* operator new(std::size_t bytes) {
 #pragma GCC diagnostic ignored "-Wmismatched-new-delete"
 void operator delete(void* memory) noexcept { std::free(memory); }
 void operator delete(void* memory, std::size_t) noexcept { std::free(memory); }
+#endif
 
 namespace agnocast::daemon {
 namespace {
