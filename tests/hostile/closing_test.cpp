@@ -127,7 +127,7 @@ bool kernel_refuses_descriptors() {
 
 /// Calls `after` when the attackers are gone, before it expects the daemon to have its descriptors
 /// back.
-void honest_goes_on_beside(
+void honest_goes_on_beside_descriptors(
     Stage& stage, const std::function<void(Attack&)>& body,
     const std::function<void()>& after = [] {}) {
   const std::size_t before = stage.daemon().descriptor_count();
@@ -173,7 +173,7 @@ TEST_P(HostileClosing, SocketsThatLingerDelayNobody) {
   Stage stage({.without_passrights = fallback});
   const bool refused = !fallback && kernel_refuses_descriptors();
   const std::string path = stage.socket_path();
-  honest_goes_on_beside(stage, [&](Attack& attack) {
+  honest_goes_on_beside_descriptors(stage, [&](Attack& attack) {
     DeafPeer peer;
     {
       // The premise of the attack: closing such a socket waits.
@@ -279,7 +279,7 @@ TEST_P(HostileClosing, AFileWhoseServerNeverAnswersDelaysNobody) {
   const auto send_silent_files = [&](Attack& attack) {
     files.send_all(attack, stage.socket_path());
   };
-  honest_goes_on_beside(stage, send_silent_files, [&] {
+  honest_goes_on_beside_descriptors(stage, send_silent_files, [&] {
     EXPECT_GT(files.unanswered(), 0u) << "no process waits for a close";
     // A thread that nothing can end does not keep the daemon from being restarted.
     const pid_t old = stage.daemon().pid();

@@ -34,8 +34,8 @@ using wire::Opcode;
 /// left. With `cut_off` the attackers count in their first word how often the daemon ended their
 /// connection; the daemon has to do so repeatedly.
 enum class Ends : std::uint8_t { any, cut_off };
-void honest_goes_on_beside(Stage& stage, const std::function<void(Attack&)>& body,
-                           unsigned attackers = 1, Ends ends = Ends::any) {
+void honest_goes_on_beside_many(Stage& stage, const std::function<void(Attack&)>& body,
+                                unsigned attackers = 1, Ends ends = Ends::any) {
   const std::size_t before = stage.daemon().descriptor_count();
   std::vector<std::unique_ptr<Attacker>> all;
   for (unsigned i = 0; i < attackers; ++i) all.push_back(std::make_unique<Attacker>(body));
@@ -70,7 +70,7 @@ PacketSocket connect_to(const std::string& path) {
 }
 
 template <class Body>
-bool say(const PacketSocket& socket, Opcode opcode, Body body, std::span<const int> fds = {}) {
+bool say_to(const PacketSocket& socket, Opcode opcode, Body body, std::span<const int> fds = {}) {
   body.header = {opcode, sizeof body, 1};
   const auto sent = socket.send(std::as_bytes(std::span(&body, 1)), fds);
   return sent && *sent == Sent::sent;
@@ -81,7 +81,7 @@ TEST(HostileControl, GarbageOfEveryLengthAffectsOnlyItsSender) {
   Stage stage;
   Chance chance(11);
   const std::string path = stage.socket_path();
-  honest_goes_on_beside(stage, [&](Attack& attack) {
+  honest_goes_on_beside_many(stage, [&](Attack& attack) {
     attack.ready();
     while (attack.goes_on()) {
       const PacketSocket socket = connect_to(path);
@@ -89,7 +89,7 @@ TEST(HostileControl, GarbageOfEveryLengthAffectsOnlyItsSender) {
       if (chance.below(2) == 0) {
         wire::Hello hello{};
         hello.fingerprint = abi::fingerprint();
-        say(socket, Opcode::hello, hello);
+        say_to(socket, Opcode::hello, hello);
       }
       for (int i = 0; i < 50; ++i) {
         std::vector<std::byte> packet(1 + chance.below(chance.below(8) == 0 ? 60000 : 1100));
@@ -110,7 +110,7 @@ TEST(HostileControl, EndlessRequestsOfManyProcessesDelayNoOtherUser) {
   AGNOCAST_NEEDS_TWO_USERS();
   Stage stage;
   const std::string path = stage.socket_path();
-  honest_goes_on_beside(
+  honest_goes_on_beside_many(
       stage,
       [&](Attack& attack) {
         HostileNode node(path);
@@ -205,7 +205,7 @@ TEST(HostileControl, AClientThatNeverReadsItsAnswersIsDisconnected) {
   AGNOCAST_NEEDS_TWO_USERS();
   Stage stage;
   const std::string path = stage.socket_path();
-  honest_goes_on_beside(
+  honest_goes_on_beside_many(
       stage,
       [&](Attack& attack) {
         PacketSocket socket;
@@ -215,7 +215,7 @@ TEST(HostileControl, AClientThatNeverReadsItsAnswersIsDisconnected) {
             if (!socket) continue;
             wire::Hello hello{};
             hello.fingerprint = abi::fingerprint();
-            say(socket, Opcode::hello, hello);
+            say_to(socket, Opcode::hello, hello);
           }
           wire::WindowRequest nonsense{};
           nonsense.window = abi::window_count_max;
@@ -276,7 +276,7 @@ TEST(HostileControl, SilentConnectionsTakeNobodysPlace) {
   AGNOCAST_NEEDS_TWO_USERS();
   Stage stage;
   const std::string path = stage.socket_path();
-  honest_goes_on_beside(stage, [&](Attack& attack) {
+  honest_goes_on_beside_many(stage, [&](Attack& attack) {
     std::vector<PacketSocket> silent;
     attack.ready();
     while (attack.goes_on()) {
@@ -291,7 +291,7 @@ TEST(HostileControl, FloodsOfConnectionsDelayNoOtherUser) {
   AGNOCAST_NEEDS_TWO_USERS();
   Stage stage;
   const std::string path = stage.socket_path();
-  honest_goes_on_beside(
+  honest_goes_on_beside_many(
       stage,
       [&](Attack& attack) {
         attack.ready();
@@ -300,7 +300,7 @@ TEST(HostileControl, FloodsOfConnectionsDelayNoOtherUser) {
           if (!socket) continue;
           wire::Hello hello{};
           hello.fingerprint = abi::fingerprint();
-          say(socket, Opcode::hello, hello);
+          say_to(socket, Opcode::hello, hello);
           ++attack.word(0);
         }
       },
@@ -339,7 +339,7 @@ TEST(HostileControl, DescriptorsOfUnexpectedKindsAreClosedUnused) {
   AGNOCAST_NEEDS_TWO_USERS();
   Stage stage;
   const std::string path = stage.socket_path();
-  honest_goes_on_beside(stage, [&](Attack& attack) {
+  honest_goes_on_beside_many(stage, [&](Attack& attack) {
     int pipe[2];
     ASSERT_EQ(::pipe2(pipe, O_CLOEXEC | O_NONBLOCK), 0);
     std::vector<UniqueFd> strange;
@@ -392,7 +392,7 @@ TEST(HostileControl, MissingWindowsAndThoseOfOthersCannotBeBrought) {
   AGNOCAST_NEEDS_TWO_USERS();
   Stage stage;
   const std::string path = stage.socket_path();
-  honest_goes_on_beside(stage, [&](Attack& attack) {
+  honest_goes_on_beside_many(stage, [&](Attack& attack) {
     HostileNode owner(path);
     owner.join(Kind::subscription, stream_topic);
     const auto honest = owner.announced();
@@ -455,7 +455,7 @@ TEST(HostileControl, ClaimsAboutOthersEndpointsChangeNothing) {
   AGNOCAST_NEEDS_TWO_USERS();
   Stage stage;
   const std::string path = stage.socket_path();
-  honest_goes_on_beside(stage, [&](Attack& attack) {
+  honest_goes_on_beside_many(stage, [&](Attack& attack) {
     HostileNode node(path);
     node.join(Kind::subscription, stream_topic);
     node.join(Kind::publisher, open_topic);
@@ -517,7 +517,7 @@ PacketSocket observe(const std::string& path) {
   PacketSocket socket = connect_to(path);
   wire::Observe request{};
   request.fingerprint = abi::fingerprint();
-  if (!socket || !say(socket, Opcode::observe, request)) return {};
+  if (!socket || !say_to(socket, Opcode::observe, request)) return {};
   std::array<std::byte, 2048> buffer;
   pollfd answer{socket.fd(), POLLIN, 0};
   if (::poll(&answer, 1, WireClient::patience_ms) != 1) return {};
@@ -533,7 +533,7 @@ TEST(HostileControl, ObserversThatAskWithoutEndAreDisconnected) {
   AGNOCAST_NEEDS_TWO_USERS();
   Stage stage;
   const std::string path = stage.socket_path();
-  honest_goes_on_beside(
+  honest_goes_on_beside_many(
       stage,
       [&](Attack& attack) {
         std::vector<PacketSocket> observers;

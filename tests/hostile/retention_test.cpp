@@ -25,7 +25,7 @@ using wire::Opcode;
 // History and messages in hand take 1035 slots, the subscriptions one each: the pool has 25.
 const char* const small_topic =
     "[limits]\nslots_per_publisher = 1100\nsubscriptions_per_topic = 40\n";
-constexpr std::uint64_t every_slot = 1100;
+constexpr std::uint64_t all_places = 1100;
 constexpr std::uint64_t places = 40;
 constexpr std::uint32_t deepest = 1000;
 
@@ -60,7 +60,7 @@ class Holder {
 
   /// Subscribes for the largest quota, which the refusal of a larger one states.
   std::uint64_t subscribe_for_most() {
-    EXPECT_FALSE(subscribe(every_slot));
+    EXPECT_FALSE(subscribe(all_places));
     const std::size_t at = refusal_.find(" have ");
     if (at == std::string::npos) return ADD_FAILURE() << refusal_, 0;
     const std::uint64_t most = std::stoull(refusal_.substr(at + 6));
@@ -99,7 +99,7 @@ std::unique_ptr<Attacker> holder_of(Stage& stage, uid_t uid, std::uint64_t first
 }
 
 void publisher_goes_through_all_its_slots(Stage& stage) {
-  const std::uint64_t last = stage.state().published + every_slot + 100;
+  const std::uint64_t last = stage.state().published + all_places + 100;
   do {
     stage.honest_goes_on();
   } while (stage.state().published < last && !testing::Test::HasFailure());
@@ -169,7 +169,7 @@ TEST(HostileRetention, ALaterPublisherHasItsSlots) {
     std::vector<wire::EndpointCreated> made;
     for (int i = 0; i < 20; ++i) {
       auto body = node.body_like(stream_topic, "/later", {deepest, false, true, false, false});
-      body.quota = every_slot;
+      body.quota = all_places;
       const Incoming answer = node.wire().ask(Opcode::create_subscription, body);
       EXPECT_EQ(answer.opcode(), Opcode::endpoint_created) << answer.refused_text();
       if (answer.opcode() == Opcode::endpoint_created)
@@ -184,7 +184,7 @@ TEST(HostileRetention, ALaterPublisherHasItsSlots) {
       for (const auto& one : made) {
         if (one.index != publisher.own_index) continue;
         const auto line = node.line(one, publisher.index);
-        for (std::uint64_t word = 0; word < every_slot / 64; ++word)
+        for (std::uint64_t word = 0; word < all_places / 64; ++word)
           line.hold(word).store(~std::uint64_t{0});
         line.cursor().store(~std::uint64_t{0} >> 16);
         line.publisher_generation().store(publisher.generation);
@@ -207,7 +207,7 @@ TEST(HostileRetention, ALaterPublisherHasItsSlots) {
     state >> published >> refused;
     return published;
   };
-  last = look() + every_slot + 100;
+  last = look() + all_places + 100;
   EXPECT_TRUE(eventually([&] { return look() >= last || refused != 0; }));
   EXPECT_EQ(::kill(stage.daemon().pid(), SIGCONT), 0);
   EXPECT_EQ(refused, 0u);

@@ -6,7 +6,7 @@
 #include <agnocast/callback_group_waitable.hpp>
 #include <agnocast/executor.hpp>
 #include <agnocast/timer.hpp>
-#include <tests/support/processes/plain_node.hpp>
+#include <tests/unit/client/node.hpp>
 
 #include <gtest/gtest.h>
 
@@ -24,8 +24,6 @@ namespace agnocast {
 namespace {
 
 using namespace std::chrono_literals;
-
-const test::PlainNode node;
 
 CallbackGroup::SharedPtr make_group(CallbackGroupType type) {
   return create_callback_group(node, type, false);

@@ -6,7 +6,7 @@
 #include <agnocast/executor.hpp>
 #include <agnocast/timer.hpp>
 #include <tests/support/processes/child.hpp>
-#include <tests/support/processes/plain_node.hpp>
+#include <tests/unit/client/node.hpp>
 
 #include <gtest/gtest.h>
 
@@ -25,8 +25,6 @@ namespace agnocast {
 namespace {
 
 using namespace std::chrono_literals;
-
-const test::PlainNode node;
 
 #ifdef AGNOCAST_EXECUTOR_PROGRAM
 

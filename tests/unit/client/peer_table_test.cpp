@@ -20,9 +20,9 @@
 namespace agnocast {
 namespace {
 
-constexpr std::uint64_t arena_bytes = std::uint64_t{64} << 20,
-                        window_bytes = std::uint64_t{4} << 20;
-constexpr std::uint64_t region_bytes = std::uint64_t{1} << 30, extent = std::uint64_t{1} << 20;
+constexpr std::uint64_t peer_arena_bytes = std::uint64_t{64} << 20,
+                        peer_window_bytes = std::uint64_t{4} << 20;
+constexpr std::uint64_t peer_region_bytes = std::uint64_t{1} << 30, extent = std::uint64_t{1} << 20;
 
 struct PeerTableTest : testing::Test {
   static constexpr PeerTable::Key self{1, 10}, other{2, 20};
@@ -31,7 +31,7 @@ struct PeerTableTest : testing::Test {
 
   static UniqueFd file(std::uint64_t bytes) { return make_memfd("test", bytes).value(); }
   static std::uint64_t free_addresses() {
-    return reinterpret_cast<std::uint64_t>(Mapping::reserve(0, arena_bytes).value().base());
+    return reinterpret_cast<std::uint64_t>(Mapping::reserve(0, peer_arena_bytes).value().base());
   }
   abi::wire::Announcement announcement(const PeerTable::Key& process,
                                        std::uint32_t windows = 0) const {
@@ -43,13 +43,13 @@ struct PeerTableTest : testing::Test {
     body.uid = 4711;
     body.window_count = windows;
     for (std::uint32_t i = 0; i < windows; ++i)
-      body.window[i] = {arena.base() + i * window_bytes, window_bytes, 0};
+      body.window[i] = {arena.base() + i * peer_window_bytes, peer_window_bytes, 0};
     return body;
   }
   std::shared_ptr<Peer> use(const abi::wire::Announcement& body) {
     std::vector<UniqueFd> fds;
-    fds.push_back(file(region_bytes));
-    for (std::uint32_t i = 0; i < body.window_count; ++i) fds.push_back(file(window_bytes));
+    fds.push_back(file(peer_region_bytes));
+    for (std::uint32_t i = 0; i < body.window_count; ++i) fds.push_back(file(peer_window_bytes));
     std::size_t used = 0;
     auto peer = table.use(body, fds, used);
     EXPECT_EQ(used, 1 + body.window_count);
@@ -68,9 +68,10 @@ struct PeerTableTest : testing::Test {
     return ::poll(&readable, 1, 0) == 1;
   }
 
-  Arena arena = Arena::reserve(free_addresses(), arena_bytes).value();
+  Arena arena = Arena::reserve(free_addresses(), peer_arena_bytes).value();
   SparseRegion region =
-      SparseRegion::make(file(region_bytes), region_bytes, Mapping::Access::read_write).value();
+      SparseRegion::make(file(peer_region_bytes), peer_region_bytes, Mapping::Access::read_write)
+          .value();
   std::shared_ptr<const ControlWake> wake = ControlWake::make().value();
   EndpointTable endpoints;
   PeerTable table{endpoints};
@@ -129,20 +130,21 @@ TEST_F(PeerTableTest, HasTheAnnouncedWindows) {
   const auto peer = use(announcement(other, 2));
   ASSERT_NE(peer, nullptr);
   EXPECT_EQ(peer->heap().window_count(), 2u);
-  table.add_window(other, {2, arena.base() + 2 * window_bytes, window_bytes, 0},
-                   file(window_bytes));
+  table.add_window(other, {2, arena.base() + 2 * peer_window_bytes, peer_window_bytes, 0},
+                   file(peer_window_bytes));
   EXPECT_EQ(peer->heap().window_count(), 3u);
-  table.add_window({3, 30}, {0, arena.base(), window_bytes, 0}, file(window_bytes));
+  table.add_window({3, 30}, {0, arena.base(), peer_window_bytes, 0}, file(peer_window_bytes));
   EXPECT_FALSE(table.has({3, 30})) << "a window does not make its process known";
 }
 
 TEST_F(PeerTableTest, MapsNothingOutsideTheArena) {
   auto body = announcement(other, 1);
-  body.window[0].base = arena.base() + arena_bytes - window_bytes / 2;
+  body.window[0].base = arena.base() + peer_arena_bytes - peer_window_bytes / 2;
   EXPECT_EQ(use(body), nullptr);
   const auto peer = use(announcement(other));
   ASSERT_NE(peer, nullptr);
-  table.add_window(other, {0, arena.base() - window_bytes, window_bytes, 0}, file(window_bytes));
+  table.add_window(other, {0, arena.base() - peer_window_bytes, peer_window_bytes, 0},
+                   file(peer_window_bytes));
   EXPECT_EQ(peer->heap().window_count(), 0u);
 }
 
@@ -152,11 +154,12 @@ TEST_F(PeerTableTest, UsesNoProcessWithMissingDescriptors) {
   EXPECT_FALSE(table.has(other));
   auto body = announcement(other, 1);
   std::vector<UniqueFd> region_alone;
-  region_alone.push_back(file(region_bytes));
+  region_alone.push_back(file(peer_region_bytes));
   EXPECT_EQ(table.use(body, region_alone, used), nullptr);
   body.window_count = abi::window_count_max + 1;
   std::vector<UniqueFd> fds;
-  for (std::uint64_t i = 0; i < abi::window_count_max + 2; ++i) fds.push_back(file(window_bytes));
+  for (std::uint64_t i = 0; i < abi::window_count_max + 2; ++i)
+    fds.push_back(file(peer_window_bytes));
   EXPECT_EQ(table.use(body, fds, used), nullptr);
   EXPECT_TRUE(table.is_empty());
 }

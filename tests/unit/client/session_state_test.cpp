@@ -16,23 +16,23 @@ namespace agnocast {
 namespace {
 
 using Phase = SessionState::Phase;
-using Step = SessionState::Step;
+using Transition = SessionState::Step;
 
 constexpr Phase phases[] = {Phase::unconnected, Phase::beginning, Phase::lost,    Phase::dropped,
                             Phase::moving,      Phase::arrived,   Phase::serving, Phase::alone};
-constexpr Step steps[] = {Step::connected, Step::be_present, Step::drop,
-                          Step::arrived,   Step::speak,      Step::lose};
+constexpr Transition steps[] = {Transition::connected, Transition::be_present, Transition::drop,
+                                Transition::arrived,   Transition::speak,      Transition::lose};
 
 /// The steps that lead a session to each phase.
-const std::map<Phase, std::vector<Step>> ways{
+const std::map<Phase, std::vector<Transition>> ways{
     {Phase::unconnected, {}},
     {Phase::beginning, {}},
-    {Phase::lost, {Step::lose}},
-    {Phase::dropped, {Step::drop}},
-    {Phase::moving, {Step::be_present}},
-    {Phase::arrived, {Step::be_present, Step::arrived}},
-    {Phase::serving, {Step::be_present, Step::arrived, Step::speak}},
-    {Phase::alone, {Step::be_present, Step::lose}},
+    {Phase::lost, {Transition::lose}},
+    {Phase::dropped, {Transition::drop}},
+    {Phase::moving, {Transition::be_present}},
+    {Phase::arrived, {Transition::be_present, Transition::arrived}},
+    {Phase::serving, {Transition::be_present, Transition::arrived, Transition::speak}},
+    {Phase::alone, {Transition::be_present, Transition::lose}},
 };
 
 /// Constructed in place, because it has atomics.
@@ -40,29 +40,29 @@ struct In {
   explicit In(Phase phase) {
     former.give_reason(Errc::started_anew);
     if (phase != Phase::unconnected) state.begin_beside(former);
-    for (const Step step : ways.at(phase)) EXPECT_TRUE(state.step(step));
+    for (const Transition step : ways.at(phase)) EXPECT_TRUE(state.step(step));
     EXPECT_EQ(state.phase(), phase);
   }
   SessionState former, state;
 };
 
 TEST(SessionState, KnowsTheStepsOfTheDrawingAndNoOthers) {
-  const std::map<std::pair<Phase, Step>, Phase> drawing{
-      {{Phase::unconnected, Step::connected}, Phase::serving},
-      {{Phase::unconnected, Step::lose}, Phase::alone},
-      {{Phase::beginning, Step::be_present}, Phase::moving},
-      {{Phase::beginning, Step::drop}, Phase::dropped},
-      {{Phase::beginning, Step::lose}, Phase::lost},
-      {{Phase::lost, Step::be_present}, Phase::alone},
-      {{Phase::lost, Step::drop}, Phase::dropped},
-      {{Phase::moving, Step::arrived}, Phase::arrived},
-      {{Phase::moving, Step::lose}, Phase::alone},
-      {{Phase::arrived, Step::speak}, Phase::serving},
-      {{Phase::arrived, Step::lose}, Phase::alone},
-      {{Phase::serving, Step::lose}, Phase::alone},
+  const std::map<std::pair<Phase, Transition>, Phase> drawing{
+      {{Phase::unconnected, Transition::connected}, Phase::serving},
+      {{Phase::unconnected, Transition::lose}, Phase::alone},
+      {{Phase::beginning, Transition::be_present}, Phase::moving},
+      {{Phase::beginning, Transition::drop}, Phase::dropped},
+      {{Phase::beginning, Transition::lose}, Phase::lost},
+      {{Phase::lost, Transition::be_present}, Phase::alone},
+      {{Phase::lost, Transition::drop}, Phase::dropped},
+      {{Phase::moving, Transition::arrived}, Phase::arrived},
+      {{Phase::moving, Transition::lose}, Phase::alone},
+      {{Phase::arrived, Transition::speak}, Phase::serving},
+      {{Phase::arrived, Transition::lose}, Phase::alone},
+      {{Phase::serving, Transition::lose}, Phase::alone},
   };
   for (const Phase phase : phases) {
-    for (const Step step : steps) {
+    for (const Transition step : steps) {
       const auto arrow = drawing.find({phase, step});
       const Phase expected = arrow != drawing.end() ? arrow->second : phase;
       In session(phase);
@@ -104,7 +104,7 @@ TEST(SessionState, NotifiesOfEachChangeOnce) {
 TEST(SessionState, StaysOrphanedForThePreviousReasonUntilItSpeaks) {
   In session(Phase::beginning);
   SessionState& state = session.state;
-  for (const Step step : {Step::be_present, Step::arrived, Step::speak}) {
+  for (const Transition step : {Transition::be_present, Transition::arrived, Transition::speak}) {
     EXPECT_FALSE(state.tell(ConnectionState::connected));
     EXPECT_EQ(state.connection(), ConnectionState::orphaned);
     EXPECT_EQ(state.reason(), Errc::started_anew);
@@ -117,8 +117,8 @@ TEST(SessionState, StaysOrphanedForThePreviousReasonUntilItSpeaks) {
 TEST(SessionState, IsAloneWhetherItIsLostBeforeOrAfterItBecomesCurrent) {
   for (const bool is_lost_first : {false, true}) {
     In session(Phase::beginning);
-    session.state.step(is_lost_first ? Step::lose : Step::be_present);
-    session.state.step(is_lost_first ? Step::be_present : Step::lose);
+    session.state.step(is_lost_first ? Transition::lose : Transition::be_present);
+    session.state.step(is_lost_first ? Transition::be_present : Transition::lose);
     EXPECT_EQ(session.state.phase(), Phase::alone);
   }
 }

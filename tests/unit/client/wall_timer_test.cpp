@@ -7,7 +7,7 @@
 #include <agnocast/timer.hpp>
 #include <tests/support/memory/descriptors.hpp>
 #include <tests/support/processes/actor.hpp>
-#include <tests/support/processes/plain_node.hpp>
+#include <tests/unit/client/node.hpp>
 
 #include <gmock/gmock.h>
 #include <gtest/gtest.h>
@@ -26,8 +26,6 @@ namespace {
 
 using namespace std::chrono_literals;
 using Clock = std::chrono::steady_clock;
-
-const test::PlainNode node;
 
 template <class Condition>
 void spin_until(Executor& executor, Condition condition) {

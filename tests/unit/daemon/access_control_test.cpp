@@ -6,6 +6,7 @@
 
 #include <daemon/admission/access_control.hpp>
 #include <tests/support/registry_scene.hpp>
+#include <tests/unit/daemon/users.hpp>
 
 #include <gtest/gtest.h>
 
@@ -14,8 +15,6 @@
 
 namespace agnocast::daemon {
 namespace {
-
-constexpr uid_t alice = 1000, bob = 2000;
 
 Principals only(uid_t uid) { return {false, {uid}, {}, {}}; }
 

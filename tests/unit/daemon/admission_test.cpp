@@ -6,6 +6,7 @@
 
 #include <daemon/admission/admission.hpp>
 #include <tests/support/processes/daemon_core.hpp>
+#include <tests/unit/daemon/users.hpp>
 
 #include <gtest/gtest.h>
 
@@ -13,8 +14,6 @@
 
 namespace agnocast::daemon {
 namespace {
-
-constexpr std::uint32_t alice = 1000, bob = 2000;
 
 class AdmissionTest : public testing::Test {
  protected:

@@ -6,6 +6,7 @@
 
 #include <daemon/death/client_termination.hpp>
 #include <tests/support/processes/daemon_core.hpp>
+#include <tests/unit/daemon/users.hpp>
 
 #include <gtest/gtest.h>
 
@@ -17,8 +18,6 @@
 
 namespace agnocast::daemon {
 namespace {
-
-constexpr std::uint32_t alice = 1000;
 
 class ClientTerminationTest : public testing::Test {
  protected:

@@ -43,9 +43,9 @@ struct Pipe {
 };
 
 /// The socket of a service manager, and the descriptor of the barrier sent to it.
-class Manager {
+class SilentManager {
  public:
-  Manager() : socket_(::socket(AF_UNIX, SOCK_DGRAM | SOCK_CLOEXEC, 0)) {
+  SilentManager() : socket_(::socket(AF_UNIX, SOCK_DGRAM | SOCK_CLOEXEC, 0)) {
     sockaddr_un address{};
     address.sun_family = AF_UNIX;
     socklen_t bytes = sizeof(sa_family_t);  // the kernel chooses an abstract name
@@ -57,7 +57,7 @@ class Manager {
     ::setenv("NOTIFY_SOCKET", name.c_str(), 1);
     ::setenv("FDSTORE", "100", 1);
   }
-  ~Manager() {
+  ~SilentManager() {
     ::unsetenv("NOTIFY_SOCKET");
     ::unsetenv("FDSTORE");
   }
@@ -89,7 +89,7 @@ class Manager {
 };
 
 TEST(Closer, ClosesAfterTheManagerHasClosedItsCopies) {
-  const Manager manager;
+  const SilentManager manager;
   Closer closer;
   for (int i = 0; i < 2; ++i) {  // the thread starts with the first and waits for the second
     Pipe pipe;

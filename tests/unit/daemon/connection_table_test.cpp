@@ -5,6 +5,7 @@
 
 #include <daemon/transport/connection_table.hpp>
 #include <daemon/transport/errands.hpp>
+#include <tests/unit/daemon/users.hpp>
 
 #include <gtest/gtest.h>
 
@@ -13,8 +14,6 @@
 
 namespace agnocast::daemon {
 namespace {
-
-constexpr std::uint32_t alice = 1000, bob = 2000;
 
 class ConnectionTableTest : public ::testing::Test {
  protected:

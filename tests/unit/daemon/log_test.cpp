@@ -327,7 +327,7 @@ TEST(Log, DoesNotWaitForJournaldAndFindsTheNextOne) {
 
 // --- the table of events
 
-std::string text_of(const std::filesystem::path& path) {
+std::string file_text(const std::filesystem::path& path) {
   std::ifstream file(path);
   return {std::istreambuf_iterator<char>(file), {}};
 }
@@ -347,16 +347,16 @@ TEST(LogEvents, HaveAUniqueIdAndAnEntryInTheCatalogue) {
     EXPECT_TRUE(numbers.emplace(event.id).second) << event.words;
     EXPECT_TRUE(words.emplace(event.words).second) << event.words;
   }
-  const std::string catalogue = text_of(AGNOCAST_SOURCE_DIR "/systemd/agnocast.catalog");
+  const std::string catalogue = file_text(AGNOCAST_SOURCE_DIR "/systemd/agnocast.catalog");
   EXPECT_EQ(found_in(catalogue, "\n-- ([0-9a-f]+)\n"), numbers);
 }
 
 // In the sources the words follow the level directly, or a choice of levels.
 TEST(LogEvents, MatchTheSourcesAndTheDocument) {
-  std::string sources = text_of(AGNOCAST_SOURCE_DIR "/base/text/log.cpp");
+  std::string sources = file_text(AGNOCAST_SOURCE_DIR "/base/text/log.cpp");
   for (const auto& entry :
        std::filesystem::recursive_directory_iterator(AGNOCAST_SOURCE_DIR "/daemon")) {
-    if (entry.path().extension() == ".cpp") sources += text_of(entry.path());
+    if (entry.path().extension() == ".cpp") sources += file_text(entry.path());
   }
   const std::set<std::string> written = found_in(
       sources,
@@ -365,7 +365,7 @@ TEST(LogEvents, MatchTheSourcesAndTheDocument) {
   for (const std::string& words : written) {
     EXPECT_TRUE(!message_id_of(words).empty() || log_level_of(words)) << words;
   }
-  const std::string document = text_of(AGNOCAST_SOURCE_DIR "/docs/agnocastd.md");
+  const std::string document = file_text(AGNOCAST_SOURCE_DIR "/docs/agnocastd.md");
   const std::string log = document.substr(document.find("\n## Log\n"));
   for (const LogEvent& event : log_events) {
     EXPECT_NE(sources.find('"' + std::string(event.words) + '"'), std::string::npos) << event.words;

@@ -20,21 +20,21 @@ namespace {
 using testing::HasSubstr;
 using testing::StartsWith;
 
-std::variant<Options, Exit> parse(std::vector<const char*> arguments) {
+std::variant<Options, Exit> parse_words(std::vector<const char*> arguments) {
   arguments.insert(arguments.begin(), "agnocastd");
   return parse_options(static_cast<int>(arguments.size()), arguments.data());
 }
 
 TEST(Options, NothingMeansDefaults) {
-  const auto options = std::get<Options>(parse({}));
+  const auto options = std::get<Options>(parse_words({}));
   EXPECT_FALSE(options.socket || options.config || options.log_level);
   EXPECT_FALSE(options.foreground || options.check_config || options.print_config);
 }
 
 TEST(Options, AreAllRead) {
   const auto options =
-      std::get<Options>(parse({"--socket", "/tmp/s", "--config=/tmp/c.toml", "--foreground",
-                               "--log-level", "debug", "--check-config", "--print-config"}));
+      std::get<Options>(parse_words({"--socket", "/tmp/s", "--config=/tmp/c.toml", "--foreground",
+                                     "--log-level", "debug", "--check-config", "--print-config"}));
   EXPECT_EQ(options.socket, "/tmp/s");
   EXPECT_EQ(options.config, "/tmp/c.toml");
   EXPECT_EQ(options.log_level, LogLevel::debug);
@@ -71,7 +71,7 @@ TEST(Options, WrongUsageIsTwoLinesAndStatusTwo) {
        "hint: agnocastd --log-level info\n"},
   };
   for (const auto& row : rows) {
-    const auto result = parse(row.arguments);
+    const auto result = parse_words(row.arguments);
     const auto* const exit = std::get_if<Exit>(&result);
     ASSERT_NE(exit, nullptr) << row.text;
     EXPECT_EQ(exit->status, 2);
@@ -81,14 +81,14 @@ TEST(Options, WrongUsageIsTwoLinesAndStatusTwo) {
 }
 
 TEST(Options, HelpAndVersionGoToStdoutAndAreASuccess) {
-  const auto help = std::get<Exit>(parse({"--help"}));
+  const auto help = std::get<Exit>(parse_words({"--help"}));
   EXPECT_EQ(help.status, 0);
   EXPECT_EQ(help.err, "");
   for (const char* option : {"--socket PATH", "--config FILE", "--foreground", "--log-level LEVEL",
                              "--check-config", "--print-config", "--version", "--help"})
     EXPECT_THAT(help.out, HasSubstr(option));
 
-  const auto version = std::get<Exit>(parse({"--version"}));
+  const auto version = std::get<Exit>(parse_words({"--version"}));
   EXPECT_EQ(version.status, 0);
   EXPECT_EQ(version.err, "");
   EXPECT_THAT(version.out, StartsWith("agnocastd " + std::to_string(AGNOCAST_VERSION_MAJOR) + '.' +
