@@ -6,6 +6,8 @@
 //   PROGRAM [--source=FILE]… [GoogleTest's options]
 //     --source   only the tests of this file, without its folder; a file without tests is an error
 
+#include <tests/support/sources_main.hpp>
+
 #include <gmock/gmock.h>
 
 #include <cstdio>
@@ -34,7 +36,7 @@ bool add_tests_of(std::string_view source, std::string& filter) {
 
 }  // namespace
 
-int main(int argc, char** argv) {
+int agnocast::test::run_tests(int argc, char** argv) {
   testing::InitGoogleMock(&argc, argv);
   std::string filter;
   for (int i = 1; i < argc; ++i) {
@@ -48,3 +50,5 @@ int main(int argc, char** argv) {
   if (!filter.empty()) GTEST_FLAG_SET(filter, filter);
   return RUN_ALL_TESTS();
 }
+
+[[gnu::weak]] int main(int argc, char** argv) { return agnocast::test::run_tests(argc, argv); }

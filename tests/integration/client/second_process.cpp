@@ -3,6 +3,8 @@
 #include <agnocast/agnocast.hpp>
 #include <tests/integration/client/second_process.hpp>
 
+#include <tests/support/sources_main.hpp>
+
 #include <signal.h>
 #include <spawn.h>
 #include <sys/socket.h>
@@ -127,6 +129,5 @@ int main(int argc, char** argv) {
       std::fprintf(stderr, "second process: %s\n", error.what());
       return 1;
     }
-  testing::InitGoogleMock(&argc, argv);
-  return RUN_ALL_TESTS();
+  return agnocast::test::run_tests(argc, argv);
 }

@@ -94,7 +94,7 @@ std::unique_ptr<Observer> observing(const DaemonProcess& daemon) {
   EXPECT_EQ(answer.fds.size(), 1u);
   return observer;
 }
-std::unique_ptr<WireClient> greeted(const DaemonProcess& daemon) {
+std::unique_ptr<WireClient> greeted_client(const DaemonProcess& daemon) {
   auto client = std::make_unique<WireClient>(daemon.socket_path());
   EXPECT_EQ(client->hello().opcode(), Opcode::welcome);
   return client;
@@ -103,7 +103,7 @@ bool is_read_only(int fd) { return (::fcntl(fd, F_GETFL) & O_ACCMODE) == O_RDONL
 
 TEST(DaemonObserver, GetsTheWholeStateOfOneMoment) {
   DaemonProcess daemon;
-  const auto a = greeted(daemon), b = greeted(daemon);
+  const auto a = greeted_client(daemon), b = greeted_client(daemon);
   const auto window = a->open_window(0).as<wire::WindowOpened>();
   const auto p = a->create_publisher("/topic").as<wire::EndpointCreated>();
   b->open_wait_set(3);
@@ -167,7 +167,7 @@ TEST(DaemonObserver, GetsRecentRefusals) {
   DaemonProcess daemon({.config = "[limits]\ndepth_max = 5\n"});
   const auto observer = observing(daemon);
   EXPECT_TRUE(observer->dump().refusals.empty());
-  const auto client = greeted(daemon);
+  const auto client = greeted_client(daemon);
   for (int i = 0; i < 3; ++i)
     EXPECT_EQ(
         client->ask(Opcode::create_publisher, WireClient::endpoint("/deep", {6})).refused_code(),
@@ -201,7 +201,7 @@ TEST(DaemonObserver, ReadsTheLogLevelAndSetsItIfItMay) {
   EXPECT_EQ(ask(observer->wire, 0).as<wire::LogLevelIs>().level, 4u);
   EXPECT_EQ(ask(observer->wire, 7).as<wire::LogLevelIs>().level, 7u);
   EXPECT_EQ(observer->dump().daemon.log_level, 7u);
-  const auto client = greeted(daemon);
+  const auto client = greeted_client(daemon);
   EXPECT_TRUE(daemon.wait_for_log("client registered")) << "the level applies at once";
   EXPECT_EQ(ask(observer->wire, 8).refused_code(), Errc::invalid_argument);
   EXPECT_EQ(ask(observer->wire, 2).refused_code(), Errc::invalid_argument);
@@ -258,7 +258,7 @@ TEST(DaemonObserver, GetsTheBoardForReading) {
 TEST(DaemonObserver, IsNeverAnnouncedAndTakesNoPlace) {
   DaemonProcess daemon({.config = "[limits]\nclients = 2\n"});
   const auto observer = observing(daemon);
-  const auto a = greeted(daemon), b = greeted(daemon);
+  const auto a = greeted_client(daemon), b = greeted_client(daemon);
   a->create_publisher("/topic");
   b->open_wait_set();
   b->create_subscription("/topic");
@@ -282,14 +282,14 @@ TEST(DaemonObserver, MaySendNothingElse) {
   EXPECT_EQ(early.wire.ask(Opcode::dump, wire::Observe{}).refused_code(), Errc::protocol_violation)
       << "of another length";
   EXPECT_EQ(early.dump().processes.size(), 0u) << "the daemon still serves";
-  const auto client = greeted(daemon);
+  const auto client = greeted_client(daemon);
   EXPECT_EQ(client->ask(Opcode::observe, wire::Observe{}).refused_code(), Errc::protocol_violation);
   EXPECT_EQ(client->ask(Opcode::dump, wire::Dump{}).refused_code(), Errc::protocol_violation);
 }
 
 TEST(DaemonObserver, HasALimitOfItsOwn) {
   DaemonProcess daemon({.config = "[quota]\nclients = 1\n"});
-  const auto client = greeted(daemon);
+  const auto client = greeted_client(daemon);
   std::vector<std::unique_ptr<Observer>> observers;
   for (std::uint32_t i = 0; i < abi::observer_count_max; ++i)
     observers.push_back(observing(daemon));
@@ -318,7 +318,7 @@ TEST(DaemonObserver, IsRefusedBeyondItsLimitWhileThereAreClientsLeft) {
 
 // Makes a client large enough that no socket takes its dump whole.
 std::unique_ptr<WireClient> crowd(const DaemonProcess& daemon) {
-  auto client = greeted(daemon);
+  auto client = greeted_client(daemon);
   for (int i = 0; i < 600; ++i)
     EXPECT_EQ(client->create_publisher("/crowd" + std::to_string(i)).opcode(),
               Opcode::endpoint_created);
@@ -376,7 +376,7 @@ TEST(DaemonObserver, LeavesNothingBehind) {
 
 TEST(DaemonObserver, SeesTheRegionOfADeadProcessUntilItsPlaceIsFree) {
   DaemonProcess daemon;
-  const auto subscriber = greeted(daemon);
+  const auto subscriber = greeted_client(daemon);
   subscriber->open_wait_set();
   subscriber->create_subscription("/topic");
   const auto observer = observing(daemon);
@@ -408,7 +408,7 @@ TEST(DaemonObserver, SeesTheRegionOfADeadProcessUntilItsPlaceIsFree) {
 TEST(DaemonObserver, OfAnotherUserSeesTheSame) {
   if (::geteuid() != 0) GTEST_SKIP() << "needs root";
   DaemonProcess daemon({.config = "[daemon]\nsocket_mode = \"0666\"\n"});
-  const auto client = greeted(daemon);
+  const auto client = greeted_client(daemon);
   client->create_publisher("/topic");
   const pid_t pid = ::fork();
   if (pid == 0) {

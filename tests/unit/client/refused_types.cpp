@@ -1,12 +1,12 @@
 // SPDX-License-Identifier: Apache-2.0
 //
-// Goal: the compiler refuses types that cannot be messages, in plain words. Method: CMakeLists.txt
-// compiles this file once for every CASE and looks for the sentence; without CASE it must compile.
-// Keep in step with the list there.
+// Goal: the compiler refuses types that cannot be messages, in plain words. Method: refused_test.py
+// compiles this file with REFUSED_CASES and looks for the sentence of each case among the errors
+// that its line causes; without it, everything must compile.
 
 #include <agnocast/message_type.hpp>
 #include <agnocast/publisher.hpp>
-#if !defined(CASE_rosidl_without_header)
+#if !defined(REFUSED_WITHOUT_HEADER)
 #include <agnocast/rosidl.hpp>
 #endif
 
@@ -138,6 +138,10 @@ struct WithConstructor {
   explicit WithConstructor(int value = 0) : number(value) {}
   int number;
 };
+struct Unnamed {
+  explicit Unnamed(int value = 0) : number(value) {}
+  int number;
+};
 template <class T>
 struct Box {
   T value;
@@ -261,9 +265,7 @@ AGNOCAST_TEST_NAMED(Constant)
 AGNOCAST_TEST_NAMED(Everything)
 AGNOCAST_TEST_NAMED(PrivateByName)
 AGNOCAST_TEST_NAMED(ListMember)
-#if !defined(CASE_with_constructor)
 AGNOCAST_TEST_NAMED(WithConstructor)
-#endif
 template <>
 struct MessageTraits<refused::Box<long>> {
   static constexpr const char* name = "refused/BoxOfLong";
@@ -275,112 +277,97 @@ bool describe() {
   return agnocast::message_type_of<T>().has_value();
 }
 
-// Long because each type that must be refused is one case.
-bool all() {
-#if defined(CASE_pointer)
-  return describe<refused::Flat*>();
-#elif defined(CASE_reference)
-  return describe<refused::Flat&>();
-#elif defined(CASE_const)
-  return describe<const refused::Flat>();
-#elif defined(CASE_volatile)
-  return describe<volatile refused::Flat>();
-#elif defined(CASE_array)
-  return describe<refused::Flat[3]>();
-#elif defined(CASE_enumeration)
-  return describe<refused::Number>();
-#elif defined(CASE_declared)
-  return describe<refused::Declared>();
-#elif defined(CASE_hidden_copy)
-  return describe<refused::HiddenCopy>();
-#elif defined(CASE_abstract)
-  return describe<refused::Abstract>();
-#elif defined(CASE_function)
-  return describe<std::function<void()>>();
-#elif defined(CASE_shared_ptr)
-  return describe<std::shared_ptr<refused::Flat>>();
-#elif defined(CASE_unique_ptr)
-  return describe<std::unique_ptr<refused::Flat>>();
-#elif defined(CASE_any)
-  return describe<std::any>();
-#elif defined(CASE_no_default)
-  static_cast<agnocast::Publisher<refused::NoDefault>*>(nullptr)->borrow_loaned_message();
-  return false;
-#elif defined(CASE_number)
-  return describe<int>();
-#elif defined(CASE_virtual)
-  return describe<refused::Virtual>();
-#elif defined(CASE_throwing_destructor)
-  return describe<refused::ThrowingDestructor>();
-#elif defined(CASE_move_only)
-  return describe<refused::MoveOnly>();
-#elif defined(CASE_vector)
-  return describe<std::vector<int>>();
-#elif defined(CASE_unknown)
-  return describe<refused::Unknown>();
-#elif defined(CASE_view)
-  return describe<std::string_view>();
-#elif defined(CASE_reference_wrapper)
-  return describe<std::reference_wrapper<int>>();
-#elif defined(CASE_pointer_member)
-  return describe<refused::PointerMember>();
-#elif defined(CASE_view_member)
-  return describe<refused::ViewMember>();
-#elif defined(CASE_reference_member)
-  return describe<refused::ReferenceMember>();
-#elif defined(CASE_constant_reference_member)
-  return describe<refused::ConstantReferenceMember>();
-#elif defined(CASE_function_member)
-  return describe<refused::FunctionMember>();
-#elif defined(CASE_shared_member)
-  return describe<refused::SharedMember>();
-#elif defined(CASE_nested_view)
-  return describe<refused::NestedView>();
-#elif defined(CASE_array_of_views)
-  return describe<refused::ArrayOfViews>();
-#elif defined(CASE_vector_of_pointers)
-  return describe<refused::VectorOfPointers>();
-#elif defined(CASE_private_member)
-  return describe<refused::PrivateMember>();
-#elif defined(CASE_private_two_levels_down)
-  return describe<refused::PrivateTwoLevelsDown>();
-#elif defined(CASE_private_or_nothing)
-  return describe<refused::PrivateOrNothing>();
-#elif defined(CASE_private_base)
-  return describe<refused::PrivateBase>();
-#elif defined(CASE_union_member)
-  return describe<refused::UnionMember>();
-#elif defined(CASE_error_code)
-  return describe<refused::ErrorCode>();
-#elif defined(CASE_list_member)
-  return describe<refused::ListMember>();
-#elif defined(CASE_maybe_pointer)
-  return describe<refused::MaybePointer>();
-#elif defined(CASE_span)
-  return describe<std::span<const int>>();
-#elif defined(CASE_span_member)
-  return describe<refused::SpanMember>();
-#elif defined(CASE_array_of_spans)
-  return describe<refused::ArrayOfSpans>();
-#elif defined(CASE_private_pointer)
-  return describe<refused::PrivatePointer>();
-#elif defined(CASE_with_constructor)
-  return describe<refused::WithConstructor>();
-#elif defined(CASE_template)
-  return describe<refused::Box<int>>();
-#elif defined(CASE_nameless)
-  return describe<refused::Nameless>();
-#elif defined(CASE_not_noexcept)
-  return describe<refused::NotNoexcept>();
-#elif defined(CASE_wrong_signature)
-  return describe<refused::WrongSignature>();
-#elif defined(CASE_rosidl_without_header) || defined(CASE_debug_containers)
-  return describe<std_msgs::msg::String>();
+// Each of these is refused with its sentence.
+#define REFUSED(name, sentence, body) \
+  bool name##_is_refused() { body }
+#if defined(REFUSED_CASES)
+REFUSED(pointer, "a pointer or reference is not a message", return describe<refused::Flat*>();)
+REFUSED(reference, "a pointer or reference is not a message", return describe<refused::Flat&>();)
+REFUSED(const, "without const or volatile", return describe<const refused::Flat>();)
+REFUSED(volatile, "without const or volatile", return describe<volatile refused::Flat>();)
+REFUSED(array, "put the value into a struct", return describe<refused::Flat[3]>();)
+REFUSED(enumeration, "put the value into a struct", return describe<refused::Number>();)
+REFUSED(declared, "only declared here", return describe<refused::Declared>();)
+REFUSED(hidden_copy, "a message must be copy constructible",
+        return describe<refused::HiddenCopy>();)
+REFUSED(abstract, "a class with virtual functions is not a message",
+        return describe<refused::Abstract>();)
+REFUSED(function, "a smart pointer or function object is not a message",
+        return describe<std::function<void()>>();)
+REFUSED(shared_ptr, "a smart pointer or function object is not a message",
+        return describe<std::shared_ptr<refused::Flat>>();)
+REFUSED(unique_ptr, "a smart pointer or function object is not a message",
+        return describe<std::unique_ptr<refused::Flat>>();)
+REFUSED(any, "a smart pointer or function object is not a message", return describe<std::any>();)
+REFUSED(no_default, "this message has no default constructor",
+        static_cast<agnocast::Publisher<refused::NoDefault>*>(nullptr)->borrow_loaned_message();
+        return false;)
+REFUSED(number, "put the value into a struct", return describe<int>();)
+REFUSED(virtual, "a class with virtual functions is not a message",
+        return describe<refused::Virtual>();)
+REFUSED(throwing_destructor, "the destructor of a message must not throw",
+        return describe<refused::ThrowingDestructor>();)
+REFUSED(move_only, "a message must be copy constructible", return describe<refused::MoveOnly>();)
+REFUSED(vector, "specialise agnocast::MessageTraits", return describe<std::vector<int>>();)
+REFUSED(unknown, "specialise agnocast::MessageTraits", return describe<refused::Unknown>();)
+REFUSED(view, "a view is not a message", return describe<std::string_view>();)
+REFUSED(reference_wrapper, "a view is not a message",
+        return describe<std::reference_wrapper<int>>();)
+REFUSED(pointer_member, "has a pointer, reference, view or smart pointer as a member",
+        return describe<refused::PointerMember>();)
+REFUSED(view_member, "has a pointer, reference, view or smart pointer as a member",
+        return describe<refused::ViewMember>();)
+REFUSED(reference_member, "has a pointer, reference, view or smart pointer as a member",
+        return describe<refused::ReferenceMember>();)
+REFUSED(constant_reference_member, "has a pointer, reference, view or smart pointer as a member",
+        return describe<refused::ConstantReferenceMember>();)
+REFUSED(function_member, "has a pointer, reference, view or smart pointer as a member",
+        return describe<refused::FunctionMember>();)
+REFUSED(shared_member, "has a pointer, reference, view or smart pointer as a member",
+        return describe<refused::SharedMember>();)
+REFUSED(nested_view, "has a pointer, reference, view or smart pointer as a member",
+        return describe<refused::NestedView>();)
+REFUSED(array_of_views, "has a pointer, reference, view or smart pointer as a member",
+        return describe<refused::ArrayOfViews>();)
+REFUSED(vector_of_pointers, "has a pointer, reference, view or smart pointer as a member",
+        return describe<refused::VectorOfPointers>();)
+REFUSED(private_member, "cannot examine a member of this message",
+        return describe<refused::PrivateMember>();)
+REFUSED(private_two_levels_down, "cannot examine a member of this message",
+        return describe<refused::PrivateTwoLevelsDown>();)
+REFUSED(private_or_nothing, "cannot examine a member of this message",
+        return describe<refused::PrivateOrNothing>();)
+REFUSED(private_base, "cannot examine a member of this message",
+        return describe<refused::PrivateBase>();)
+REFUSED(union_member, "cannot examine a member of this message",
+        return describe<refused::UnionMember>();)
+REFUSED(error_code, "cannot examine a member of this message",
+        return describe<refused::ErrorCode>();)
+REFUSED(list_member, "has a pointer, reference, view or smart pointer as a member",
+        return describe<refused::ListMember>();)
+REFUSED(maybe_pointer, "has a pointer, reference, view or smart pointer as a member",
+        return describe<refused::MaybePointer>();)
+REFUSED(private_pointer, "cannot examine a class", return describe<refused::PrivatePointer>();)
+REFUSED(with_constructor, "cannot examine a class", return describe<refused::Unnamed>();)
+REFUSED(template, "give it a name by MessageTraits", return describe<refused::Box<int>>();)
+REFUSED(nameless, "must have: static constexpr const char", return describe<refused::Nameless>();)
+REFUSED(not_noexcept, "for_each_pointer must be noexcept", return describe<refused::NotNoexcept>();)
+REFUSED(wrong_signature, "must be callable as", return describe<refused::WrongSignature>();)
+#if __cplusplus >= 202002L
+REFUSED(span, "a view is not a message", return describe<std::span<const int>>();)
+REFUSED(span_member, "has a pointer, reference, view or smart pointer as a member",
+        return describe<refused::SpanMember>();)
+REFUSED(array_of_spans, "has a pointer, reference, view or smart pointer as a member",
+        return describe<refused::ArrayOfSpans>();)
+#endif
+#elif defined(REFUSED_STRING)  // with a sentence for the switches of the compiler
+bool string() { return describe<std_msgs::msg::String>(); }
 #else
+bool all() {
   return describe<refused::Flat>() && describe<refused::Good>() && describe<refused::Box<long>>() &&
          describe<refused::Tree>() && describe<refused::Constant>() &&
          describe<refused::Everything>() && describe<refused::Seen>() &&
          describe<refused::PrivateByName>() && describe<refused::WithConstructor>() &&
          describe<std_msgs::msg::String>();
-#endif
 }
+#endif
