@@ -61,7 +61,7 @@ bool fails() noexcept {
 namespace agnocast {
 
 namespace test {
-struct Tally {
+struct Number {
   std::uint64_t value = 0;
 };
 }  // namespace test
@@ -70,8 +70,8 @@ namespace {
 
 using test::eventually;
 
+using test::Number;
 using test::Repeat;
-using test::Tally;
 
 struct Case {
   const char* name;
@@ -98,8 +98,8 @@ class MemoryShortageOnce : public testing::Test {
   static void come_and_go() {
     ASSERT_TRUE(eventually([] {
       try {
-        const auto subscription = node->create_subscription<Tally>("/c", 10);
-        const auto publisher = node->create_publisher<Tally>("/c", 10);
+        const auto subscription = node->create_subscription<Number>("/c", 10);
+        const auto publisher = node->create_publisher<Number>("/c", 10);
         auto number = publisher->borrow_loaned_message();
         number->value = 7;
         if (!publisher->publish(std::move(number))) return false;
@@ -150,8 +150,8 @@ std::string* MemoryShortageOnce::directory = nullptr;
 std::unique_ptr<test::DaemonProcess> MemoryShortageOnce::daemon;
 
 TEST_F(MemoryShortageOnce, DestroyingNeedsNoMemory) {
-  auto subscription = node->create_subscription<Tally>("/d", 10);
-  auto publisher = node->create_publisher<Tally>("/d", 10);
+  auto subscription = node->create_subscription<Number>("/d", 10);
+  auto publisher = node->create_publisher<Number>("/d", 10);
   ASSERT_NO_FATAL_FAILURE(lose());
   ASSERT_TRUE(eventually([&] { return publisher->get_subscription_count() == 1; }));
   fails_at = always;
@@ -163,11 +163,11 @@ TEST_F(MemoryShortageOnce, DestroyingNeedsNoMemory) {
 }
 
 TEST_F(MemoryShortageOnce, ABatchTakesAsManyAsItHasMemoryForAndLeavesTheRestUnread) {
-  auto subscription = node->create_subscription<Tally>("/f", 40);
-  auto publisher = node->create_publisher<Tally>("/f", 40);
+  auto subscription = node->create_subscription<Number>("/f", 40);
+  auto publisher = node->create_publisher<Number>("/f", 40);
   ASSERT_TRUE(eventually([&] { return publisher->get_subscription_count() == 1; }));
   std::uint64_t published = 0, expected = 1;
-  std::vector<ipc_shared_ptr<const Tally>> batch(40);
+  std::vector<ipc_shared_ptr<const Number>> batch(40);
   const auto publish = [&](std::size_t count) {
     while (count-- > 0) {
       auto loan = publisher->borrow_loaned_message();
@@ -199,7 +199,7 @@ TEST_F(MemoryShortageOnce, ABatchTakesAsManyAsItHasMemoryForAndLeavesTheRestUnre
 }
 
 TEST_F(MemoryShortageOnce, TheControlThreadDoesNotBusyLoop) {
-  const auto publisher = node->create_publisher<Tally>("/e", 10);
+  const auto publisher = node->create_publisher<Number>("/e", 10);
   allocations = 0;
   fails_at = always;
   failing_thread = "agnocast-ctl";
@@ -259,16 +259,16 @@ TEST_F(MemoryShortageOnce, EachResponseReachesItsCallback) {
 // Long because the failing allocation, its streams and their sums are one story.
 TEST_P(MemoryShortage, LosesNothing) {
   struct Stream {
-    std::shared_ptr<Publisher<Tally>> publisher;
-    std::shared_ptr<PollingSubscriber<Tally>> subscription;
+    std::shared_ptr<Publisher<Number>> publisher;
+    std::shared_ptr<PollingSubscriber<Number>> subscription;
   };
   std::vector<Stream> streams;
   for (const char* const topic : {"/a", "/b"}) {
     QoS qos(100);
     qos.reliable();
     if (topic[1] == 'a') qos.transient_local();
-    streams.push_back(
-        {node->create_publisher<Tally>(topic, qos), node->create_subscription<Tally>(topic, qos)});
+    streams.push_back({node->create_publisher<Number>(topic, qos),
+                       node->create_subscription<Number>(topic, qos)});
   }
   std::uint64_t published = 0, taken = 0;
   const auto pass_on = [&](int count) {
