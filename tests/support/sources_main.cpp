@@ -1,8 +1,7 @@
 // SPDX-License-Identifier: Apache-2.0
 //
-// main() of a GoogleTest program that holds the tests of several CTest entries: each entry names
-// its
-// sources (agnocast_test(… PROGRAM …)).
+// main() of every GoogleTest program, unless it has its own. A program may hold the tests of
+// several CTest entries, and each entry names its sources (agnocast_test(… PROGRAM …)).
 //   PROGRAM [--source=FILE]… [GoogleTest's options]
 //     --source   only the tests of this file, without its folder; a file without tests is an error
 
