@@ -125,7 +125,7 @@ TEST_F(HeapReturns, ASpike) {
 
 TEST_F(HeapReturns, ASpikeBesideTrafficThatKeepsItsMemory) {
   EXPECT_TRUE(in_own_process([] {
-    const auto publisher = publisher_with("1");
+    const auto publisher = publisher_with("3");
     const auto subscription = create_subscription<Bulk>(PlainNode(), "bulk", QoS(1));
     ASSERT_TRUE(eventually([&] { return publisher->get_subscription_count() == 1; }));
     for (int i = 0; i < 5; ++i) publish_one(*publisher, subscription);
@@ -145,15 +145,16 @@ TEST_F(HeapReturns, ASpikeBesideTrafficThatKeepsItsMemory) {
       for (int i = 0; i < 10; ++i) go_on();
       return returned > 0 && returned == before_that;
     })) << "the purge has an end";
-    // Where a busy machine stops this process, its memory is idle as well.
+    // The traffic uses a few places in turn. Where a busy machine makes a turn longer than memory
+    // may be idle, some of them are returned.
     Clock::duration longest{};
     auto last = Clock::now();
-    for (const auto end = last + std::chrono::seconds(5); last < end;) {
+    for (const auto end = last + std::chrono::seconds(8); last < end;) {
       go_on();
       const auto now = Clock::now();
       longest = std::max(longest, now - std::exchange(last, now));
     }
-    EXPECT_TRUE(usage().punch_count == returned || longest >= std::chrono::milliseconds(500))
+    EXPECT_TRUE(usage().punch_count == returned || longest >= std::chrono::milliseconds(300))
         << "nothing that the traffic frees and takes again: " << usage().punch_count - returned;
   }));
 }
