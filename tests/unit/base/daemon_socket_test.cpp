@@ -62,6 +62,7 @@ TEST(DaemonSocket, IsNotNamedByAVariableThatAProgramWithRaisedRightsReads) {
       ++files;
       std::ifstream file(entry.path());
       for (std::string line; std::getline(file, line);) {
+        if (line.find("getenv(") == std::string::npos) continue;  // a regex takes long
         if (line.find("secure_getenv(") != std::string::npos) ++secure;
         std::smatch found;
         if (!std::regex_search(line, found, plain)) continue;
