@@ -6,6 +6,7 @@
 import os
 import pathlib
 import re
+import signal
 import sys
 import unittest
 
@@ -26,6 +27,10 @@ def setUpModule():
 
 def tearDownModule():
     daemon.stop()
+
+
+# A shell has its background processes ignore SIGINT, and these hand that on to what they launch, which then cannot be ended so.
+signal.signal(signal.SIGINT, signal.default_int_handler)
 
 
 class LaunchTest(unittest.TestCase):
