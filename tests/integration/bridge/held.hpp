@@ -13,7 +13,10 @@
 namespace agnocast::test {
 
 struct Held {
-  std::size_t descriptors = 0, threads = 0, resident_kib = 0;
+  std::size_t descriptors = 0, threads = 0;
+  // Without pages of regions and windows: they belong to others, and each counts from the first
+  // time that the process reads it, which for the board's places is when their turn comes.
+  std::size_t anonymous_kib = 0;
 };
 inline Held held_by(pid_t pid) {
   const std::string directory = "/proc/" + std::to_string(pid);
@@ -27,7 +30,7 @@ inline Held held_by(pid_t pid) {
   Held held{entries_in("/fd"), entries_in("/task"), 0};
   std::ifstream status(directory + "/status");
   for (std::string line; std::getline(status, line);)
-    if (line.starts_with("VmRSS:")) held.resident_kib = std::stoul(line.substr(6));
+    if (line.starts_with("RssAnon:")) held.anonymous_kib = std::stoul(line.substr(8));
   return held;
 }
 

@@ -217,7 +217,7 @@ TEST_F(Hosts, RecoverAfterBridgesAndDaemonsWereKilledAndLeaveNothingBehind) {
   };
   EXPECT_TRUE(eventually_s([&] { return is_as_before(held_by(left_bridge), bridge_before); }))
       << held_by(left_bridge).descriptors << " descriptors, before " << bridge_before.descriptors;
-  EXPECT_LT(held_by(left_bridge).resident_kib, bridge_before.resident_kib + 8 * 1024);
+  EXPECT_LT(held_by(left_bridge).anonymous_kib, bridge_before.anonymous_kib + 8 * 1024);
   EXPECT_TRUE(eventually_s(
       [&] { return is_as_before(held_by(flow.hosts.right.daemon().pid()), right_before); }));
   EXPECT_TRUE(flow.heard.is_once_and_in_order());
