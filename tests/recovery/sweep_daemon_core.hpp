@@ -5,10 +5,15 @@
 // packets into sessions that no process reads.
 #pragma once
 
+#include <base/memory/memfd.hpp>
 #include <daemon/death/reaper.hpp>
 #include <daemon/lifecycle/endpoint_manager.hpp>
 #include <daemon/state/steps.hpp>
 #include <tests/support/crash/crash_point.hpp>
+
+#include <fcntl.h>
+#include <sys/stat.h>
+#include <unistd.h>
 
 #include <cstdint>
 #include <iterator>
@@ -38,7 +43,10 @@ using References = std::map<std::uint64_t, wire::Reference>;
 /// Memory of memfds that the kernel keeps for the next daemon.
 class KeptMemory {
  public:
-  KeptMemory() : regions_(Regions::create(store_).value()) {
+  KeptMemory()
+      : board_(make_memfd("agnocast-board", abi::board_bytes).value()),
+        journal_(make_memfd("agnocast-journal", journal::RedoLog::bytes + tables_bytes).value()),
+        regions_(Regions::adopt(store_, duplicate(board_), duplicate(journal_)).value()) {
     for (std::uint32_t i = 0; i < core_client_count; ++i) {
       if (!regions_.open_client(ClientIndex{i}, i + 1)) throw std::runtime_error("a client region");
       for (std::uint64_t window = 0; window < 2; ++window) {
@@ -47,11 +55,36 @@ class KeptMemory {
       }
     }
   }
+  /// Fills this memory, which is fresh, with what a daemon left in another.
+  void copy(const KeptMemory& from) {
+    copy(from.board_.get(), board_.get());
+    copy(from.journal_.get(), journal_.get());
+    for (std::uint32_t i = 0; i < core_client_count; ++i)
+      copy(from.regions_.region_writer(ClientIndex{i})->get(),
+           regions_.region_writer(ClientIndex{i})->get());
+  }
   Regions& regions() { return regions_; }
   DescriptorStore& store() { return store_; }
 
  private:
+  static UniqueFd duplicate(const UniqueFd& fd) {
+    return UniqueFd(::fcntl(fd.get(), F_DUPFD_CLOEXEC, 0));
+  }
+  static void copy(int from, int to) {
+    struct stat file {};
+    if (::fstat(from, &file) != 0 ||
+        !lengthen(to, static_cast<std::uint64_t>(file.st_size)).has_value())
+      throw std::runtime_error("the length of a memfd");
+    std::byte page[abi::page_bytes];
+    for (off_t at = 0; (at = ::lseek(from, at, SEEK_DATA)) >= 0; at += sizeof page) {
+      if (::pread(from, page, sizeof page, at) != sizeof page ||
+          ::pwrite(to, page, sizeof page, at) != sizeof page)
+        throw std::runtime_error("a page of a memfd");
+    }
+  }
+
   DescriptorStore store_;  // keeps nothing: the test keeps the memory
+  UniqueFd board_, journal_;
   Regions regions_;
 };
 

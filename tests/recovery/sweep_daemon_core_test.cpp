@@ -152,6 +152,11 @@ class CoreSweep : public testing::Test {
     Step step = no_step;
     std::uint64_t progress = 0;  // completed operations
   };
+  struct First {
+    std::uint64_t n = 0;  // the crash point
+    std::size_t at = 0;   // the operation
+    Step step = no_step;
+  };
   /// Runs `body` in a child that dies at its n-th crash point.
   template <class Body>
   Death dies(std::uint64_t n, Body body) {
@@ -190,15 +195,6 @@ class CoreSweep : public testing::Test {
       }
     });
   }
-  std::set<std::size_t> operations_that_repair() {
-    std::set<std::size_t> found;
-    for (std::uint64_t n = 1;; ++n) {
-      KeptMemory memory;
-      const Death death = first_life(memory, n);
-      if (!death.died) return found;
-      if (death.step == steps::D3_slot) found.insert(death.progress);
-    }
-  }
   /// Resumes and repeats the operation; the progress is 1 when the tables are open.
   void repeat(Core& core, std::size_t at) {
     if (const auto opened = core.registry().open(); !opened)
@@ -225,80 +221,87 @@ TEST_F(CoreSweep, AfterADeathAtAnyStoreTheNextDaemonContinues) {
   std::map<std::uint64_t, std::pair<std::string, std::string>> by_lsn;  // state, and its origin
   std::map<std::string, std::uint64_t> by_name, second_by_name;
   std::set<std::uint64_t> untouched;  // states without a repair
-  std::uint64_t points = 0, pairs = 0, opening = 0, violations = 0;
-  bool created = false;
+  std::uint64_t pairs = 0, opening = 0, violations = 0;
+  const auto where = [](const First& first) {
+    return "death at point " + std::to_string(first.n) + " (" + name_of(first.step) +
+           ") in operation " + std::to_string(first.at + 1) + ", " + script[first.at].name;
+  };
+  const auto expect_equal = [&](const First& first, const std::string& got,
+                                const std::string& wanted, const std::string& what) {
+    if (got == wanted) return true;
+    ++violations;
+    ADD_FAILURE() << where(first) << ": " << what << "\n--- got\n"
+                  << got << "--- wanted\n"
+                  << wanted;
+    return false;
+  };
+  const auto complete = [&](const First& first, KeptMemory& left, bool to_the_end) {
+    try {
+      Core core(left, doorbells(), references_);
+      repeat(core, first.at);
+      if (!expect_equal(first, core.state(Core::Generations::order), after_[first.at],
+                        "the operation asked for again"))
+        return;
+      for (std::size_t i = first.at + 1; to_the_end && i < script.size(); ++i) {
+        script[i].run(core, false);
+        if (!expect_equal(first, core.state(Core::Generations::order), after_[i],
+                          "operation " + std::to_string(i + 1)))
+          return;
+      }
+    } catch (const std::exception& error) {
+      ++violations;
+      ADD_FAILURE() << where(first) << ": " << error.what();
+    }
+  };
   // The repair of a queue takes a few points among many, which a sample of second deaths may miss:
   // for some first deaths of these operations every point is tried.
-  const std::set<std::size_t> repairing =
-      with_pairs ? operations_that_repair() : std::set<std::size_t>{};
+  std::set<std::size_t> repairing;
+  std::vector<First> firsts;
   for (std::uint64_t n = 1; violations < 5; ++n) {
     KeptMemory memory;
-    const Death first = first_life(memory, n);
-    if (!first.died) break;
-    const std::size_t at = first.progress;
-    const std::string where = "death at point " + std::to_string(n) + " (" + name_of(first.step) +
-                              ") in operation " + std::to_string(at + 1) + ", " + script[at].name;
-    ++points;
+    const Death death = first_life(memory, n);
+    if (!death.died) break;
+    const First first{n, death.progress, death.step};
+    firsts.push_back(first);
     ++by_name[name_of(first.step)];
-    const auto expect_equal = [&](const std::string& got, const std::string& wanted,
-                                  const std::string& what) {
-      if (got == wanted) return true;
-      ++violations;
-      ADD_FAILURE() << where << ": " << what << "\n--- got\n" << got << "--- wanted\n" << wanted;
-      return false;
-    };
-    const auto complete = [&](KeptMemory& left, bool to_the_end) {
-      try {
-        Core core(left, doorbells(), references_);
-        repeat(core, at);
-        if (!expect_equal(core.state(Core::Generations::order), after_[at],
-                          "the operation asked for again"))
-          return;
-        for (std::size_t i = at + 1; to_the_end && i < script.size(); ++i) {
-          script[i].run(core, false);
-          if (!expect_equal(core.state(Core::Generations::order), after_[i],
-                            "operation " + std::to_string(i + 1)))
-            return;
-        }
-      } catch (const std::exception& error) {
-        ++violations;
-        ADD_FAILURE() << where << ": " << error.what();
-      }
-    };
+    if (first.step == steps::D3_slot) repairing.insert(first.at);
     {
       Core core(memory, doorbells(), references_);
-      ASSERT_TRUE(core.registry().open().has_value()) << where;
-      created = true;
+      ASSERT_TRUE(core.registry().open().has_value()) << where(first);
       const std::uint64_t lsn = core.registry().log().committed_lsn();
       const auto [known, is_new] =
-          by_lsn.try_emplace(lsn, core.state(Core::Generations::exact), where);
+          by_lsn.try_emplace(lsn, core.state(Core::Generations::exact), where(first));
       if (!is_new)
-        expect_equal(core.state(Core::Generations::exact), known->second.first,
+        expect_equal(first, core.state(Core::Generations::exact), known->second.first,
                      "record " + std::to_string(lsn) + " and " + known->second.second);
       if (first.step == steps::W1_record) untouched.insert(lsn);
     }
-    complete(memory, true);
-    for (std::uint64_t m = 1; with_pairs && rotation.takes(n) && violations < 5;) {
+    complete(first, memory, true);
+  }
+  for (const First& first : firsts) {
+    if (!with_pairs || !rotation.takes(first.n)) continue;
+    KeptMemory left;
+    ASSERT_TRUE(first_life(left, first.n).died) << where(first);
+    for (std::uint64_t m = 1; violations < 5;) {
       KeptMemory again;
-      (void)first_life(again, n);
+      again.copy(left);
       const std::string& directory = doorbells();
       const Death second = dies(m, [&] {
         Core core(again, directory, references_);
-        repeat(core, at);
+        repeat(core, first.at);
       });
       if (!second.died) break;
       ++pairs;
       ++second_by_name[name_of(second.step)];
       opening += second.progress == 0;
-      complete(again, false);
-      const bool every_one =
-          second.progress == 0 || (repairing.count(at) != 0 && n / rotation.parts() % 8 == 0);
-      m += every_one ? 1 : 1 + (n + m) % stride;
+      complete(first, again, false);
+      const bool every_one = second.progress == 0 || (repairing.count(first.at) != 0 &&
+                                                      first.n / rotation.parts() % 8 == 0);
+      m += every_one ? 1 : 1 + (first.n + m) % stride;
     }
   }
-  EXPECT_TRUE(created);
   std::printf("daemon core: %ju points, %zu records, %zu of their states seen without a repair\n",
-              std::uintmax_t{points}, by_lsn.size(), untouched.size());
+              std::uintmax_t{firsts.size()}, by_lsn.size(), untouched.size());
   std::printf(
       "daemon core: %ju pairs, in %ju of them the second died while it opened its tables%s\n",
       std::uintmax_t{pairs}, std::uintmax_t{opening},
@@ -309,7 +312,7 @@ TEST_F(CoreSweep, AfterADeathAtAnyStoreTheNextDaemonContinues) {
     std::printf("  %-20s %5ju, in pairs %6ju\n", name.c_str(), std::uintmax_t{count},
                 std::uintmax_t{second_by_name[name]});
   EXPECT_EQ(violations, 0u);
-  EXPECT_GT(points, 500u);
+  EXPECT_GT(firsts.size(), 500u);
   for (const char* name : {"D3_slot", "D3_order", "D3_intent", "D3_final_head", "R3_died"}) {
     EXPECT_GT(by_name[name], 0u) << name;
     if (with_pairs) {
