@@ -430,7 +430,7 @@ void Supervisor::look_at_worker(std::uint64_t now) {
   if (worker_ <= 0) return;
   if (remains_since_ms_ ? now >= *remains_since_ms_ + remains_patience_ms : is_stuck(now)) {
     log_.write(LogLevel::warning, "worker does not end",
-               {{"pid", worker_}, {"why", "a thread of it is kept in the kernel"}});
+               {{"pid", worker_}, {"why", "a thread of it has not ended yet"}});
     tell_worker(SIGKILL);
     remains_.push_back(worker_);
     on_notifications();  // its last datagrams
