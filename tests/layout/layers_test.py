@@ -33,7 +33,9 @@ class Layers(unittest.TestCase):
         self.assertEqual(layers.check(ROOT), [])
 
     def test_includes(self):
-        below = {"base/text/text.hpp": "", "dataplane/core.hpp": "", "client/session/context.hpp": "", "journal/x.hpp": ""}
+        below = {"base/text/text.hpp": "", "dataplane/core.hpp": "", "client/session/context.hpp": "", "journal/x.hpp": "",
+                 "ros2/agnocast_rclcpp/include/agnocast_rclcpp/options.hpp": "",
+                 "ros2/agnocastlib/include/agnocastlib/core.hpp": ""}
         for path, line, allowed in [
             ("region/a.hpp", "#include <base/text/text.hpp>", True),
             ("base/a.hpp", "#include <region/a.hpp>", False),
@@ -48,6 +50,9 @@ class Layers(unittest.TestCase):
             ("examples/a.cpp", "#include <base/text/text.hpp>", False),
             ("bench/a.cpp", "#include <base/text/text.hpp>", True),
             ("base/a.cpp", "#include <vector>", True),
+            ("ros2/agnocastlib/src/a.cpp", "#include <agnocast_rclcpp/options.hpp>", True),
+            ("ros2/agnocast_rclcpp/src/a.cpp", "#include <agnocastlib/core.hpp>", False),
+            ("ros2/agnocast_rclcpp/src/a.cpp", "#include <agnocastlib/another.hpp>", False),
         ]:
             with self.subTest(path=path, line=line):
                 problems = self.found(dict(below, **{"region/a.hpp": "", path: line + "\n"}))
