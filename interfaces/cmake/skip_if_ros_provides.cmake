@@ -53,4 +53,9 @@ macro(skip_if_ros_provides kind)
 
   find_package(ament_cmake_core REQUIRED)
   ament_index_register_resource(${skip_rule_mark})
+
+  # The sources of a generated library are compiled together, since reading the same headers for each message takes
+  # most of the time. So a message is listed after those of its package that it contains.
+  set(CMAKE_UNITY_BUILD ON)
+  set(CMAKE_UNITY_BUILD_BATCH_SIZE 0)
 endmacro()
