@@ -227,6 +227,7 @@ Object list_object(const std::vector<BridgeState>& bridges, const Rates& rates) 
   return {{"schema", "agnocast.bridge-list/1"}, {"bridges", std::move(list)}};
 }
 
+// Long because it fills two tables and the lines below them in one pass over the bridges.
 void print_list(const std::vector<BridgeState>& bridges, const Rates& rates, bool is_verbose,
                 Console& console) {
   Table table({"DOMAIN", "TOPIC", "TYPE", "WAY", "ENDPOINTS", "MATCHED", "RATE", "BW", "MESSAGES",

@@ -55,7 +55,7 @@ std::string with_milliseconds(const char* text, const Moment& moment, const char
 }
 
 // Returns "12:01:33.120", with the date if that is not today.
-std::string time_for_people(const Moment& moment) {
+std::string clock_time_for_people(const Moment& moment) {
   std::tm at{}, now{};
   ::localtime_r(&moment.seconds, &at);
   ::localtime_r(&moment.now, &now);
@@ -130,12 +130,12 @@ Object record_object(const JournalRecord& record, const Journal& journal) {
 
 std::string line_of(const JournalRecord& record, const Journal& journal) {
   const std::string when =
-      is_damaged(record) ? "--:--:--.---" : time_for_people(moment_of(record, journal.end));
+      is_damaged(record) ? "--:--:--.---" : clock_time_for_people(moment_of(record, journal.end));
   return when + " #" + std::to_string(record.lsn) + ' ' + subject_of(record) + ": " +
          deed_of(record) + state_words(record, journal);
 }
 
-std::string now_for_people() { return time_for_people(moment_of({}, {})); }
+std::string now_for_people() { return clock_time_for_people(moment_of({}, {})); }
 std::string now_for_programs() { return time_for_programs(moment_of({}, {})); }
 
 namespace {

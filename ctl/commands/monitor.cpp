@@ -22,7 +22,7 @@
 namespace agnocast::ctl {
 namespace {
 
-constexpr int interval_ms = 200;
+constexpr int look_interval_ms = 200;
 
 /// Everything that is compared from look to look.
 struct Snapshot {
@@ -38,7 +38,7 @@ struct Snapshot {
       refusals;  // times, refusal
 };
 
-const char* state_of(const wire::DumpProcess& process) {
+const char* state_word_of(const wire::DumpProcess& process) {
   if (process.state == wire::ProcessState::orphaned) return "has lost its connection";
   if (process.state != wire::ProcessState::connected) return "has no session any more";
   return is_stopped(process) ? "is stopped" : "is running";
@@ -74,7 +74,7 @@ Snapshot snapshot_of(const System& system) {
   for (const auto& [index, process] : system.processes)
     now.states[process.facts.generation] = {
         escaped(process.name) + " (pid " + std::to_string(process.facts.pid) + ")",
-        state_of(process.facts)};
+        state_word_of(process.facts)};
   for (const wire::DumpRefusal& refusal : system.refusals)
     now.refusals[{refusal.code, refusal.uid, refusal.pid, text_of(refusal.topic),
                   static_cast<std::uint32_t>(refusal.kind)}] = {refusal.times, refusal};
@@ -176,7 +176,7 @@ Outcome<void> monitor_system(const Arguments& arguments, Console& console) {
   std::uint64_t told = log->end.newest;
   Snapshot before = snapshot_of(watch->system());
   Monitor monitor(arguments, console, std::move(*filter));
-  while (waiting.sleep_ms(interval_ms)) {
+  while (waiting.sleep_ms(look_interval_ms)) {
     if (auto renewed = watch->renew(); !renewed) return renewed;
     if (watch->is_away()) continue;
     if (auto news = watch->observer().read_journal(0, 0)) {

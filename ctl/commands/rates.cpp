@@ -32,7 +32,7 @@ constexpr int look_ms = 10;
 constexpr int report_ms = 1000;
 // Counters are read without a request; publishers change only when programs start and end.
 constexpr int renew_ms = 250;
-constexpr std::size_t recent_max = 64;
+constexpr std::size_t window_stamps_max = 64;
 
 /// One message, or one of several that came too fast to be told apart.
 struct Arrival {
@@ -50,7 +50,7 @@ class Stream {
     for (const Endpoint& publisher : topic.publishers) {
       const auto numbers = counters_of_publisher(system, topic, publisher);
       if (!numbers) continue;
-      const RecentStamps recent = recent_stamps(system, publisher, recent_max);
+      const RecentStamps recent = recent_stamps(system, publisher, window_stamps_max);
       auto [known, is_new] = seen_.try_emplace(publisher.facts.generation);
       Seen& seen = known->second;
       if (is_new) {

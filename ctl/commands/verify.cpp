@@ -66,7 +66,7 @@ std::vector<Exception> exceptions_of(const System& system) {
   return found;
 }
 
-struct Verdict {
+struct Verification {
   Audit last;
   std::vector<Exception> exceptions;  // of the last look
   std::set<Finding> broken;
@@ -74,8 +74,8 @@ struct Verdict {
   std::uint64_t processes = 0, topics = 0;
 };
 
-Outcome<Verdict> look_until_sure(Observer& observer) {
-  Verdict verdict;
+Outcome<Verification> look_until_sure(Observer& observer) {
+  Verification verdict;
   for (;;) {
     auto system = observer.look();
     if (!system) return tl::unexpected(system.error());
@@ -93,7 +93,7 @@ Outcome<Verdict> look_until_sure(Observer& observer) {
   }
 }
 
-Object object_of(const Verdict& verdict) {
+Object object_of(const Verification& verdict) {
   Object broken = Object::array();
   for (const Finding& finding : verdict.broken) {
     Object words = Object::array();
@@ -123,7 +123,7 @@ Object object_of(const Verdict& verdict) {
           {"not_broken_but", exceptions}};
 }
 
-void print(const Verdict& verdict, Console& console) {
+void print(const Verification& verdict, Console& console) {
   for (const Finding& finding : verdict.broken) {
     std::string words;
     for (const std::uint64_t word : finding.words) words += ' ' + hexadecimal(word);

@@ -243,32 +243,30 @@ Ailments receive_buffer(const Facts& facts) {
   return found;
 }
 
-constexpr auto failed = Check::Severity::failed;
-constexpr auto warning = Check::Severity::warning;
-constexpr auto always = Check::Needs::nothing;
-constexpr auto daemon = Check::Needs::daemon;
+using enum Check::Severity;
+using enum Check::Needs;
 
 // clang-format off
-constexpr Check table[] = {
-    {"bridge-configuration", "the configuration of the bridge is valid", failed, always,
+constexpr Check bridge_table[] = {
+    {"bridge-configuration", "the configuration of the bridge is valid", failed, nothing,
      "the file was changed after the bridge read it, or prevents its start; the next start fails",
      "sudo \"${EDITOR:-vi}\" CONFIG && agnocast-bridge --check-config --config CONFIG", configuration},
-    {"cyclonedds-uri", "Cyclone DDS accepts CYCLONEDDS_URI", failed, always,
+    {"cyclonedds-uri", "Cyclone DDS accepts CYCLONEDDS_URI", failed, nothing,
      "the variable, or the file that it names, is not a valid configuration of Cyclone DDS: no process that uses it can join a domain",
      "URI", cyclonedds},
-    {"bridge-not-running", "every bridge that should run is running", failed, always,
+    {"bridge-not-running", "every bridge that should run is running", failed, nothing,
      "it has ended or cannot start, so topics do not reach DDS; its log gives the reason",
      "BRIDGE", not_running},
     {"bridge-elsewhere", "a bridge serves a domain that nodes of this host use", warning, daemon,
      "a bridge connects its DDS domain only with nodes of the same domain on this host",
      "BRIDGE", elsewhere},
-    {"bridge-range", "bridges look for others as far as the nodes of this shell do", warning, always,
+    {"bridge-range", "bridges look for others as far as the nodes of this shell do", warning, nothing,
      "one of them uses the loopback device or this host only: the bridge and these nodes do not find each other in DDS",
      "RANGE", other_range},
-    {"bridge-type", "bridges find the types of the topics and services on both sides", failed, always,
+    {"bridge-type", "bridges find the types of the topics and services on both sides", failed, nothing,
      "the library of the message package is neither below AMENT_PREFIX_PATH nor in type_paths of the bridge",
      "PATHS", type_not_found},
-    {"receive-buffer", "socket buffers can hold the messages from DDS", warning, always,
+    {"receive-buffer", "socket buffers can hold the messages from DDS", warning, nothing,
      "the kernel drops fragments that do not fit: reliable messages are sent again, best-effort messages are lost",
      "echo 'net.core.rmem_max = 16777216' | sudo tee /etc/sysctl.d/60-agnocast-bridge.conf && sudo sysctl --load /etc/sysctl.d/60-agnocast-bridge.conf",
      receive_buffer},
@@ -277,6 +275,6 @@ constexpr Check table[] = {
 
 }  // namespace
 
-const std::span<const Check> bridge_checks = table;
+const std::span<const Check> bridge_checks = bridge_table;
 
 }  // namespace agnocast::ctl

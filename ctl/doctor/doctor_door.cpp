@@ -28,7 +28,7 @@ Ailments when(bool is_so, Ailment ailment) {
 std::string at_door(const Facts& facts) { return escaped(facts.door.path); }
 
 /// Returns the words of a remedy that avoids the file at the path.
-Fill elsewhere(const Facts& facts) {
+Fill socket_elsewhere(const Facts& facts) {
   if (facts.shell.socket == facts.door.path) return {{"ELSEWHERE", "unset AGNOCAST_SOCKET"}};
   return {{"ELSEWHERE", "mv " + shell_word(facts.door.path) + ' ' +
                             shell_word(facts.door.path + ".old") + " && " +
@@ -73,7 +73,7 @@ Ailments directory_closed(const Facts& facts) {
 }
 Ailments not_a_socket(const Facts& facts) {
   return when(facts.away && facts.door.kind == Kind::other,
-              {at_door(facts) + " is not a socket", elsewhere(facts)});
+              {at_door(facts) + " is not a socket", socket_elsewhere(facts)});
 }
 Ailments nobody_listens(const Facts& facts) {
   return when(facts.away && facts.door.kind == Kind::socket && facts.door.error == ECONNREFUSED &&
@@ -91,14 +91,14 @@ Ailments socket_mounted(const Facts& facts) {
 Ailments foreign_socket(const Facts& facts) {
   return when(
       facts.away && (facts.door.error == EPROTOTYPE || is_code(facts, Errc::protocol_violation)),
-      {"another program listens at " + at_door(facts), elsewhere(facts)});
+      {"another program listens at " + at_door(facts), socket_elsewhere(facts)});
 }
 Ailments daemon_untrusted(const Facts& facts) {
   return when(
       is_code(facts, Errc::daemon_untrusted),
       {"user " + std::to_string(facts.door.server) + " listens at " + at_door(facts) +
            ", but is neither root, nor this user, nor the user to whom root gave its directory",
-       elsewhere(facts)});
+       socket_elsewhere(facts)});
 }
 Ailments not_in_group(const Facts& facts) {
   return when(is_refused_by_mode(facts) && is_for_group(facts) && !facts.door.group_lists_user,
@@ -262,83 +262,81 @@ Ailments shell_preload(const Facts& facts) {
   return found;
 }
 
-constexpr auto failed = Check::Severity::failed;
-constexpr auto warning = Check::Severity::warning;
-constexpr auto always = Check::Needs::nothing;
-constexpr auto daemon = Check::Needs::daemon;
+using enum Check::Severity;
+using enum Check::Needs;
 
 // clang-format off
-constexpr Check table[] = {
-    {"domain-invalid", "ROS_DOMAIN_ID is a domain", failed, always,
+constexpr Check door_table[] = {
+    {"domain-invalid", "ROS_DOMAIN_ID is a domain", failed, nothing,
      "a domain is a number from 0 to 232; with any other text no endpoint can be created",
      "export ROS_DOMAIN_ID=0", domain_invalid},
-    {"switched-off", "agnocast is not switched off in this shell", warning, always,
+    {"switched-off", "agnocast is not switched off in this shell", warning, nothing,
      "programs that are started here have endpoints that neither publish nor receive (AGNOCAST=off), or none at all (any word but on and off)",
      "unset AGNOCAST", switched_off},
-    {"hook-not-first", "no other allocator precedes the heap hook in LD_PRELOAD", failed, always,
+    {"hook-not-first", "no other allocator precedes the heap hook in LD_PRELOAD", failed, nothing,
      "the first allocator serves malloc, so no publisher can be created: hook_ineffective",
      "export LD_PRELOAD=FILES", allocator_in_front},
-    {"hook-not-there", "the heap hook that LD_PRELOAD names can be read", failed, always,
+    {"hook-not-there", "the heap hook that LD_PRELOAD names can be read", failed, nothing,
      "the loader leaves it out, so no publisher can be created: hook_missing",
      "unset LD_PRELOAD  # then: agnocast-run PROGRAM", shell_preload},
-    {"other-daemon", "AGNOCAST_SOCKET does not bypass the daemon of this system", warning, always,
+    {"other-daemon", "AGNOCAST_SOCKET does not bypass the daemon of this system", warning, nothing,
      "processes of different daemons do not see each other",
      "unset AGNOCAST_SOCKET", other_daemon},
-    {"no-runtime-directory", "XDG_RUNTIME_DIR is set if this user's daemon is found through it", failed, always,
+    {"no-runtime-directory", "XDG_RUNTIME_DIR is set if this user's daemon is found through it", failed, nothing,
      "without it the library looks only for the system's daemon; su, cron and some containers do not set it",
      "export XDG_RUNTIME_DIR=DIRECTORY", no_runtime_directory},
-    {"no-daemon", "there is a socket of agnocastd", failed, always,
+    {"no-daemon", "there is a socket of agnocastd", failed, nothing,
      "the daemon was not started, or listens elsewhere",
      "START", no_daemon},
-    {"directory-closed", "this user may enter the directories on the path to the socket", failed, always,
+    {"directory-closed", "this user may enter the directories on the path to the socket", failed, nothing,
      "a directory on the path is closed to this user, whatever the mode of the socket",
      "sudo chmod a+x DIRECTORY", directory_closed},
-    {"not-a-socket", "the file at the socket's path is a socket", failed, always,
+    {"not-a-socket", "the file at the socket's path is a socket", failed, nothing,
      "the daemon does not replace a file that is not a socket, and does not start there",
      "ELSEWHERE", not_a_socket},
-    {"nobody-listens", "somebody listens at the socket", failed, always,
+    {"nobody-listens", "somebody listens at the socket", failed, nothing,
      "the daemon was killed, or stopped by its service manager, and the socket file stayed",
      "START", nobody_listens},
-    {"socket-mounted", "the socket was mounted with its directory", failed, always,
+    {"socket-mounted", "the socket was mounted with its directory", failed, nothing,
      "a file that is mounted into a container stays the socket of that moment; the daemon has made a new one since, or has ended. "
      "Mount the directory",
      "podman run --volume DIRECTORY:DIRECTORY IMAGE", socket_mounted},
-    {"foreign-socket", "the socket belongs to agnocastd", failed, always,
+    {"foreign-socket", "the socket belongs to agnocastd", failed, nothing,
      "it speaks another protocol: another program uses this path",
      "ELSEWHERE", foreign_socket},
-    {"daemon-untrusted", "the user that listens at the socket is trusted", failed, always,
+    {"daemon-untrusted", "the user that listens at the socket is trusted", failed, nothing,
      "another user's program would learn who we are, and its memory would be mapped. If agnocastd runs as this user on purpose: "
      "export AGNOCAST_DAEMON_UID with the number of that user, or give that user the directory of the socket, as root",
      "ELSEWHERE", daemon_untrusted},
-    {"not-in-group", "this user is in the socket's group", failed, always,
+    {"not-in-group", "this user is in the socket's group", failed, nothing,
      "the socket is open to its group only; a new group takes effect at the next login",
      "sudo usermod -aG GROUP USER", not_in_group},
-    {"group-not-in-shell", "this shell has the socket's group", failed, always,
+    {"group-not-in-shell", "this shell has the socket's group", failed, nothing,
      "the user was added to the group after this shell started",
      "newgrp GROUP", group_not_in_shell},
-    {"socket-mode", "the socket's mode lets this user connect", failed, always,
+    {"socket-mode", "the socket's mode lets this user connect", failed, nothing,
      "its owner, group and mode ([daemon] socket_mode, socket_group) do not admit this user",
      "sudo groupadd -f agnocast && sudo chgrp agnocast SOCKET && sudo chmod 0660 SOCKET && sudo usermod -aG agnocast USER",
      socket_mode},
-    {"daemon-stopped", "agnocastd is not stopped", failed, always,
+    {"daemon-stopped", "agnocastd is not stopped", failed, nothing,
      "SIGSTOP or a debugger has stopped it: messages flow, but nothing can be created or repaired",
      "kill -CONT PID", daemon_stopped},
-    {"daemon-silent", "agnocastd answers", failed, always,
+    {"daemon-silent", "agnocastd answers", failed, nothing,
      "it hangs or has no descriptor left, or another program that never answers listens there",
      "ANEW", daemon_silent},
-    {"descriptors-withheld", "the descriptors of the daemon's answers arrive", failed, always,
+    {"descriptors-withheld", "the descriptors of the daemon's answers arrive", failed, nothing,
      "a security profile (AppArmor, SELinux) of this shell or container blocks them, or the program that listens there does not pass them on",
      "ALLOW", descriptors_withheld},
-    {"descriptors-short", "this shell may open the descriptors that come with an answer", failed, always,
+    {"descriptors-short", "this shell may open the descriptors that come with an answer", failed, nothing,
      "its limit of open files is too small, and the programs that it starts inherit it",
      "ulimit -n 4096", descriptors_short},
-    {"observers", "this user may run one more agnocast-ctl", failed, always,
+    {"observers", "this user may run one more agnocast-ctl", failed, nothing,
      "this user runs too many agnocast-ctl at once",
      "killall -u USER agnocast-ctl", observers},
-    {"other-layout", "agnocastd and agnocast-ctl agree on the layout of shared memory", failed, always,
+    {"other-layout", "agnocastd and agnocast-ctl agree on the layout of shared memory", failed, nothing,
      "one of them, or the state that the daemon kept across its restart, is of another version",
      "ANEW", other_layout},
-    {"store-damaged", "the state that agnocastd keeps across its restarts is intact", failed, always,
+    {"store-damaged", "the state that agnocastd keeps across its restarts is intact", failed, nothing,
      "it serves nobody until this state is discarded; processes then join the new daemon by themselves",
      "ANEW", store_damaged},
     {"domain-elsewhere", "this shell's domain has topics, if any domain has some", warning, daemon,
@@ -349,6 +347,6 @@ constexpr Check table[] = {
 
 }  // namespace
 
-const std::span<const Check> door_checks = table;
+const std::span<const Check> door_checks = door_table;
 
 }  // namespace agnocast::ctl

@@ -15,6 +15,7 @@
 #include <sys/types.h>
 
 #include <cstdint>
+#include <limits>
 #include <map>
 #include <optional>
 #include <string>
@@ -132,6 +133,9 @@ struct Facts {
   std::string configure(const std::string& section, const std::string& key,
                         std::uint64_t value) const;
 };
+
+/// A limit or quota that limits nothing.
+inline constexpr std::uint64_t unlimited = std::numeric_limits<std::uint64_t>::max();
 
 /// The interval that "lately" means: ten minutes.
 inline constexpr std::uint64_t lately_ns = 600'000'000'000;

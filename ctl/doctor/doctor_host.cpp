@@ -17,7 +17,6 @@ namespace {
 
 using Ailments = std::vector<Ailment>;
 
-constexpr std::uint64_t unlimited = std::numeric_limits<std::uint64_t>::max();
 // Updates and changes of the configuration restart it as well.
 constexpr std::uint64_t restarts_max = 3;
 // For every limit: a warning at nine tenths leaves time to act.
@@ -203,14 +202,12 @@ Ailments mappings(const Facts& facts) {
   return found;
 }
 
-constexpr auto failed = Check::Severity::failed;
-constexpr auto warning = Check::Severity::warning;
-constexpr auto always = Check::Needs::nothing;
-constexpr auto daemon = Check::Needs::daemon;
+using enum Check::Severity;
+using enum Check::Needs;
 
 // clang-format off
-constexpr Check table[] = {
-    {"configuration-wrong", "the daemon's configuration is valid", failed, always,
+constexpr Check host_table[] = {
+    {"configuration-wrong", "the daemon's configuration is valid", failed, nothing,
      "the file was changed after the daemon read it, or prevents its start; the next start fails",
      "sudo \"${EDITOR:-vi}\" FILE && agnocastd --check-config --config FILE", configuration_wrong},
     {"old-daemon", "agnocastd runs the program that is installed", warning, daemon,
@@ -223,7 +220,7 @@ constexpr Check table[] = {
      "it dies and restarts repeatedly; its log gives the reason",
      "journalctl --identifier=agnocastd --priority=err --since=-10min", restarts},
     {"descriptor-limit", "agnocastd may open more descriptors", warning, daemon,
-     "each process costs it about nine; without free ones it refuses new processes (LimitNOFILE= of the unit)",
+     "each process costs it about eight; without free ones it refuses new processes (LimitNOFILE= of the unit)",
      "sudo prlimit --pid PID --nofile=COUNT", descriptors},
     {"debug-log", "agnocastd does not log at level debug", warning, daemon,
      "one line for every registration and endpoint slows it down and fills the log",
@@ -237,7 +234,7 @@ constexpr Check table[] = {
     {"depth", "no history was refused for its depth recently", failed, daemon,
      "a publisher or subscription wants more than [limits] allows: depth_refused",
      "CONFIGURE && RELOAD", depth},
-    {"huge-pages", "shared memory can use huge pages", warning, always,
+    {"huge-pages", "shared memory can use huge pages", warning, nothing,
      "without huge pages for shared memory, large messages cost thirty times as many page faults",
      "echo 'w /sys/kernel/mm/transparent_hugepage/shmem_enabled - - - - advise' | sudo tee /etc/tmpfiles.d/agnocast-pages.conf "
      "&& sudo systemd-tmpfiles --create /etc/tmpfiles.d/agnocast-pages.conf", huge_pages},
@@ -253,6 +250,6 @@ constexpr Check table[] = {
 
 }  // namespace
 
-const std::span<const Check> host_checks = table;
+const std::span<const Check> host_checks = host_table;
 
 }  // namespace agnocast::ctl

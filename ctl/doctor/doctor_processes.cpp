@@ -172,7 +172,7 @@ Ailments hook_not_loaded(const Facts& facts) {
   }
   return found;
 }
-Ailments switched_off(const Facts& facts) {
+Ailments processes_switched_off(const Facts& facts) {
   Ailments found;
   for (const Running& outsider : facts.outsiders) {
     const auto word = outsider.environment.find("AGNOCAST");
@@ -358,12 +358,11 @@ Ailments permission(const Facts& facts) {
                  });
 }
 
-constexpr auto failed = Check::Severity::failed;
-constexpr auto warning = Check::Severity::warning;
-constexpr auto daemon = Check::Needs::daemon;
+using enum Check::Severity;
+using enum Check::Needs;
 
 // clang-format off
-constexpr Check table[] = {
+constexpr Check process_table[] = {
     {"process-stopped", "no process is stopped", failed, daemon,
      "SIGSTOP or a debugger has stopped it: the messages that it holds stay in use, and others may wait for it",
      "kill -CONT PID", stopped},
@@ -390,7 +389,7 @@ constexpr Check table[] = {
      "kill PID && agnocast-run COMMAND &", hook_not_loaded},
     {"process-switched-off", "no process that means this daemon is switched off", warning, daemon,
      "it was started with AGNOCAST=off: its endpoints neither publish nor receive",
-     "kill PID && env -u AGNOCAST COMMAND &", switched_off},
+     "kill PID && env -u AGNOCAST COMMAND &", processes_switched_off},
     {"time-namespace", "all processes share the clocks of the daemon", failed, daemon,
      "it is in another time namespace, so stamps and ages of messages differ there",
      "kill PID && COMMAND &", other_time},
@@ -435,6 +434,6 @@ constexpr Check table[] = {
 
 }  // namespace
 
-const std::span<const Check> process_checks = table;
+const std::span<const Check> process_checks = process_table;
 
 }  // namespace agnocast::ctl

@@ -24,7 +24,6 @@ using wire::ThreadCall;
 using wire::ThreadScheduling;
 using wire::ThreadSetting;
 
-constexpr std::uint64_t unlimited = std::numeric_limits<std::uint64_t>::max();
 // Numbers of threads that a finding names; the others are counted.
 constexpr std::size_t named_threads_max = 4;
 
@@ -278,7 +277,7 @@ Ailments settings(const Facts& facts) {
 }
 
 // clang-format off
-constexpr Check table[] = {
+constexpr Check thread_table[] = {
     {"thread-settings", "every rule for threads is in force", Check::Severity::warning, Check::Needs::daemon,
      "a rule of [[thread]] was not applied to a thread that it matches, or the thread has other values now",
      "SETTING", settings},
@@ -287,6 +286,6 @@ constexpr Check table[] = {
 
 }  // namespace
 
-const std::span<const Check> thread_checks = table;
+const std::span<const Check> thread_checks = thread_table;
 
 }  // namespace agnocast::ctl

@@ -26,8 +26,7 @@ using Words = region::PublisherWords<M>;
 using Line = region::LinkWords<M>;
 using journal::Invariant;
 
-constexpr auto acquire = std::memory_order_acquire;
-constexpr auto relaxed = std::memory_order_relaxed;
+using enum std::memory_order;
 // How often to try to copy a queue while its publisher is between two messages.
 constexpr int copies_max = 64;
 constexpr std::chrono::microseconds pause_between_copies{200};

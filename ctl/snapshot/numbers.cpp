@@ -15,8 +15,7 @@ using M = SharedMemory;
 using Words = region::PublisherWords<M>;
 using Line = region::LinkWords<M>;
 
-constexpr auto relaxed = std::memory_order_relaxed;
-constexpr auto acquire = std::memory_order_acquire;
+using enum std::memory_order;
 
 // Returns the number of words with hold bits for these slots; words behind the link line have
 // memory only if there are such slots.

@@ -20,8 +20,7 @@ namespace {
 using Words = region::PublisherWords<SharedMemory>;
 using Line = region::LinkWords<SharedMemory>;
 
-constexpr auto relaxed = std::memory_order_relaxed;
-constexpr auto acquire = std::memory_order_acquire;
+using enum std::memory_order;
 
 constexpr std::size_t recent_max = 16;
 constexpr std::uint64_t long_hold_ns = 1'000'000'000;

@@ -32,7 +32,7 @@ namespace {
 using wire::Opcode;
 
 // A daemon under load answers within milliseconds.
-constexpr int patience_ms = 5'000;
+constexpr int answer_patience_ms = 5'000;
 
 Status status_of(Errc code) noexcept {
   if (code == Errc::permission_denied || code == Errc::access_denied ||
@@ -297,7 +297,7 @@ Outcome<void> Observer::receive_packet() {
     pollfd readable{socket_.fd(), POLLIN, 0};
     int ready = 0;
     do {
-      ready = ::poll(&readable, 1, patience_ms);
+      ready = ::poll(&readable, 1, answer_patience_ms);
     } while (ready < 0 && errno == EINTR);
     if (ready <= 0) return unreachable(path_, "agnocastd does not answer within 5 s");
     packet = socket_.receive(received_->buffer());
