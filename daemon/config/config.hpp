@@ -78,7 +78,7 @@ struct Config {
     // Address space; cgroups limit memory. 0: share_of_one_user() of the arena.
     std::uint64_t heap_bytes = 0;
     std::uint64_t held_messages = 1'048'576;
-    std::uint64_t wait_sets = 4'096;  // each costs the daemon two descriptors
+    std::uint64_t wait_sets = 4'096;  // each costs the daemon three descriptors
     // Eight of the longest dumps (5.3 MB, with full tables) and as much again for processes that
     // come back all at once; those are notified in parts.
     std::uint64_t queued_bytes = std::uint64_t{96} << 20;

@@ -103,8 +103,8 @@ constexpr Key keys[] = {
     {"quota", "executors", Kind::count, 1, many, 0, "unlimited", unlimited,
      AGNOCAST_NUMBER(quota.wait_sets),
      "wait sets of one user, where subscriptions sleep: one for each callback group, of which a "
-     "process shares at most 48, and for each subscription without callbacks; each costs the "
-     "daemon two descriptors"},
+     "process shares at most 48, and one for all subscriptions of a process without callbacks; "
+     "each costs the daemon three descriptors"},
     {"quota", "callback_groups", Kind::count, 0, many, 0, "unlimited", unlimited,
      AGNOCAST_NUMBER(quota.callback_groups),
      "callback groups of one user that agnocastd knows, for thread rules and agnocast-ctl thread "

@@ -39,7 +39,7 @@ int print(const std::string& text, int status) {
   return complain("output: it cannot be written", "df");
 }
 
-// A process needs about nine descriptors; the soft limit of 1024 exists for select(), unused here.
+// A process needs about eight descriptors; the soft limit of 1024 exists for select(), unused here.
 void raise_descriptor_limit() noexcept {
   rlimit limit{};
   if (::getrlimit(RLIMIT_NOFILE, &limit) != 0) return;
