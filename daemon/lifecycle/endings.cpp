@@ -228,7 +228,7 @@ tl::unexpected<Failure> Endings::explain_full(TopicIndex topic, const Failure& w
       registry_.client(static_cast<ClientIndex>(std::distance(kept.begin(), most)));
   return fail_with(why.code, std::string(detail_of(why)) + "; " + std::to_string(orphans) +
                                  " of them are gone, and process " + std::to_string(process.pid) +
-                                 " (" + printable(process.name) + ") has not let go of " +
+                                 " (" + printable(process.name) + ") has not unmapped " +
                                  std::to_string(*most));
 }
 

@@ -171,7 +171,7 @@ void Broker::look_around(std::uint64_t now) {
   if (now - watched_ms_ >= watch_interval_ms) {
     watched_ms_ = now;
     watch_holds();
-    watch_letting_go();
+    watch_unmapping();
     readers_.look_for_silent_doorbells(now);
   }
   log_.flush();
@@ -209,7 +209,7 @@ void Broker::watch_holds() {
   }
 }
 
-void Broker::watch_letting_go() {
+void Broker::watch_unmapping() {
   for (const UnmapWatch::Finding& found : unmap_watch_.look()) {
     if (connections_.of_client(found.client) == nullptr) continue;
     // Its acknowledgement may be waiting for a time slice.

@@ -99,7 +99,7 @@ class Broker final {
   void look_around(std::uint64_t now);
   /// Revoke processes that hold more than they may, and those that do not unmap.
   void watch_holds();
-  void watch_letting_go();
+  void watch_unmapping();
   void announce_what_waits();
   /// Frees the memory and the addresses of a process whose place is free.
   void free_client(ClientIndex client);
@@ -144,7 +144,7 @@ class Broker final {
   PacketReader reader_;
   Acceptor acceptor_;
   std::uint64_t looked_ms_ = 0;   // when look_around() last ran
-  std::uint64_t watched_ms_ = 0;  // when watch_holds() and watch_letting_go() last ran
+  std::uint64_t watched_ms_ = 0;  // when watch_holds() and watch_unmapping() last ran
 };
 
 }  // namespace agnocast::daemon

@@ -399,7 +399,7 @@ TEST_F(Death, OfManyPublishersOfAnUnreadSubscriptionAbandonsTheOldest) {
   const std::string refused = publish_blindly();
   EXPECT_THAT(refused, HasSubstr("publishers_per_topic is 6"));
   EXPECT_THAT(refused, HasSubstr("6 of them are gone, and process " + std::to_string(lazy.pid()) +
-                                 " (system_mortal) has not let go of 6"));
+                                 " (system_mortal) has not unmapped 6"));
   EXPECT_EQ(lazy.ask("check"), "ok");
   EXPECT_EQ(lazy.ask("drop"), "ok");
   EXPECT_TRUE(lazy.eventually("maps", "0"));

@@ -153,7 +153,7 @@ TEST(DaemonRevoke, SparesAProcessThatHoldsMessagesOfDeadPublishers) {
   ASSERT_TRUE(daemon.wait_for_log("endpoints that are gone"));
   WireNode next(daemon.socket_path());
   EXPECT_FALSE(next.create_publisher(topic_name, deep)) << "held messages are not taken away";
-  EXPECT_TRUE(daemon.wait_for_log("has not let go of 6"));
+  EXPECT_TRUE(daemon.wait_for_log("has not unmapped 6"));
   holder.pump();
   EXPECT_EQ(holder.held_count(), 6u);
   while (holder.release()) {

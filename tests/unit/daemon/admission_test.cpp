@@ -97,7 +97,7 @@ TEST_F(AdmissionTest, CountsGonePublishersOfAUserUntilTheyAreRead) {
   core.end(owner);
   const auto refused = endpoint(core.process(alice), Kind::publisher, "/a");
   ASSERT_FALSE(refused);
-  EXPECT_NE(std::string(detail_of(refused.error())).find("has not let go of 1"), std::string::npos)
+  EXPECT_NE(std::string(detail_of(refused.error())).find("has not unmapped 1"), std::string::npos)
       << "the process that keeps it is named: " << detail_of(refused.error());
 }
 
