@@ -5,7 +5,8 @@
 // process before each step, the explorer omits each protocol step in turn, and both print the
 // names.
 //
-// Each room has a table of its own steps, steps.hpp, so that a new step concerns one room only.
+// Each top folder has a table of its own steps, steps.hpp, so that a new step concerns that folder
+// only.
 // tests/support/crash/step_names.hpp has all tables.
 #pragma once
 

@@ -5,8 +5,8 @@
 // seconds or a message is lost. death_peer.cpp is the peer of the dying process and measures,
 // death_client.cpp has the dying processes. All durations begin before kill():
 //
-//   ended      its pidfd is readable: the kernel has released its memory. The time before is the
-//              kernel's
+//   ended      its pidfd is readable: the kernel has released its memory. Until then it is the
+//              kernel's time
 //   told       the peer's event callback runs: it is unmatched
 //   back       the publisher's message that the dead subscriber held is destroyed, its memory
 //              free again

@@ -4,8 +4,7 @@
 // hook (the owner) and a subscriber's (the reader), 8 MiB buffers:
 //
 //   touch     a byte of each page of a buffer that was never used, of one that was, of private
-//             memory, and after the pages were populated ahead; beside it the cost of copying as
-//             much
+//             memory, and after the pages were populated ahead; beside it a copy of as much
 //   read      the reader's access to each page of a message, for the first time and again
 //   steady    messages made, read and freed for longer than idle memory is kept: no page may be
 //             returned and faulted again

@@ -164,6 +164,7 @@ class Planner {
     for (const auto& [type, subscriptions] : side.subscriptions)
       inward({topic, type}, side, subscriptions);
   }
+  // Long because DDS readers, remote publishers and what they keep are found from the same writers.
   void inward(const TopicKey& key, const Side& side,
               const std::map<QosClass, Wanting>& subscriptions) {
     const Verdict verdict = verdict_on(key);

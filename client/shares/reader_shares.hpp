@@ -8,9 +8,8 @@
 //     readers of all other users may keep half of the bytes that the heap has ever taken of its
 //     windows, which is all that a full heap has;
 //   - it has not, but readers of other users keep half of what it may become. That counts as no
-//   more
-//     than a quarter of the machine's memory (client/shares/machine_memory.hpp): a heap may usually
-//     become larger than that, and the system would kill a process before the heap refuses
+//     more than a quarter of the machine's memory (client/shares/machine_memory.hpp): a heap may
+//     usually become larger than that, and the system would kill a process before the heap refuses
 //     anything. So eight publishers whose readers all keep their maximum fill the memory, each of
 //     them an eighth.
 // One user has at most half of that half; if the half does not suffice, each user has an equal

@@ -3,9 +3,9 @@
 // Goal: reading any message from another host ends, within the input, in a message or in a reason
 // with its position. Method: the input is a type, the lengths of pieces, and bytes. A message that
 // was read
-//   is the same however it was cut, also when read into a message with other content
-//   can be written into memory of exactly its length, and reads back equal from there
-//   is written to the same bytes again
+//   - is the same however it was cut, also when read into a message with other content;
+//   - can be written into memory of exactly its length, and reads back equal from there;
+//   - is written to the same bytes again.
 // Each piece is a separate allocation, so AddressSanitizer sees reads past its end.
 
 #include <bridge/cdr/cdr.hpp>

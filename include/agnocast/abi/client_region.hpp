@@ -41,9 +41,8 @@ static_assert(sizeof(QueueSlot) == 32 && offsetof(QueueSlot, address) == 8 &&
 //
 //    0  head      u64  sequence<<16 | slot of the newest message
 //                      [sync:publish] COMMIT: release at P5, acquire at T1
-//    8  persistent_id u64  0: not said yet; the same for the endpoints by which one publisher is in
-//    several
-//                      sessions of its process, one after the other
+//    8  persistent_id u64  0: not known yet; the same for the endpoints by which one publisher is
+//                      in several sessions of its process, one after the other
 //   16  inherited u64  sequence up to which messages were published in a previous session: history,
 //                      for those that ask for it; 0 = none
 //   24  published_bytes u64  of all messages together, what a reader may touch; for people
@@ -113,8 +112,7 @@ static_assert(sizeof(LinkLine) == 64 && offsetof(LinkLine, cursor) == 8 &&
 //    8  malformed    u64  of them, what no honest publisher writes
 //   16  unreachable  u64  of them, what lies where this process cannot map it
 //   24  persistent_id u64  not 0; the same for the endpoints by which one subscription is in
-//   several
-//                         sessions of its process
+//                         several sessions of its process
 struct alignas(cache_line_bytes) SubscriptionCounters {
   SharedWord lost;
   SharedWord malformed;

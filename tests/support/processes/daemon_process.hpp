@@ -2,9 +2,9 @@
 //
 // DaemonProcess: the real agnocastd in its own directory, for integration tests.
 //
-//   DaemonProcess daemon;                          // or DaemonProcess daemon({.config =
-//   "[quota]\n…"}); … connect to daemon.socket_path() … EXPECT_EQ(daemon.stop(), 0); // or let the
-//   destructor kill it
+//   DaemonProcess daemon;           // or DaemonProcess daemon({.config = "[quota]\n…"});
+//   … connect to daemon.socket_path() …
+//   EXPECT_EQ(daemon.stop(), 0);    // or let the destructor kill it
 //
 // The constructor returns when the daemon serves (it reports that through NOTIFY_SOCKET, without
 // polling); if it ends or reports nothing, the test fails with its output. The daemon dies with
