@@ -9,7 +9,9 @@
 #include <toml++/toml.h>
 
 #include <cstddef>
+#include <span>
 #include <string>
+#include <string_view>
 #include <utility>
 #include <vector>
 
@@ -22,6 +24,13 @@ class Mistakes {
 
   void report(const toml::source_position& place, std::string key, std::string what,
               std::string remedy);
+  /// `expected` completes "write ".
+  void wrong_type(const toml::node& node, const std::string& key, std::string_view expected);
+  /// `full` is the key with its section, for people.
+  void unknown(const toml::key& key, const std::string& full,
+               std::span<const std::string_view> known);
+  /// Returns the tables of [[section]]. Anything else there is a mistake, and left out.
+  std::vector<const toml::table*> tables(const toml::node& node, const std::string& section);
   std::size_t count() const noexcept { return list_.size(); }
   /// Returns them in the order of the file; toml++ iterates a table's keys in alphabetical order.
   std::vector<Mistake> take();

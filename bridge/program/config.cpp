@@ -49,19 +49,16 @@ constexpr ConfigKey keys[] = {
     {"topic.from_dds.depth", "1 to 100000", "Depth of their history"},
 };
 
-/// Returns "known here: a, b": the keys below `prefix`.
-std::string known_below(std::string_view prefix) {
-  std::string text = "known here: ", last;
+/// Returns the names of the keys below `prefix`.
+std::vector<std::string_view> known_below(std::string_view prefix) {
+  std::vector<std::string_view> names;
   for (const ConfigKey& key : keys) {
     if (!key.name.starts_with(prefix)) continue;
     const std::string_view rest = key.name.substr(prefix.size());
-    std::string name(rest.substr(0, rest.find('.')));
-    if (name == last) continue;
-    if (!last.empty()) text += ", ";
-    text += name == "topic" ? "[[topic]]" : name;
-    last = std::move(name);
+    const std::string_view name = rest.substr(0, rest.find('.'));
+    if (names.empty() || names.back() != name) names.push_back(name);
   }
-  return text;
+  return names;
 }
 
 class Reader {
@@ -85,13 +82,12 @@ class Reader {
       } else if (name == "default") {
         read_direction(node, "default", config_.bridge.otherwise);
       } else if (name == "announce") {
-        if (!node.is_boolean())
-          report(node.source(), name, "this is not a boolean", "write true or false");
+        if (!node.is_boolean()) mistakes_.wrong_type(node, std::string(name), "true or false");
         config_.bridge.announce = node.value_or(true);
       } else if (name == "topic") {
         read_topics(node);
       } else {
-        report(key.source(), name, "unknown key", known_below(""));
+        mistakes_.unknown(key, std::string(name), known_below(""));
       }
     }
     if (mistakes_.count() == 0) return std::move(config_);
@@ -127,8 +123,7 @@ class Reader {
   void read_paths(const toml::node& node) {
     const auto* const list = node.as_array();
     if (list == nullptr)
-      return report(node.source(), "type_paths", "this is not a list",
-                    R"(write directories: ["/opt/robot/lib"])");
+      return mistakes_.wrong_type(node, "type_paths", R"(directories: ["/opt/robot/lib"])");
     for (const toml::node& element : *list) {
       const std::string path = element.value_or(std::string());
       if (path.empty() || path[0] != '/') {
@@ -140,16 +135,7 @@ class Reader {
     }
   }
   void read_topics(const toml::node& node) {
-    const auto* const list = node.as_array();
-    if (list == nullptr)
-      return report(node.source(), "topic", "this is not a table", "write [[topic]]");
-    for (const toml::node& element : *list) {
-      if (const auto* const table = element.as_table()) {
-        read_topic(*table);
-      } else {
-        report(element.source(), "topic", "this is not a table", "write [[topic]]");
-      }
-    }
+    for (const toml::table* const table : mistakes_.tables(node, "topic")) read_topic(*table);
   }
   void read_direction(const toml::node& node, std::string_view key, Direction& direction) {
     const std::string text = node.value_or(std::string());
@@ -180,8 +166,7 @@ class Reader {
   void read_qos(const toml::node& node, const std::string& where, QosOverride& qos) {
     const auto* const table = node.as_table();
     if (table == nullptr)
-      return report(node.source(), where, "this is not a table",
-                    R"(write { reliability = "best_effort", depth = 1 })");
+      return mistakes_.wrong_type(node, where, R"({ reliability = "best_effort", depth = 1 })");
     for (const auto& [key, value] : *table) {
       const std::string name = where + '.' + std::string(key.str());
       if (key.str() == "reliability") {
@@ -197,7 +182,7 @@ class Reader {
           qos.depth = static_cast<std::size_t>(number->get());
         }
       } else {
-        report(key.source(), name, "unknown key", known_below(where + '.'));
+        mistakes_.unknown(key, name, known_below(where + '.'));
       }
     }
   }
@@ -221,15 +206,14 @@ class Reader {
       } else if (name == "topic.direction") {
         read_direction(node, name, rule.direction);
       } else if (name == "topic.always") {
-        if (!node.is_boolean())
-          report(node.source(), name, "this is not a boolean", "write true or false");
+        if (!node.is_boolean()) mistakes_.wrong_type(node, name, "true or false");
         rule.always = node.is_boolean() && node.value_or(false);
       } else if (name == "topic.to_dds") {
         read_qos(node, name, rule.to_dds);
       } else if (name == "topic.from_dds") {
         read_qos(node, name, rule.from_dds);
       } else {
-        report(key.source(), name, "unknown key", known_below("topic."));
+        mistakes_.unknown(key, name, known_below("topic."));
       }
     }
     if (!has_name) report(table.source(), "topic", "it has no name", R"(write name = "/lidar/**")");

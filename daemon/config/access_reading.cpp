@@ -63,7 +63,7 @@ void read_rule(TomlReading& toml, const toml::table& table, std::vector<AccessRu
   AccessRule rule;
   const Place& place = table.source().begin;
   rule.line = static_cast<std::uint32_t>(place.line);
-  const std::size_t mistakes_before = toml.mistake_count();
+  const std::size_t mistakes_before = toml.count();
   for (const auto& [key, node] : table) {
     if (key.str() == "topic") {
       read_topic(toml, node, rule);
@@ -81,7 +81,7 @@ void read_rule(TomlReading& toml, const toml::table& table, std::vector<AccessRu
     toml.report(place, "access.topic", "is missing", "name the topics: topic = \"/lidar/**\"");
   if (!table.contains("publish") && !table.contains("subscribe"))
     toml.report(place, "access", "the rule has no effect", "add publish or subscribe with a list");
-  if (toml.mistake_count() != mistakes_before) return;
+  if (toml.count() != mistakes_before) return;
   check_shadowed(toml, rules, rule, place);
   rules.push_back(std::move(rule));
 }

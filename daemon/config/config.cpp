@@ -34,9 +34,9 @@ class Reader {
 
   ConfigResult read(const toml::table& root) {
     for (const auto& [key, node] : root) read_section(key, node);
-    if (toml_.mistake_count() == 0) check_together();
-    if (toml_.mistake_count() == 0) return std::move(config_);
-    return tl::unexpected(toml_.take_mistakes());
+    if (toml_.count() == 0) check_together();
+    if (toml_.count() == 0) return std::move(config_);
+    return tl::unexpected(toml_.take());
   }
 
  private:

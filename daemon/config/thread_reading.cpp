@@ -58,7 +58,7 @@ class RuleReader {
     check_complete();
     // A policy with a mistake says nothing about the other keys.
     if (!table_.contains("policy") || scheduling().sets_policy != 0) check_together();
-    if (toml_.mistake_count() != mistakes_before_) return std::nullopt;
+    if (toml_.count() != mistakes_before_) return std::nullopt;
     return std::move(rule_);
   }
 
@@ -243,7 +243,7 @@ class RuleReader {
       toml_.report(place_of("policy"), "thread.period", "is missing",
                    "add period, deadline or both: period = \"10ms\"");
     }
-    if (toml_.mistake_count() != mistakes_before_) return;
+    if (toml_.count() != mistakes_before_) return;
     Scheduling& times = scheduling();
     if (!has_deadline) times.deadline_ns = times.period_ns;
     if (!has_period) times.period_ns = times.deadline_ns;
@@ -266,7 +266,7 @@ class RuleReader {
 
   TomlReading& toml_;
   const toml::table& table_;
-  const std::size_t mistakes_before_ = toml_.mistake_count();
+  const std::size_t mistakes_before_ = toml_.count();
   ThreadRule rule_;
 };
 
