@@ -5,6 +5,8 @@
 #include <base/clock.hpp>
 #include <base/sockets/unix_address.hpp>
 #include <base/text/standard_error.hpp>
+#include <daemon/process/child_process.hpp>
+#include <daemon/process/hidden_socket.hpp>
 #include <daemon/transport/descriptor_store.hpp>
 
 #include <fcntl.h>
@@ -13,7 +15,6 @@
 #include <sys/resource.h>
 #include <sys/signalfd.h>
 #include <sys/socket.h>
-#include <sys/stat.h>
 #include <sys/wait.h>
 #include <unistd.h>
 
@@ -21,7 +22,6 @@
 #include <array>
 #include <cerrno>
 #include <csignal>
-#include <cstdio>
 #include <cstdlib>
 #include <cstring>
 #include <map>
@@ -45,44 +45,16 @@ constexpr std::uint64_t settled_ms = 10'000;
 
 // How long a worker may take from the request to end until its loop reports it, and from then
 // until it has ended. A worker that hangs delays the end by the first one: less than a second.
-// Time in which it was ready to run and had no processor does not count, up to the third one.
-constexpr std::uint64_t stop_patience_ms = 800, end_patience_ms = 5'000, wait_most_ms = 10'000;
+constexpr std::uint64_t stop_patience_ms = 800, end_patience_ms = 5'000;
+// Time in which the worker was ready to run and had no processor counts neither there nor for the
+// watchdog, up to this.
+constexpr std::uint64_t wait_most_ms = 10'000;
 // How long a worker may take until it serves; systemd's default.
 constexpr std::uint64_t start_patience_ms = 90'000;
 // Interval of looks at a worker that is to end, and how long the supervisor's end waits for it.
 constexpr std::uint64_t look_interval_ms = 20, kill_patience_ms = 150;
 // How long a worker that holds nothing any more may take until it has ended; usually no time.
 constexpr std::uint64_t remains_patience_ms = 500;
-
-/// A socket that can be reached only through a descriptor of it: it was bound in a directory of
-/// ours, and its name is removed.
-struct HiddenSocket {
-  UniqueFd socket;
-  UniqueFd way;  // O_PATH; its /proc/self/fd/N is an address
-};
-
-std::optional<HiddenSocket> hidden_socket() {
-  const char* const roots[] = {"/run", ::secure_getenv("XDG_RUNTIME_DIR"),
-                               ::secure_getenv("TMPDIR"), "/tmp"};
-  for (const char* const root : roots) {
-    if (root == nullptr || *root == '\0') continue;
-    std::string directory = std::string(root) + "/agnocastd-XXXXXX";
-    if (::mkdtemp(directory.data()) == nullptr) continue;
-    const std::string path = directory + "/notify";
-    HiddenSocket made;
-    made.socket.reset(::socket(AF_UNIX, SOCK_DGRAM | SOCK_CLOEXEC | SOCK_NONBLOCK, 0));
-    const auto address = unix_address(path);
-    const int on = 1;
-    if (made.socket && address &&
-        ::setsockopt(made.socket.get(), SOL_SOCKET, SO_PASSCRED, &on, sizeof on) == 0 &&
-        ::bind(made.socket.get(), address->get(), UnixAddress::size()) == 0)
-      made.way.reset(::open(path.c_str(), O_PATH | O_CLOEXEC | O_NOFOLLOW));
-    ::unlink(path.c_str());
-    ::rmdir(directory.c_str());
-    if (made.way) return made;
-  }
-  return std::nullopt;
-}
 
 // Returns the pause before the next worker. Clients wait for it, however often a ready daemon has
 // died before: only a row of failed starts makes the pause long.
@@ -102,32 +74,6 @@ std::size_t kept_limit() noexcept {
   if (::getrlimit(RLIMIT_NOFILE, &limit) != 0) return kept_count_max;
   const rlim_t pairs = (std::max(limit.rlim_cur, of_ourselves) - of_ourselves) / 2;
   return std::min<rlim_t>(pairs, kept_count_max);
-}
-
-// Returns whether the first thread of a child has ended. Others may still run.
-bool first_thread_has_ended(pid_t pid) noexcept {
-  const UniqueFd file(
-      ::open(("/proc/" + std::to_string(pid) + "/stat").c_str(), O_RDONLY | O_CLOEXEC));
-  std::array<char, 512> text{};
-  const ssize_t bytes = ::read(file.get(), text.data(), text.size());
-  if (bytes <= 0) return false;
-  // "pid (name) state …": the name may contain anything.
-  const std::string_view all(text.data(), static_cast<std::size_t>(bytes));
-  const std::size_t name_end = all.rfind(')');
-  return name_end != std::string_view::npos && all.substr(name_end).starts_with(") Z");
-}
-
-// Returns how long the first thread of a child has waited for a processor since it began; 0 where
-// the kernel does not count it. The second figure of schedstat, in ns (Linux,
-// Documentation/scheduler/sched-stats.rst); reading it takes no lock of the child's memory.
-std::uint64_t waited_for_processor_ms(pid_t pid) noexcept {
-  const UniqueFd file(
-      ::open(("/proc/" + std::to_string(pid) + "/schedstat").c_str(), O_RDONLY | O_CLOEXEC));
-  std::array<char, 128> text{};
-  const ssize_t bytes = ::read(file.get(), text.data(), text.size() - 1);
-  unsigned long long ran_ns = 0, waited_ns = 0;
-  if (bytes <= 0 || std::sscanf(text.data(), "%llu %llu", &ran_ns, &waited_ns) != 2) return 0;
-  return waited_ns / 1'000'000;
 }
 
 std::string value_of(const char* name) {
@@ -204,10 +150,19 @@ class Supervisor {
   void look_at_worker(std::uint64_t now);
   /// Returns whether a killed worker cannot end: a client keeps a thread of it in the kernel.
   bool is_stuck(std::uint64_t now) const noexcept;
-  /// Returns for how long the worker has waited for a processor since it was asked to end.
-  std::uint64_t waited_since_asked_ms() const noexcept {
-    const std::uint64_t waited_ms = waited_for_processor_ms(worker_);
-    return std::min(waited_ms - std::min(waited_ms, waited_ms_), wait_most_ms);
+  /// Call when a time begins in which the worker has to do something.
+  void begin_time() noexcept {
+    waited_ns_ = processor_time_of(worker_).waited_ns;
+    ran_ns_.reset();
+  }
+  /// Returns whether that time, which ends at `due_ms`, is over without what the worker has waited
+  /// for a processor.
+  bool time_is_over(std::uint64_t now, std::uint64_t due_ms) noexcept;
+  /// The worker has sent a sign of life, or could not.
+  void heard(std::uint64_t now) noexcept {
+    heard_ms_ = now;
+    watchdog_due_ms_ = now + patience_ms();
+    if (!kill_due_ms_) begin_time();
   }
   /// Returns when look_at_worker() is due; nothing: never.
   std::optional<std::uint64_t> look_due_ms() const noexcept;
@@ -228,12 +183,15 @@ class Supervisor {
   std::vector<UniqueFd> sockets_;  // from the parent process, for every worker
   std::size_t kept_limit_ = kept_limit();
   pid_t worker_ = -1;
-  UniqueFd life_line_;          // a pipe: its other end is in the worker's descriptor table
-  std::vector<pid_t> remains_;  // workers that hold nothing any more and have not ended
-  std::uint64_t watchdog_ms_;   // 0: no watchdog
-  std::uint64_t heard_ms_ = 0;  // when the worker last sent a sign of life
+  UniqueFd life_line_;                 // a pipe: its other end is in the worker's descriptor table
+  std::vector<pid_t> remains_;         // workers that hold nothing any more and have not ended
+  std::uint64_t watchdog_ms_;          // 0: no watchdog
+  std::uint64_t heard_ms_ = 0;         // when the worker last sent a sign of life
+  std::uint64_t watchdog_due_ms_ = 0;  // when to look whether it hangs
   std::optional<std::uint64_t> kill_due_ms_;  // when to kill a worker that was asked to end
-  std::uint64_t waited_ms_ = 0;               // for a processor, until it was asked
+  std::uint64_t waited_ns_ = 0;               // for a processor, at the last begin_time()
+  // How long the worker had run when its time was last found to be over; nothing: it was not.
+  std::optional<std::uint64_t> ran_ns_;
   std::optional<std::uint64_t> killed_ms_;
   std::optional<std::uint64_t> remains_since_ms_;  // when it was found to hold nothing any more
   std::uint64_t started_ms_ = 0;
@@ -289,7 +247,7 @@ int Supervisor::run() {
     const std::uint64_t then = monotonic_ms();
     // The supervisor itself was stopped, and so may the worker have been.
     constexpr std::uint64_t late_ms = 1'000;
-    if (then > *look_due + late_ms) heard_ms_ = then;
+    if (then > *look_due + late_ms) heard(then);
     if (then >= *look_due) look_at_worker(then);
   }
   return *result_;
@@ -299,7 +257,6 @@ void Supervisor::start() {
   due_ms_.reset();
   restarts_ = false;
   is_ready_ = is_stopping_ = false;
-  started_ms_ = heard_ms_ = monotonic_ms();
   kill_due_ms_.reset();
   killed_ms_.reset();
   remains_since_ms_.reset();
@@ -318,6 +275,8 @@ void Supervisor::start() {
     return;
   }
   worker_ = pid;
+  started_ms_ = monotonic_ms();
+  heard(started_ms_);
   log_.write(LogLevel::debug, "worker started", {{"pid", pid}, {"descriptors", kept_.size()}});
 }
 
@@ -410,7 +369,7 @@ void Supervisor::end_worker(int signal) {
     killed_ms_ = now;
   } else if (!kill_due_ms_) {
     kill_due_ms_ = now + stop_patience_ms;
-    waited_ms_ = waited_for_processor_ms(worker_);
+    begin_time();
   }
 }
 
@@ -423,7 +382,24 @@ std::optional<std::uint64_t> Supervisor::look_due_ms() const noexcept {
   if (worker_ <= 0) return std::nullopt;
   if (killed_ms_ || kill_due_ms_ || remains_since_ms_) return monotonic_ms() + look_interval_ms;
   if (watchdog_ms_ == 0) return std::nullopt;
-  return heard_ms_ + patience_ms();
+  return watchdog_due_ms_;
+}
+
+bool Supervisor::time_is_over(std::uint64_t now, std::uint64_t due_ms) noexcept {
+  if (now < due_ms) return false;
+  if (now >= due_ms + wait_most_ms) return true;
+  const ProcessorTime time = processor_time_of(worker_);
+  const std::uint64_t waited_ms =
+      (time.waited_ns - std::min(time.waited_ns, waited_ns_)) / 1'000'000;
+  if (now < due_ms + waited_ms) {
+    ran_ns_.reset();
+    return false;
+  }
+  // The wait that it may be in does not count yet: it is ready, and has not run since the last
+  // look. A loop that spins has.
+  const bool has_run = ran_ns_ && time.ran_ns != *ran_ns_;
+  ran_ns_ = time.ran_ns;
+  return has_run || time.ran_ns == 0 || state_of_first_thread(worker_) != 'R';
 }
 
 void Supervisor::look_at_worker(std::uint64_t now) {
@@ -437,10 +413,13 @@ void Supervisor::look_at_worker(std::uint64_t now) {
     return on_worker_end(is_stopping_ && !killed_ms_ ? 0 : SIGKILL);
   }
   if (remains_since_ms_) return;
-  if (!killed_ms_ && kill_due_ms_ && now >= *kill_due_ms_ + waited_since_asked_ms())
+  if (!killed_ms_ && kill_due_ms_ && time_is_over(now, *kill_due_ms_))
     return kill_worker("it was asked to end and does not");
-  if (!killed_ms_ && !kill_due_ms_ && watchdog_ms_ > 0 && now >= heard_ms_ + patience_ms())
-    return kill_worker(is_ready_ ? "its loop does not run" : "it does not begin to serve");
+  if (!killed_ms_ && !kill_due_ms_ && watchdog_ms_ > 0) {
+    if (time_is_over(now, heard_ms_ + patience_ms()))
+      return kill_worker(is_ready_ ? "its loop does not run" : "it does not begin to serve");
+    watchdog_due_ms_ = std::max(watchdog_due_ms_, now + look_interval_ms);
+  }
   if (killed_ms_ && stops_ && now >= *killed_ms_ + kill_patience_ms) result_ = 1;
 }
 
@@ -548,7 +527,7 @@ void Supervisor::keep(const Notification& notification, std::vector<UniqueFd> fd
           {{"name", notification.name}, {"why", "the store is full, or LimitNOFILE is too low"}});
   }
   if (notification.ready) was_ready_ = is_ready_ = true;
-  if (notification.ready || notification.watchdog) heard_ms_ = monotonic_ms();
+  if (notification.ready || notification.watchdog) heard(monotonic_ms());
   is_stopping_ = is_stopping_ || notification.stopping;
   if (notification.stopping && kill_due_ms_) kill_due_ms_ = monotonic_ms() + end_patience_ms;
   std::string said = notification.ready ? "READY=1\n" : "";
