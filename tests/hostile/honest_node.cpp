@@ -24,10 +24,10 @@
 
 #include <base/clock.hpp>
 #include <tests/hostile/messages.hpp>
+#include <tests/hostile/steered_main.hpp>
 #include <tests/support/processes/plain_node.hpp>
 #include <tests/support/processes/spun.hpp>
 
-#include <grp.h>
 #include <sched.h>
 #include <sys/mman.h>
 #include <sys/prctl.h>
@@ -41,7 +41,6 @@
 #include <cstdlib>
 #include <deque>
 #include <fstream>
-#include <iostream>
 #include <optional>
 #include <sstream>
 #include <string>
@@ -230,29 +229,9 @@ class HonestNode {
   std::thread thread_;
 };
 
-bool become(uid_t uid) {
-  if (uid == 0) return true;
-  // Dumpable as any process that was this user's from the beginning.
-  return ::setgroups(0, nullptr) == 0 && ::setgid(uid) == 0 && ::setuid(uid) == 0 &&
-         ::prctl(PR_SET_DUMPABLE, 1) == 0;
-}
-
 }  // namespace
 }  // namespace agnocast::test
 
 int main(int argc, char** argv) {
-  if (argc != 2 || !agnocast::test::become(static_cast<uid_t>(std::atol(argv[1])))) return 2;
-  static agnocast::test::HonestNode node;
-  std::string text;
-  while (std::getline(std::cin, text)) {
-    std::istringstream line(text);
-    std::string answer;
-    try {
-      answer = node.execute(line);
-    } catch (const std::exception& error) {
-      answer = error.what();
-    }
-    std::cout << answer << std::endl;
-  }
-  return 0;
+  return agnocast::test::steered_main<agnocast::test::HonestNode>(argc, argv);
 }

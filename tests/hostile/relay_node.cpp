@@ -16,19 +16,16 @@
 #include <agnocast/agnocast.hpp>
 #include <agnocast/relay.hpp>
 #include <tests/hostile/messages.hpp>
+#include <tests/hostile/steered_main.hpp>
 #include <tests/support/processes/plain_node.hpp>
 #include <tests/support/processes/spun.hpp>
 
 #include <std_msgs/msg/string.hpp>
 
-#include <grp.h>
-#include <unistd.h>
-
 #include <atomic>
 #include <chrono>
 #include <cstdint>
 #include <cstdlib>
-#include <iostream>
 #include <sstream>
 #include <string>
 #include <thread>
@@ -121,26 +118,9 @@ class RelayNode {
   Subscription<Text>::SharedPtr forwarded_;
 };
 
-bool become(uid_t uid) {
-  return ::setgroups(0, nullptr) == 0 && ::setgid(uid) == 0 && ::setuid(uid) == 0;
-}
-
 }  // namespace
 }  // namespace agnocast::test
 
 int main(int argc, char** argv) {
-  if (argc != 2 || !agnocast::test::become(static_cast<uid_t>(std::atol(argv[1])))) return 2;
-  static agnocast::test::RelayNode node;
-  std::string text;
-  while (std::getline(std::cin, text)) {
-    std::istringstream line(text);
-    std::string answer;
-    try {
-      answer = node.execute(line);
-    } catch (const std::exception& error) {
-      answer = error.what();
-    }
-    std::cout << answer << std::endl;
-  }
-  return 0;
+  return agnocast::test::steered_main<agnocast::test::RelayNode>(argc, argv);
 }

@@ -18,6 +18,7 @@
 #include <gtest/gtest.h>
 
 #include <algorithm>
+#include <chrono>
 #include <cstdint>
 #include <cstdio>
 #include <filesystem>
@@ -139,6 +140,7 @@ TEST_F(Syscalls, PublishTakeAndReleaseMakeNoneOnceWarm) {
     GTEST_SKIP() << "reading the clock is a system call here: no vDSO for its clock source";
 
   std::size_t futexes = 0;
+  const auto begin = std::chrono::steady_clock::now();
   for (int round = 0; round < 55; ++round) {
     auto calls = trace(*publisher, tracer, "publish 40 0", 80);
     auto taken = trace(*subscriber, other, "take 40", 80);
@@ -151,7 +153,12 @@ TEST_F(Syscalls, PublishTakeAndReleaseMakeNoneOnceWarm) {
   }
   std::printf("2000 messages filled, published, taken, released: %zu futexes, no other call\n",
               futexes);
-  EXPECT_LE(futexes, 20u) << "the control threads hold the mutex too often";
+  // A control thread scans once a second, and each process's may be met in that: a wait for the
+  // mutex, and a wake of the next one.
+  const auto seconds =
+      std::chrono::ceil<std::chrono::seconds>(std::chrono::steady_clock::now() - begin).count();
+  EXPECT_LE(futexes, 20 + 4 * static_cast<std::size_t>(seconds))
+      << "the control threads hold the mutex too often";
 }
 
 TEST_F(Syscalls, PublishMakesOneForEachOfTwoSleepingReceiversAndThreeForMore) {

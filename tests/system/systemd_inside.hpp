@@ -6,7 +6,9 @@
 
 #include <base/memory/memfd.hpp>
 #include <tests/recovery/stage.hpp>
+#include <tests/support/machine/systemctl.hpp>
 #include <tests/support/processes/steered_process.hpp>
+#include <tests/support/soon.hpp>
 #include <tests/support/wire/wire_client.hpp>
 #include <tests/support/wire/wire_dump.hpp>
 #include <tests/support/wire/wire_node.hpp>
@@ -18,13 +20,11 @@
 #include <sys/stat.h>
 #include <unistd.h>
 
-#include <array>
 #include <csignal>
 #include <cstdio>
 #include <cstdlib>
 #include <filesystem>
 #include <fstream>
-#include <memory>
 #include <sstream>
 #include <string>
 
@@ -36,20 +36,9 @@ using sweep::serve;
 inline constexpr const char* socket_path = "/run/agnocast/agnocastd.sock";
 inline constexpr abi::Qos deep{10, false, true, false, false};
 
-inline std::string output_of(const std::string& command) {
-  const std::unique_ptr<std::FILE, int (*)(std::FILE*)> pipe(::popen(command.c_str(), "re"),
-                                                             &::pclose);
-  std::string text;
-  std::array<char, 256> part{};
-  while (std::fgets(part.data(), part.size(), pipe.get()) != nullptr) text += part.data();
-  while (!text.empty() && text.back() == '\n') text.pop_back();
-  return text;
-}
-inline std::string property(const char* name) {
-  return output_of(std::string("systemctl show --value -p ") + name + " agnocastd");
-}
+inline std::string property(const char* name) { return property_of("agnocastd", name); }
 inline bool systemctl(const std::string& verb, const std::string& unit = "agnocastd.service") {
-  return std::system(("systemctl " + verb + " " + unit + " 2>&1").c_str()) == 0;
+  return run_systemctl(verb, unit);
 }
 inline bool exists(const std::string& path) { return std::filesystem::exists(path); }
 inline bool socket_listens() {
@@ -59,18 +48,10 @@ inline bool socket_listens() {
 inline bool stop_both() {
   return systemctl("stop", "agnocastd.socket") && property("ActiveState") == "inactive";
 }
-template <class Condition>
-inline bool eventually(Condition condition) {
-  for (int rounds = 0; rounds < 200; ++rounds) {
-    if (condition()) return true;
-    ::usleep(100'000);
-  }
-  return condition();
-}
 inline bool goes_on_with_what_was() {
   return property("StatusText") == "serving; continues the previous run";
 }
-inline pid_t main_pid() { return static_cast<pid_t>(std::atoi(property("MainPID").c_str())); }
+inline pid_t main_pid() { return main_pid_of("agnocastd"); }
 /// kill(2) to one process: an unknown pid is no process, and 0 would be all processes in the
 /// test's group.
 inline int send(pid_t pid, int signal) { return pid > 1 ? ::kill(pid, signal) : -1; }
@@ -105,8 +86,8 @@ class DropIn {
  private:
   static constexpr const char* directory = "/run/systemd/system/agnocastd.service.d";
 };
-/// Delays the restart after the end of its main process.
-inline constexpr const char* slow_start = "RestartSec=5s";
+/// Nothing but an order starts the daemon again after the end of its main process.
+inline constexpr const char* no_start = "RestartSec=1h";
 inline bool is_away() {
   return property("MainPID") == "0" && property("SubState") == "auto-restart";
 }
@@ -190,13 +171,13 @@ struct Stream {
   }
   bool goes_on() {
     const std::uint64_t wanted = subscriber.state().received + 50;
-    return eventually([&] { return subscriber.state().received >= wanted; });
+    return soon([&] { return subscriber.state().received >= wanted; });
   }
   /// Checks that every published message has arrived, and is right.
   void end() {
     ASSERT_EQ(publisher.ask("stop"), "ok");
     const UserNode::State sent = publisher.state();
-    EXPECT_TRUE(eventually([&] { return subscriber.state().received == sent.published; }));
+    EXPECT_TRUE(soon([&] { return subscriber.state().received == sent.published; }));
     got = subscriber.state();
     EXPECT_EQ(got.received, sent.published);
     EXPECT_EQ(got.lost, 0u);

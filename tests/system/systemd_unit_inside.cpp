@@ -49,9 +49,9 @@ TEST(Systemd, SeesThatAProcessOfAnotherUserHasUnmapped) {
       return '+';
     });
   });
-  EXPECT_TRUE(eventually([&] { return wire_dump(socket_path).processes.size() == before + 1; }));
+  EXPECT_TRUE(soon([&] { return wire_dump(socket_path).processes.size() == before + 1; }));
   ASSERT_EQ(process.command('l'), '+');
-  EXPECT_TRUE(eventually([&] { return wire_dump(socket_path).processes.size() == before; }));
+  EXPECT_TRUE(soon([&] { return wire_dump(socket_path).processes.size() == before; }));
 }
 
 TEST(Systemd, ServesAndRepairsUsersInOtherPidAndNetworkNamespaces) {
@@ -61,11 +61,11 @@ TEST(Systemd, ServesAndRepairsUsersInOtherPidAndNetworkNamespaces) {
   UserNode publisher(two, {"/usr/bin/unshare", "--pid", "--net", "--fork"});
   ASSERT_EQ(subscriber.ask("subscribe /stream"), "ok");
   ASSERT_EQ(publisher.ask("publish /stream"), "ok");
-  EXPECT_TRUE(eventually([&] { return subscriber.state().received >= 50; }));
+  EXPECT_TRUE(soon([&] { return subscriber.state().received >= 50; }));
   EXPECT_EQ(wire_dump(socket_path).processes.size(), 2u);
   const std::size_t gone = said("client gone");
   ASSERT_EQ(send(pid_in(wire_dump(socket_path), two), SIGKILL), 0);
-  EXPECT_TRUE(eventually([&] { return said("client gone") == gone + 1; }));
+  EXPECT_TRUE(soon([&] { return said("client gone") == gone + 1; }));
   EXPECT_EQ(subscriber.state().wrong, 0u);
 }
 
@@ -81,7 +81,7 @@ TEST(Systemd, EntriesOfTheJournalAreFoundByTheirFieldsAndExplained) {
   ASSERT_EQ(client.ask(wire::Opcode::create_publisher, other).refused_code(), Errc::type_mismatch);
   const std::string found = "journalctl --no-pager -u agnocastd AGNOCAST_TOPIC=" + topic +
                             " AGNOCAST_CODE=type_mismatch ";
-  EXPECT_TRUE(eventually([&] { return !output_of(found + "-q -o cat").empty(); }));
+  EXPECT_TRUE(soon([&] { return !output_of(found + "-q -o cat").empty(); }));
   EXPECT_NE(
       output_of(found + "-o json").find("\"AGNOCAST_PID\":\"" + std::to_string(::getpid()) + '"'),
       std::string::npos)
@@ -107,7 +107,7 @@ TEST(Systemd, RevokesAProcessOfAUser) {
                          std::to_string(pid_in(all, two)) + " >/dev/null")
                             .c_str()),
             0);
-  EXPECT_TRUE(eventually([] { return said("client revoked") >= 1; }));
+  EXPECT_TRUE(soon([] { return said("client revoked") >= 1; }));
   EXPECT_EQ(stays.ask("create /more"), "ok");
   EXPECT_NE(goes.ask("create /more"), "ok");
 }
@@ -126,14 +126,14 @@ TEST(Systemd, TheExampleOfANodeServesAUserThatCameFirst) {
   ASSERT_TRUE(stop_both());
   ASSERT_TRUE(systemctl("daemon-reload", ""));
   ASSERT_TRUE(systemctl("start", "node"));
-  EXPECT_TRUE(eventually([] { return property("ActiveState") == "active"; }))
+  EXPECT_TRUE(soon([] { return property("ActiveState") == "active"; }))
       << "the node started the daemon";
-  EXPECT_TRUE(eventually([] { return wire_dump(socket_path).endpoints.size() == 1; }))
+  EXPECT_TRUE(soon([] { return wire_dump(socket_path).endpoints.size() == 1; }))
       << output_of("journalctl -u node --no-pager -o cat | tail");
   EXPECT_EQ(std::to_string(pid_in(wire_dump(socket_path), "robot")),
             output_of("systemctl show --value -p MainPID node"));
   EXPECT_TRUE(systemctl("stop", "node"));
-  EXPECT_TRUE(eventually([] { return wire_dump(socket_path).processes.empty(); }));
+  EXPECT_TRUE(soon([] { return wire_dump(socket_path).processes.empty(); }));
   fs::remove("/run/systemd/system/node.service");
   fs::remove_all("/run/systemd/system/node.service.d");
   EXPECT_TRUE(systemctl("daemon-reload", ""));

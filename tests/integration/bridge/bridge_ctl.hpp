@@ -16,6 +16,7 @@
 #include <tests/support/processes/plain_node.hpp>
 #include <tests/support/processes/spun.hpp>
 #include <tests/support/processes/steered_process.hpp>
+#include <tests/support/soon.hpp>
 
 #include <example_interfaces/srv/add_two_ints.hpp>
 #include <std_msgs/msg/string.hpp>
@@ -28,7 +29,6 @@
 #include <cstdlib>
 #include <filesystem>
 #include <fstream>
-#include <functional>
 #include <memory>
 #include <new>
 #include <optional>
@@ -46,6 +46,7 @@ using test::CtlResult;
 using test::DaemonProcess;
 using test::Domain;
 using test::PlainNode;
+using test::soon;
 using test::SteeredProcess;
 using testing::HasSubstr;
 using Clock = std::chrono::steady_clock;
@@ -53,15 +54,6 @@ using Clock = std::chrono::steady_clock;
 inline constexpr auto patience = 20s;
 inline constexpr const char* string_type = "std_msgs::msg::dds_::String_";
 inline constexpr const char* add_type = "example_interfaces/srv/AddTwoInts";
-
-inline bool eventually(const std::function<bool()>& condition) {
-  const auto end = Clock::now() + patience;
-  while (!condition()) {
-    if (Clock::now() > end) return false;
-    std::this_thread::sleep_for(20ms);
-  }
-  return true;
-}
 
 /// Returns the answer of one connection to the socket.
 inline std::string status_of(const std::string& path) {
@@ -88,7 +80,7 @@ class BridgeCtl : public testing::Test {
     std::vector<std::string> words{AGNOCAST_BRIDGE, "--domain", std::to_string(id)};
     words.insert(words.end(), more.begin(), more.end());
     auto started = std::make_unique<SteeredProcess>(words, std::vector<std::string>{});
-    EXPECT_TRUE(eventually([&] { return !status_of(socket_of(id)).empty(); }));
+    EXPECT_TRUE(soon([&] { return !status_of(socket_of(id)).empty(); }));
     return started;
   }
   static std::string socket_of(std::uint32_t id) {

@@ -16,14 +16,14 @@ TEST_F(BridgeCtl, ShowsOutgoingAndIncomingTopics) {
   auto publisher = create_publisher<String>(PlainNode(), topic(), 50);
   auto subscription = create_subscription<String>(PlainNode(), topic() + "_in", 50);
   const auto writer = participant_->create_writer("rt" + topic() + "_in", string_type, {}).value();
-  ASSERT_TRUE(eventually([&] { return reader->matched() == 1 && writer->matched() == 1; }));
+  ASSERT_TRUE(soon([&] { return reader->matched() == 1 && writer->matched() == 1; }));
   for (int i = 0; i < 20; ++i) {
     auto loan = publisher->borrow_loaned_message();
     loan->data = "12345";
     ASSERT_TRUE(publisher->publish(std::move(loan)));
   }
   // The writer matches before the bridge's participant knows it, so the first ones may be lost.
-  ASSERT_TRUE(eventually([&] {
+  ASSERT_TRUE(soon([&] {
     EXPECT_TRUE(writer->write(
         16,
         [](std::span<std::byte> room) {
@@ -44,7 +44,7 @@ TEST_F(BridgeCtl, ShowsOutgoingAndIncomingTopics) {
         return std::size_t{8};
       },
       1));
-  ASSERT_TRUE(eventually([&] {
+  ASSERT_TRUE(soon([&] {
     const auto out = route_of(topic(), "out"), in = route_of(topic() + "_in", "in");
     return !out.is_null() && out["messages"] == 20 && !in.is_null() && in["malformed"] == 1;
   })) << ctl({"list", "-v"}).out;
@@ -79,7 +79,7 @@ TEST_F(BridgeCtl, SaysWhyATopicOfBothSidesIsNotBridged) {
   auto alone = create_publisher<String>(PlainNode(), topic() + "_alone", 5);
   const auto reads_other = reads(topic() + "_type", "std_msgs::msg::dds_::Int32_", true);
   const auto reads_strictly = reads(topic() + "_qos", string_type, true);
-  ASSERT_TRUE(eventually([&] {
+  ASSERT_TRUE(soon([&] {
     const auto type = lack_of(topic() + "_type", "out"), qos = lack_of(topic() + "_qos", "out");
     return !type.is_null() && type["why"] == "other_type" && !qos.is_null() && qos["why"] == "qos";
   })) << ctl({"list", "-v"}).out;
@@ -99,10 +99,10 @@ TEST_F(BridgeCtl, ShowsAServiceOfThisHostWithAClientInDds) {
   const test::Spun<PlainNode> node;
   const auto service = serve(node);
   const auto client = plain("client");
-  ASSERT_TRUE(eventually([&] { return client->ask("matched") == "1 1"; }));
+  ASSERT_TRUE(soon([&] { return client->ask("matched") == "1 1"; }));
   for (int i = 1; i <= 3; ++i) {
     ASSERT_EQ(client->ask("ask " + std::to_string(i) + " 1 2"), "Success");
-    ASSERT_TRUE(eventually([&] { return client->ask("take") != "none"; }));
+    ASSERT_TRUE(soon([&] { return client->ask("take") != "none"; }));
   }
   // A truncated one, and one of a client without a reader for responses.
   const auto writer = participant_
@@ -114,9 +114,9 @@ TEST_F(BridgeCtl, ShowsAServiceOfThisHostWithAClientInDds) {
     room[1] = std::byte{1};
     return room.size();
   };
-  ASSERT_TRUE(eventually([&] { return writer->matched() == 1; }));
+  ASSERT_TRUE(soon([&] { return writer->matched() == 1; }));
   ASSERT_TRUE(writer->write(36, zeros, 1));
-  ASSERT_TRUE(eventually([&] {
+  ASSERT_TRUE(soon([&] {
     const auto now = service_of(topic());
     return !now.is_null() && now["timed_out"] == 1 && now["responses"] == 3;
   })) << ctl({"list", "-v"}).out;
@@ -125,12 +125,12 @@ TEST_F(BridgeCtl, ShowsAServiceOfThisHostWithAClientInDds) {
                                           "example_interfaces::srv::dds_::AddTwoInts_Response_", {},
                                           [](RawPieces) { return std::make_shared<int>(); })
                           .value();
-  ASSERT_TRUE(eventually([&] {
+  ASSERT_TRUE(soon([&] {
     const auto now = service_of(topic());
     return !now.is_null() && now["matched"] == 2;
   }));
   ASSERT_TRUE(writer->write(24, zeros, 1));
-  ASSERT_TRUE(eventually([&] { return service_of(topic())["malformed"] == 1; }));
+  ASSERT_TRUE(soon([&] { return service_of(topic())["malformed"] == 1; }));
 
   const auto now = service_of(topic());
   EXPECT_EQ(now["type"], add_type);
@@ -161,7 +161,7 @@ TEST_F(BridgeCtl, ShowsAServiceInDdsWithAClientHereAndReportsAMissingOne) {
   const auto running = bridge(domain->id());
   const test::Spun<PlainNode> node;
   const auto client = create_client<AddTwoInts>(node, topic());
-  ASSERT_TRUE(eventually([&] { return !lack_of(topic(), "in").is_null(); }));
+  ASSERT_TRUE(soon([&] { return !lack_of(topic(), "in").is_null(); }));
   EXPECT_EQ(lack_of(topic(), "in")["kind"], "service");
   EXPECT_EQ(lack_of(topic(), "in")["why"], "no_server");
   EXPECT_THAT(ctl({"info", topic()}).out,
@@ -176,11 +176,11 @@ TEST_F(BridgeCtl, ShowsAServiceInDdsWithAClientHereAndReportsAMissingOne) {
   request->a = 1;
   auto answer = client->async_send_request(std::move(request));
   std::string asked;
-  ASSERT_TRUE(eventually([&] { return (asked = server->ask("next")) != "none"; }));
+  ASSERT_TRUE(soon([&] { return (asked = server->ask("next")) != "none"; }));
   const std::string head = asked.substr(0, asked.find(' ', asked.find(' ') + 1));
   ASSERT_EQ(server->ask("answer " + head + " 1"), "Success");
   ASSERT_EQ(answer.wait_for(patience), std::future_status::ready);
-  ASSERT_TRUE(eventually([&] {
+  ASSERT_TRUE(soon([&] {
     const auto now = service_of(topic());
     return !now.is_null() && now["responses"] == 1;
   }));
@@ -212,7 +212,7 @@ TEST_F(BridgeCtl, ShowsTheCurrentHistoryAndNodesOfEndpoints) {
     return all.empty() || all[0]["dds_readers"].empty() ? nlohmann::json()
                                                         : all[0]["dds_readers"][0]["nodes"];
   };
-  ASSERT_TRUE(eventually([&] {
+  ASSERT_TRUE(soon([&] {
     const auto all = bridges();
     return !all.empty() && all[0]["endpoints"].size() == 1 && all[0]["dds_readers"].size() == 1;
   }));
@@ -222,11 +222,11 @@ TEST_F(BridgeCtl, ShowsTheCurrentHistoryAndNodesOfEndpoints) {
   EXPECT_EQ(now["dds_readers"][0]["nodes"], nlohmann::json({"/ns/node"}));
   Node other("other", "/ns");
   auto second = create_subscription<String>(other, topic(), QoS(5).keep_all());
-  EXPECT_TRUE(eventually([&] {
+  EXPECT_TRUE(soon([&] {
     return nodes() == nlohmann::json({"/ns/node", "/ns/other"});
   })) << nodes();
   first.reset();
-  EXPECT_TRUE(eventually([&] { return nodes() == nlohmann::json({"/ns/other"}); })) << nodes();
+  EXPECT_TRUE(soon([&] { return nodes() == nlohmann::json({"/ns/other"}); })) << nodes();
   EXPECT_EQ(bridges()[0]["dds_readers"][0]["guid"], now["dds_readers"][0]["guid"])
       << "it is the same one";
 }
@@ -265,13 +265,13 @@ TEST_F(BridgeCtl, RulesDecideWhichEndpointsDdsSeesAndMayChange) {
       if (remote.topic == "rt" + topic() && remote.kind == kind) return remote.qos;
     return std::nullopt;
   };
-  ASSERT_TRUE(eventually([&] {
+  ASSERT_TRUE(soon([&] {
     return in_dds(Remote::Kind::writer).has_value() && in_dds(Remote::Kind::reader).has_value();
   })) << "`always` does not make both endpoints without peers";
   EXPECT_FALSE(in_dds(Remote::Kind::writer)->reliable);
   EXPECT_TRUE(in_dds(Remote::Kind::reader)->transient_local);
   // An answer may be a few milliseconds old.
-  EXPECT_TRUE(eventually([&] {
+  EXPECT_TRUE(soon([&] {
     const CtlResult said = ctl({"info", topic(), "-j"});
     if (said.status != 0) return false;
     const auto endpoints = said.json()["bridges"][0]["endpoints"];
@@ -283,11 +283,11 @@ TEST_F(BridgeCtl, RulesDecideWhichEndpointsDdsSeesAndMayChange) {
                              "\"\nalways = true\n"
                              "direction = \"out\"\nto_dds = { reliability = \"reliable\" }\n";
   ASSERT_EQ(::kill(running->pid(), SIGHUP), 0);
-  EXPECT_TRUE(eventually([&] {
+  EXPECT_TRUE(soon([&] {
     const auto writer = in_dds(Remote::Kind::writer);
     return writer && writer->reliable && !in_dds(Remote::Kind::reader);
   }));
-  EXPECT_TRUE(eventually([&] { return reads_other->matched() == 1; })) << "no rule names it now";
+  EXPECT_TRUE(soon([&] { return reads_other->matched() == 1; })) << "no rule names it now";
 }
 
 }  // namespace

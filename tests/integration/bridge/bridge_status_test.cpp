@@ -39,7 +39,7 @@ TEST_F(BridgeCtl, AClientThatDoesNotReadDelaysNobodyAndAnIdleBridgeSleeps) {
     return -1L;
   };
   // Discovery of this machine's other participants may still arrive.
-  EXPECT_TRUE(eventually([&] {
+  EXPECT_TRUE(soon([&] {
     const long before = wakes();
     std::this_thread::sleep_for(2s);
     return before >= 0 && wakes() - before <= 2;
@@ -53,14 +53,16 @@ TEST_F(BridgeCtl, AClientThatNeverReadsGivesUpItsPlaceToOneThatDoes) {
   auto socket = StatusSocket::take(path);
   ASSERT_TRUE(socket) << socket.error().why;
   ASSERT_TRUE((*socket)->listen([&] { return text; }));
+  // Each of the 16 places is lost after five seconds anyway: with so many before it, the last one
+  // would wait for two minutes. Those that lose it to the next one have it for a tenth of a second.
+  const auto began = Clock::now();
   std::vector<UniqueFd> silent;
-  for (int i = 0; i < 50; ++i) {
+  for (int i = 0; i < 400; ++i) {
     silent.emplace_back(::socket(AF_UNIX, SOCK_STREAM | SOCK_CLOEXEC, 0));
     ASSERT_EQ(::connect(silent.back().get(), unix_address(path)->get(), UnixAddress::size()), 0);
   }
-  const auto began = Clock::now();
   EXPECT_EQ(status_of(path).size(), text.size());
-  EXPECT_LT(Clock::now() - began, 5s) << "that is when silent ones are dropped anyway";
+  EXPECT_LT(Clock::now() - began, 60s);
 }
 
 TEST_F(BridgeCtl, ALackOfMemoryCostsOneStatusAndTheNextIsAnswered) {

@@ -4,13 +4,14 @@
 // nothing. Method: the real bridge, observed in /proc.
 
 #include <tests/integration/bridge/bridge_side.hpp>
-#include <tests/integration/bridge/held.hpp>
+#include <tests/support/processes/held.hpp>
 #include <tests/support/processes/plain_node.hpp>
 
 #include <std_msgs/msg/string.hpp>
 
 #include <gmock/gmock.h>
 
+#include <chrono>
 #include <filesystem>
 #include <fstream>
 #include <set>
@@ -133,14 +134,17 @@ TEST_F(Flat, WithoutMessagesTheBridgeSleepsAndTheLibrarysThreadsWakeOnceASecond)
                        [](const auto& one) { return one->get_publisher_count() == 1; });
   }));
   // New threads settle first, which may take a slow machine longer.
-  constexpr std::uint64_t seconds = 4;
   std::string counted;
   EXPECT_TRUE(other_.eventually([&] {
+    const auto begin = std::chrono::steady_clock::now();
     const auto before = switches_of(bridge_->pid());
-    std::this_thread::sleep_for(std::chrono::seconds(seconds));
+    std::this_thread::sleep_for(4s);
+    const auto after = switches_of(bridge_->pid());
+    const auto seconds = static_cast<std::uint64_t>(
+        std::chrono::ceil<std::chrono::seconds>(std::chrono::steady_clock::now() - begin).count());
     bool is_idle = true;
     counted.clear();
-    for (const auto& [name, count] : switches_of(bridge_->pid())) {
+    for (const auto& [name, count] : after) {
       const auto at = before.find(name);
       const std::uint64_t more = count - (at == before.end() ? 0 : at->second);
       // The process's own threads have its name.

@@ -4,9 +4,9 @@
 // agnocast-bridge and processes of its own. Needs root.
 #pragma once
 
-#include <tests/integration/bridge/held.hpp>
 #include <tests/support/processes/ctl.hpp>
 #include <tests/support/processes/daemon_process.hpp>
+#include <tests/support/processes/held.hpp>
 #include <tests/support/processes/steered_process.hpp>
 
 #include <gtest/gtest.h>

@@ -46,7 +46,7 @@ std::string occupy(std::uint64_t number, std::uint64_t bytes = 4096) {
 /// rings.
 std::string take(ClientTool& tool) {
   for (;;) {
-    if (const std::string rung = tool.ask("wait 5000"); rung != "news") return rung;
+    if (const std::string rung = tool.ask("wait 10000"); rung != "news") return rung;
     if (std::string number = tool.ask("take"); number != "none") return number;
   }
 }

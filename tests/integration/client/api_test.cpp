@@ -8,6 +8,7 @@
 #include <agnocast/agnocast.hpp>
 #include <tests/support/messages/error_of.hpp>
 #include <tests/support/processes/daemon_process.hpp>
+#include <tests/support/processes/plain_node.hpp>
 #include <tests/support/processes/spun.hpp>
 #include <tests/support/processes/suite_daemon.hpp>
 
@@ -31,14 +32,9 @@ namespace agnocast {
 namespace {
 
 using test::error_of;
+using test::PlainNode;
 using Cloud = sensor_msgs::msg::PointCloud2;
 
-/// The members of a node that create_publisher needs, and no other.
-struct PlainNode {
-  const char* get_name() const { return "node"; }
-  const char* get_namespace() const { return "/ns"; }
-  const char* get_fully_qualified_name() const { return "/ns/node"; }
-};
 /// A look-alike of rclcpp::Node: names resolve through an interface of its own, remappings
 /// included.
 struct LookAlikeNode : PlainNode {

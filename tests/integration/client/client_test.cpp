@@ -31,7 +31,7 @@ TEST(Client, AnUnsizedMessageCrossesProcesses) {
   ASSERT_EQ(publisher.ask("pub /points 1"), "ok");
   ASSERT_EQ(publisher.ask("publish 3 100000"), "ok");
   for (const char* number : {"1", "2", "3"}) {
-    ASSERT_EQ(subscriber.ask("wait 5000"), "news");
+    ASSERT_EQ(subscriber.ask("wait 10000"), "news");
     ASSERT_EQ(subscriber.ask("take"), number);
   }
   EXPECT_EQ(subscriber.ask("take"), "none");
@@ -46,7 +46,7 @@ TEST(Client, ASleepingSubscriptionIsRungAndALateJoinerGetsTheHistory) {
   ASSERT_EQ(publisher.ask("pub /map 3 tl"), "ok");
   ASSERT_EQ(publisher.ask("publish 5 10"), "ok");
   ASSERT_EQ(subscriber.ask("sub /map 2 tl"), "ok");
-  ASSERT_EQ(subscriber.ask("wait 5000"), "news");
+  ASSERT_EQ(subscriber.ask("wait 10000"), "news");
   EXPECT_EQ(subscriber.ask("take"), "4");
   EXPECT_EQ(subscriber.ask("take"), "5");
   EXPECT_EQ(subscriber.ask("take"), "none");
@@ -67,7 +67,7 @@ TEST(Client, CommittedMessagesOfADeadPublisherAreDeliveredAndStayValid) {
     publisher.kill();
   }
   for (const char* number : {"1", "2", "3", "4"}) {
-    ASSERT_EQ(subscriber.ask("wait 5000"), "news");
+    ASSERT_EQ(subscriber.ask("wait 10000"), "news");
     ASSERT_EQ(subscriber.ask("take"), number);
   }
   EXPECT_EQ(subscriber.ask("take"), "none");
@@ -77,7 +77,7 @@ TEST(Client, CommittedMessagesOfADeadPublisherAreDeliveredAndStayValid) {
   ClientTool next(daemon.socket_path());
   ASSERT_EQ(next.ask("pub /last 1"), "ok");
   ASSERT_EQ(next.ask("publish 1 10"), "ok");
-  ASSERT_EQ(subscriber.ask("wait 5000"), "news");
+  ASSERT_EQ(subscriber.ask("wait 10000"), "news");
   EXPECT_EQ(subscriber.ask("take"), "1");
 }
 
@@ -94,7 +94,7 @@ TEST(Client, ASubscriptionCountsOnceItGetsTheNextMessage) {
   ::kill(subscriber.pid(), SIGCONT);
   ASSERT_TRUE(publisher.eventually("matched", "1"));
   ASSERT_EQ(publisher.ask("publish 1 10"), "ok");
-  ASSERT_EQ(subscriber.ask("wait 5000"), "news");
+  ASSERT_EQ(subscriber.ask("wait 10000"), "news");
   EXPECT_EQ(subscriber.ask("take"), "1");
 }
 
@@ -126,13 +126,13 @@ TEST(Client, HoldsOfADeadSubscriberVanish) {
     ASSERT_EQ(subscriber.ask("sub /held 5"), "ok");
     ASSERT_TRUE(publisher.eventually("matched", "2"));
     ASSERT_EQ(publisher.ask("publish 3 1000"), "ok");
-    ASSERT_EQ(subscriber.ask("wait 5000"), "news");
+    ASSERT_EQ(subscriber.ask("wait 10000"), "news");
     ASSERT_EQ(subscriber.ask("take"), "1");
     ASSERT_EQ(subscriber.ask("take"), "2");
     subscriber.kill();
   }
   for (const char* number : {"1", "2", "3"}) {
-    ASSERT_EQ(other.ask("wait 5000"), "news");
+    ASSERT_EQ(other.ask("wait 10000"), "news");
     ASSERT_EQ(other.ask("take"), number);
     ASSERT_EQ(other.ask("release"), "ok");
   }
@@ -147,7 +147,7 @@ TEST(Client, EndpointsComeAndGoAndLeaveNothingBehind) {
     ASSERT_EQ(subscriber.ask("sub /again 5"), "ok") << "round " << round;
     ASSERT_EQ(publisher.ask("pub /again 1"), "ok") << "round " << round;
     ASSERT_EQ(publisher.ask("publish 2 100"), "ok");
-    ASSERT_EQ(subscriber.ask("wait 5000"), "news");
+    ASSERT_EQ(subscriber.ask("wait 10000"), "news");
     ASSERT_EQ(subscriber.ask("take"), "1");
     ASSERT_EQ(subscriber.ask("take"), "2");
     ASSERT_EQ(subscriber.ask("release"), "ok");
@@ -169,7 +169,7 @@ TEST(Client, TheHeapGrowsUnderAReader) {
   ASSERT_EQ(publisher.ask("pub /grow 1"), "ok");
   for (int round = 1; round <= 12; ++round) {
     ASSERT_EQ(publisher.ask("publish 1 " + std::to_string(100000 * round)), "ok");
-    ASSERT_EQ(subscriber.ask("wait 5000"), "news");
+    ASSERT_EQ(subscriber.ask("wait 10000"), "news");
     ASSERT_EQ(subscriber.ask("take"), std::to_string(round));
     if (round % 3 == 0) {
       for (int i = 0; i < 3; ++i) ASSERT_EQ(subscriber.ask("release"), "ok");

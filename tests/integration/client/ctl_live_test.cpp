@@ -8,6 +8,7 @@
 #include <tests/support/processes/client_tool.hpp>
 #include <tests/support/processes/ctl.hpp>
 #include <tests/support/processes/daemon_process.hpp>
+#include <tests/support/processes/plain_node.hpp>
 
 #include <sensor_msgs/msg/point_cloud2.hpp>
 
@@ -27,14 +28,9 @@ namespace {
 using test::ClientTool;
 using test::CtlResult;
 using test::DaemonProcess;
+using test::PlainNode;
 using test::run_ctl;
 using Cloud = sensor_msgs::msg::PointCloud2;
-
-struct PlainNode {
-  const char* get_name() const { return "node"; }
-  const char* get_namespace() const { return "/ns"; }
-  const char* get_fully_qualified_name() const { return "/ns/node"; }
-};
 
 TEST(CtlLive, CountsAdoptedAndLostMessages) {
   DaemonProcess daemon;

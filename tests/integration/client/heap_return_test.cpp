@@ -162,11 +162,25 @@ TEST_F(HeapReturns, ASpikeBesideTrafficThatKeepsItsMemory) {
 TEST_F(HeapReturns, NoMemoryThatIsUsedRepeatedly) {
   EXPECT_TRUE(in_own_process([] {
     const auto publisher = publisher_with("4");
-    for (const auto end = Clock::now() + std::chrono::seconds(9); Clock::now() < end;) {
-      spike(*publisher, 20 * MiB);  // far sooner than that time
-      std::this_thread::sleep_for(std::chrono::milliseconds(300));
+    // For more than twice that time. Begins again where a busy machine made a turn so long that
+    // memory may have been idle; where it makes one each time, this proves nothing.
+    constexpr auto long_turn = 2s;
+    Clock::duration longest = long_turn;
+    std::uint64_t returned = 0;
+    for (int attempt = 0; attempt < 6 && longest >= long_turn; ++attempt) {
+      if (attempt > 0) std::this_thread::sleep_for(1s);  // a purge that has begun ends
+      returned = usage().punch_count;
+      longest = {};
+      auto last = Clock::now();
+      for (const auto end = last + 9s; last < end && longest < long_turn;) {
+        spike(*publisher, 20 * MiB);
+        std::this_thread::sleep_for(300ms);
+        const auto now = Clock::now();
+        longest = std::max(longest, now - std::exchange(last, now));
+      }
     }
-    EXPECT_EQ(usage().punch_count, 0u);
+    EXPECT_TRUE(usage().punch_count == returned || longest >= long_turn)
+        << usage().punch_count - returned;
   }));
 }
 

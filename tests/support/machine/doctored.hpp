@@ -10,6 +10,7 @@
 #include <tests/support/machine/raised_limits.hpp>
 #include <tests/support/processes/ctl.hpp>
 #include <tests/support/processes/daemon_process.hpp>
+#include <tests/support/soon.hpp>
 
 #include <gtest/gtest.h>
 #include <sched.h>
@@ -35,18 +36,6 @@ namespace agnocast::test {
 using Overlay = std::map<std::string, std::string>;
 
 inline constexpr const char* shmem_enabled = "/sys/kernel/mm/transparent_hugepage/shmem_enabled";
-
-/// Runs `condition` until it holds; false after twenty seconds. For conditions that run programs,
-/// unlike eventually(), which counts its rounds.
-template <class Condition>
-[[nodiscard]] bool soon(Condition condition) {
-  const auto end = std::chrono::steady_clock::now() + std::chrono::seconds(20);
-  while (std::chrono::steady_clock::now() < end) {
-    if (condition()) return true;
-    std::this_thread::sleep_for(std::chrono::milliseconds(5));
-  }
-  return condition();
-}
 
 struct Findings {
   /// "id: what", for each that is not ok.

@@ -1,6 +1,7 @@
 // SPDX-License-Identifier: Apache-2.0
 //
-// A minimal node and a bounded wait, for tests of the public interface.
+// A node with the members that create_publisher needs and no other, and a bounded wait, for tests
+// of the public interface.
 #pragma once
 
 #include <chrono>

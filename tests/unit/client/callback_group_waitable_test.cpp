@@ -65,14 +65,15 @@ TEST(CallbackGroupWaitable, IsReadableAtOnceAfterAReset) {
       group);
   run_next(waitable);
   const auto begin = std::chrono::steady_clock::now();
-  for (int i = 0; i < 30; ++i) {
+  constexpr int resets = 300;
+  for (int i = 0; i < resets; ++i) {
     EXPECT_FALSE(waitable.prepare());
     std::thread([&] { timer->reset(); }).join();
     run_next(waitable);
   }
-  EXPECT_EQ(calls, 31);
+  EXPECT_EQ(calls, 1 + resets);
   // The tick of the sleep comes once a second.
-  EXPECT_LT(std::chrono::steady_clock::now() - begin, 20s);
+  EXPECT_LT(std::chrono::steady_clock::now() - begin, 120s);
 }
 
 TEST(CallbackGroupWaitable, HasNothingWhileAnExclusiveGroupIsBusy) {

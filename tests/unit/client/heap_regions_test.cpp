@@ -8,13 +8,13 @@
 
 #include <agnocast/abi/client_region.hpp>
 #include <base/memory/mapping.hpp>
+#include <tests/support/soon.hpp>
 
 #include <gtest/gtest.h>
 #include <sys/mman.h>
 #include <unistd.h>
 
 #include <atomic>
-#include <chrono>
 #include <csignal>
 #include <cstdlib>
 #include <functional>
@@ -24,6 +24,8 @@
 
 namespace agnocast {
 namespace {
+
+using test::soon;
 
 constexpr std::uint64_t base = 0x100000000, length = std::uint64_t{1} << 30;
 
@@ -73,12 +75,6 @@ void wait_at_closed_page(int, siginfo_t* info, void*) {
   const auto address = reinterpret_cast<std::uintptr_t>(info->si_addr);
   ::mprotect(reinterpret_cast<void*>(address / abi::page_bytes * abi::page_bytes), abi::page_bytes,
              PROT_READ | PROT_WRITE);
-}
-
-template <class Condition>
-bool soon(Condition condition) {
-  for (int i = 0; i < 10'000 && !condition(); ++i) ::usleep(1000);
-  return condition();
 }
 
 class HeapRegions : public testing::Test {

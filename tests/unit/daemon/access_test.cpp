@@ -10,7 +10,7 @@
 #include <gtest/gtest.h>
 
 #include <algorithm>
-#include <chrono>
+#include <ctime>
 #include <string>
 #include <vector>
 
@@ -106,9 +106,9 @@ TEST(TopicPattern, HostilePatternsAreMatchedQuickly) {
   std::string pattern = "/";
   while (pattern.size() + 2 <= name_length_max) pattern += "*a";
   const std::string topic = "/" + std::string(name_length_max - 2, 'a') + "b";
-  const auto begin = std::chrono::steady_clock::now();
+  const std::clock_t begin = std::clock();  // processor time, whatever else runs
   for (int i = 0; i < 100; ++i) EXPECT_FALSE(topic_matches(pattern, topic));
-  EXPECT_LT(std::chrono::steady_clock::now() - begin, std::chrono::seconds(10));
+  EXPECT_LT((std::clock() - begin) / CLOCKS_PER_SEC, 10);
   EXPECT_FALSE(topic_matches("/" + std::string(name_length_max, '*'), "/a"))
       << "longer than allowed";
 }
