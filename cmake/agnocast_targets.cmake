@@ -19,6 +19,9 @@ if(CCACHE_PROGRAM AND PROJECT_IS_TOP_LEVEL)
   set(CMAKE_C_COMPILER_LAUNCHER ${CCACHE_PROGRAM})
 endif()
 
+# Of a test, in seconds. Only one that hangs takes so long: on a loaded machine the longest need five minutes.
+set(agnocast_test_timeout 1200)
+
 option(AGNOCAST_COMPILE_BY_ROOMS "Compile the sources of a directory together: a third of the time" ON)
 
 add_library(agnocast_warnings INTERFACE)
