@@ -53,7 +53,7 @@ Object object_of(const Process& process, const KeptNumbers& kept) {
           {"client_generation", facts.generation},
           {"publisher_count", process.publisher_count},
           {"subscription_count", process.subscription_count},
-          {"executor_count", std::popcount(facts.wait_sets)},
+          {"wait_set_count", std::popcount(facts.wait_sets)},
           {"window_count", facts.window_count},
           {"window_bytes", heap_bytes_of(process)},
           {"unread_messages", kept.unread},
@@ -171,7 +171,7 @@ Outcome<void> list_processes(const Arguments& arguments, Console& console) {
   if (!look) return tl::unexpected(look.error());
   Object list = Object::array();
   Table table({"PID", "UID", "NAME", "DOMAIN", "STATE", "AGE", "PUBLISHERS", "SUBSCRIPTIONS",
-               "UNREAD", "HELD", "KEEPS", "EXECUTORS", "WINDOWS", "CLIENT"});
+               "UNREAD", "HELD", "KEEPS", "WAIT SETS", "WINDOWS", "CLIENT"});
   for (const auto& [index, process] : look->system.processes) {
     const wire::DumpProcess& facts = process.facts;
     if (!arguments.all_domains && facts.domain != arguments.domain) continue;

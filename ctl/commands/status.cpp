@@ -45,7 +45,7 @@ Object share_object(const wire::UserShare& share) {
   return {{"processes", limit_or_null(share.clients)},
           {"publishers", limit_or_null(share.publishers)},
           {"subscriptions", limit_or_null(share.subscriptions)},
-          {"executors", limit_or_null(share.wait_sets)},
+          {"wait_sets", limit_or_null(share.wait_sets)},
           {"heap_bytes", limit_or_null(share.heap_bytes)},
           {"held_messages", limit_or_null(share.held_messages)},
           {"topics", limit_or_null(share.topics)},
@@ -182,7 +182,7 @@ void print(const System& system, const std::string& socket, Console& console) {
                          " descriptors, for a restart of the daemon");
   line("log level", level_word(daemon.log_level));
   console.line("");
-  Table table({"UID", "PROCESSES", "TOPICS", "PUBLISHERS", "SUBSCRIPTIONS", "EXECUTORS", "HEAP",
+  Table table({"UID", "PROCESSES", "TOPICS", "PUBLISHERS", "SUBSCRIPTIONS", "WAIT SETS", "HEAP",
                "MAY HOLD", "OBSERVERS"});
   for (const wire::DumpUser& user : system.users)
     table.add({std::to_string(user.uid), std::to_string(user.use.clients),

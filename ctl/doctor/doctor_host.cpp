@@ -113,7 +113,7 @@ Ailments quota(const Facts& facts) {
         {"subscriptions", use.subscriptions, quota.subscriptions},
         {"publishers_per_topic", use.publishers_per_topic, quota.publishers_per_topic},
         {"subscriptions_per_topic", use.subscriptions_per_topic, quota.subscriptions_per_topic},
-        {"executors", use.wait_sets, quota.wait_sets},
+        {"wait_sets", use.wait_sets, quota.wait_sets},
         {"heap_bytes", use.heap_bytes, quota.heap_bytes},
         {"held_messages", use.held_messages, quota.held_messages},
         {"callback_groups", use.callback_groups, quota.callback_groups},

@@ -53,7 +53,7 @@ Result<void> Admission::admit_observer(std::uint64_t used) {
 Result<void> Admission::admit_wait_set(std::uint32_t uid) {
   if (auto kept = check_kept(uid, 1); !kept) return kept;
   return check_limit(registry_.usage_of(uid).wait_sets, 1, config_.quota.wait_sets,
-                     "[quota] executors");
+                     "[quota] wait_sets");
 }
 
 Result<void> Admission::admit_window(const ClientRecord& record) {

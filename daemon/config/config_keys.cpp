@@ -100,7 +100,7 @@ constexpr Key keys[] = {
     {"quota", "held_messages", Kind::count, 1, many, 0, "unlimited", unlimited,
      AGNOCAST_NUMBER(quota.held_messages),
      "total of the messages that the subscriptions of one user may hold"},
-    {"quota", "executors", Kind::count, 1, many, 0, "unlimited", unlimited,
+    {"quota", "wait_sets", Kind::count, 1, many, 0, "unlimited", unlimited,
      AGNOCAST_NUMBER(quota.wait_sets),
      "wait sets of one user, where subscriptions sleep: one for each callback group, of which a "
      "process shares at most 48, and one for all subscriptions of a process without callbacks; "

@@ -71,7 +71,7 @@ void ReaderReports::created(ClientIndex client, const CreateRequest& request) {
 
 void ReaderReports::look_for_silent_doorbells(std::uint64_t now_ms) {
   notes_.forget_unused(now_ms);
-  for (const Doorbells::Executor& silent : doorbells_.look()) {
+  for (const Doorbells::WaitSetPlace& silent : doorbells_.look()) {
     if (!registry_.is_alive(silent.client)) continue;
     for (const EndpointRef& ref : registry_.endpoints_of(silent.client)) {
       if (ref.kind != Kind::subscription) continue;

@@ -124,8 +124,8 @@ void Doorbells::restore(ClientIndex client, std::uint64_t wait_set) {
                           is_silent ? renewals_max : 0};
 }
 
-std::vector<Doorbells::Executor> Doorbells::look() {
-  std::vector<Executor> silent;
+std::vector<Doorbells::WaitSetPlace> Doorbells::look() {
+  std::vector<WaitSetPlace> silent;
   auto at = doorbells_.upper_bound(looked_at_);
   for (std::size_t looks = std::min(looks_max, doorbells_.size()); looks > 0; --looks, ++at) {
     if (at == doorbells_.end()) at = doorbells_.begin();

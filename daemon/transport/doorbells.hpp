@@ -62,14 +62,14 @@ class Doorbells {
   /// ones a few times. Errors: os_failure.
   [[nodiscard]] Result<std::vector<SharedFd>> renew(ClientIndex client, std::uint64_t wait_set,
                                                     std::uint32_t uid);
-  struct Executor {
+  struct WaitSetPlace {
     ClientIndex client;
     std::uint64_t wait_set;
   };
   /// Checks whether the next few doorbells still have receivers. Returns those that are silent for
   /// the second look in a row, each once: a process that ends closes its doorbells a moment before
   /// the daemon is notified of its end.
-  std::vector<Executor> look();
+  std::vector<WaitSetPlace> look();
   /// Returns whether datagrams do not reach it, as far as known.
   bool is_silent(ClientIndex client, std::uint64_t wait_set) const {
     const auto found = doorbells_.find({number(client), wait_set});

@@ -76,12 +76,12 @@ class HostileNode {
     Incoming opened = wire_.open_wait_set();
     EXPECT_EQ(opened.opcode(), wire::Opcode::wait_set_opened) << opened.refused_text();
     doorbells_ = std::move(opened.fds);
-    executor_ = true;
+    has_wait_set_ = true;
   }
-  /// A subscription of this depth with an additional executor. Returns false if the daemon refused
+  /// A subscription of this depth with an additional wait set. Returns false if the daemon refused
   /// it.
-  bool subscribe_with_executor(const char* topic, std::uint64_t executor, std::uint32_t depth) {
-    Incoming opened = wire_.open_wait_set(executor);
+  bool subscribe_with_wait_set(const char* topic, std::uint64_t wait_set, std::uint32_t depth) {
+    Incoming opened = wire_.open_wait_set(wait_set);
     if (opened.opcode() != wire::Opcode::wait_set_opened) return false;
     for (UniqueFd& fd : opened.fds) more_doorbells_.push_back(std::move(fd));
     auto body = WireClient::endpoint(topic, {depth, false, true, false, false});
@@ -89,12 +89,12 @@ class HostileNode {
     if (types.count(topic) == 0) types[topic] = type_of(topic);
     body.type = types[topic].first;
     body.layout_hash = types[topic].second;
-    body.wait_set = executor;
+    body.wait_set = wait_set;
     body.quota = 1;  // any process may hold that many of others
     return wire_.ask(wire::Opcode::create_subscription, body).opcode() ==
            wire::Opcode::endpoint_created;
   }
-  /// Closes the receivers of the own executor, which no other process has.
+  /// Closes the receivers of the own wait set, which no other process has.
   void close_doorbells() { doorbells_.clear(); }
 
   /// Creates an endpoint on an existing topic, of its type.
@@ -104,7 +104,7 @@ class HostileNode {
     body.quota = quota;
     if (kind == wire::Kind::publisher) {
       open_window();
-    } else if (!executor_) {
+    } else if (!has_wait_set_) {
       open_wait_set();
     }
     const Incoming made =
@@ -133,7 +133,7 @@ class HostileNode {
     about.body = wire_.expect<wire::Announcement>(wire::Opcode::announce, &about.fds);
     return about;
   }
-  /// Eventfd (for a process of the same user) and datagram socket of the own executor.
+  /// Eventfd (for a process of the same user) and datagram socket of the own wait set.
   const std::vector<UniqueFd>& doorbells() const { return doorbells_; }
 
   region::PublisherWords<M> queue(const wire::EndpointCreated& publisher) const {
@@ -185,7 +185,7 @@ class HostileNode {
   std::vector<UniqueFd> fds_, window_fds_, doorbells_, more_doorbells_;
   Mapping region_, heap_;
   wire::WindowOpened window_{};
-  bool executor_ = false;
+  bool has_wait_set_ = false;
 };
 
 }  // namespace agnocast::test

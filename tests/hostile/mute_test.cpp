@@ -149,7 +149,7 @@ TEST(HostileMute, OneUserCausesAQuarterOfAPublishersDescriptorsAtMost) {
     for (unsigned m = 0; m < members && !is_refused; ++m) {
       nodes.push_back(std::make_unique<HostileNode>(stage.socket_path()));
       for (unsigned s = 0; s < wait_sets && !is_refused; ++s) {
-        is_refused = !nodes.back()->subscribe_with_executor(stream_topic, s, 1);
+        is_refused = !nodes.back()->subscribe_with_wait_set(stream_topic, s, 1);
         if (!is_refused) ++attack.word(0);
       }
     }

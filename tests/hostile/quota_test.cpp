@@ -22,7 +22,7 @@ using wire::Kind;
 using wire::Opcode;
 
 const char* const small_quotas =
-    "clients = 6\npublishers = 4\nsubscriptions = 4\nexecutors = 4\nheap_bytes = \"128MiB\"\n"
+    "clients = 6\npublishers = 4\nsubscriptions = 4\nwait_sets = 4\nheap_bytes = \"128MiB\"\n"
     "held_messages = 300\n";
 
 /// Returns how often `ask` succeeds before `code`, naming `limit`.
@@ -71,7 +71,7 @@ void comes_back(Stage& stage, const std::function<std::uint64_t(const std::strin
   }
 }
 
-TEST(HostileQuotas, PublishersSubscriptionsAndExecutorsCountForOneUserAlone) {
+TEST(HostileQuotas, PublishersSubscriptionsAndWaitSetsCountForOneUserAlone) {
   AGNOCAST_NEEDS_TWO_USERS();
   Stage stage({.quota = small_quotas});
   comes_back(stage, [&](const std::string& path) {
@@ -80,7 +80,7 @@ TEST(HostileQuotas, PublishersSubscriptionsAndExecutorsCountForOneUserAlone) {
     const auto topic = [](std::uint64_t i) { return "/t" + std::to_string(i); };
     std::uint64_t all = takes_all([&](std::uint64_t i) { return wire.create_publisher(topic(i)); },
                                   "[quota] publishers");
-    all += takes_all([&](std::uint64_t i) { return wire.open_wait_set(i); }, "[quota] executors");
+    all += takes_all([&](std::uint64_t i) { return wire.open_wait_set(i); }, "[quota] wait_sets");
     all += takes_all([&](std::uint64_t i) { return wire.create_subscription(topic(i)); },
                      "[quota] subscriptions");
     EXPECT_EQ(all, 12u);

@@ -55,7 +55,7 @@ Stage::Stage(const StageOptions& options)
   EXPECT_EQ(publisher_->ask(std::string("publish ") + stream_topic), "ok");
   EXPECT_TRUE(subscriber_->eventually("matched", "1"));
   honest_goes_on();
-  // creates the one-time objects now: windows and executors of the honest process
+  // creates the one-time objects now: windows and wait sets of the honest process
   honest_is_served();
   EXPECT_EQ(subscriber_->ask("forget-gap"), "ok");
   row_ = std::make_unique<AttackRow>(daemon_.pid());

@@ -300,9 +300,9 @@ TEST(DaemonProtocol, AnswersThatNobodyReadsCostNoDescriptorEach) {
   constexpr std::uint64_t count = 1'000;
   for (std::uint64_t i = 0; i < count; ++i) {
     deaf.send(Opcode::open_window, wire::WindowRequest{});
-    wire::WaitSetRequest executor{};
-    executor.header = {Opcode::open_wait_set, sizeof executor, (i + 1) | wire::asked_again};
-    ASSERT_TRUE(deaf.send_bytes(std::as_bytes(std::span(&executor, 1))));
+    wire::WaitSetRequest wait_set{};
+    wait_set.header = {Opcode::open_wait_set, sizeof wait_set, (i + 1) | wire::asked_again};
+    ASSERT_TRUE(deaf.send_bytes(std::as_bytes(std::span(&wait_set, 1))));
   }
   ASSERT_TRUE(eventually([&] {
     return wire_dump(daemon.socket_path()).daemon.counters.requests_answered_again == 2 * count;

@@ -39,7 +39,7 @@ void expect_quota(const Incoming& answer, const char* name) {
 
 TEST(DaemonLimits, CountsEndpointsExecutorsAndHeldMessagesOfAUser) {
   DaemonProcess daemon({.config = std::string(small_heap) +
-                                  "[quota]\npublishers = 3\nsubscriptions = 2\nexecutors = 2\n"
+                                  "[quota]\npublishers = 3\nsubscriptions = 2\nwait_sets = 2\n"
                                   "held_messages = 9\nheap_bytes = \"128MiB\"\n"});
   const auto a = greeted(daemon), b = greeted(daemon);
   EXPECT_EQ(a->create_publisher("/a").opcode(), Opcode::endpoint_created);
@@ -49,7 +49,7 @@ TEST(DaemonLimits, CountsEndpointsExecutorsAndHeldMessagesOfAUser) {
 
   EXPECT_EQ(a->open_wait_set(0).opcode(), Opcode::wait_set_opened);
   EXPECT_EQ(b->open_wait_set(0).opcode(), Opcode::wait_set_opened);
-  expect_quota(b->open_wait_set(1), "[quota] executors is 2");
+  expect_quota(b->open_wait_set(1), "[quota] wait_sets is 2");
 
   auto greedy = WireClient::endpoint("/x", Qos{});
   greedy.quota = 10;

@@ -78,14 +78,14 @@ const Case cases[] = {
      },
      Errc::quota_exceeded,
      "topic=/one limit=\"[quota] held_messages\" value=6 used=4 asked=4 code=quota_exceeded"},
-    {"executors", "[quota]\nexecutors = 1\n",
+    {"wait_sets", "[quota]\nwait_sets = 1\n",
      [](const DaemonProcess& daemon, Clients& clients) {
        WireClient& one = greeted(daemon, clients);
        EXPECT_EQ(one.open_wait_set(0).opcode(), Opcode::wait_set_opened);
        return one.open_wait_set(1);
      },
      Errc::quota_exceeded,
-     "limit=\"[quota] executors\" value=1 used=1 asked=1 code=quota_exceeded"},
+     "limit=\"[quota] wait_sets\" value=1 used=1 asked=1 code=quota_exceeded"},
     {"heap_bytes",
      "[heap]\nwindow_bytes = \"64MiB\"\narena_bytes = \"1GiB\"\n[quota]\nheap_bytes = \"64MiB\"\n",
      [](const DaemonProcess& daemon, Clients& clients) {

@@ -2,7 +2,7 @@
 //
 // Goal: a ring always wakes a sleeping thread, never blocks, and no process can silence the
 // doorbell of another. Method: doorbells as the daemon makes them in a private directory, an epoll
-// set as an executor uses, and raw system calls for what a hostile holder would do.
+// set as an receiver uses, and raw system calls for what a hostile holder would do.
 
 #include <base/descriptors/doorbell.hpp>
 #include <base/sockets/packet_socket.hpp>
@@ -38,12 +38,12 @@ using testing::UnorderedElementsAre;
 constexpr std::uint64_t eventfd_tag = 1;
 constexpr std::uint64_t datagram_tag = 2;
 
-struct Executor {
+struct Receiver {
   test::TemporaryDirectory directory;
   DoorbellReceiver doorbells;
   UniqueFd epoll{::epoll_create1(EPOLL_CLOEXEC)};
 
-  Executor() {
+  Receiver() {
     doorbells = std::move(make_doorbell(directory.path(), "doorbell").value());
     EXPECT_TRUE(doorbells.add_to(epoll.get(), eventfd_tag, datagram_tag));
   }
@@ -81,78 +81,78 @@ void fill_eventfd(int fd) {
 }
 
 TEST(Doorbell, SameUserWakesOncePerSleepWithoutAnyRead) {
-  Executor executor;
-  const Doorbell doorbell = executor.same_user();
-  EXPECT_THAT(executor.ready(), IsEmpty());
+  Receiver receiver;
+  const Doorbell doorbell = receiver.same_user();
+  EXPECT_THAT(receiver.ready(), IsEmpty());
   for (int sleep = 0; sleep < 1000; ++sleep) {
     ASSERT_EQ(doorbell.ring(), Rung::rung);
-    ASSERT_THAT(executor.ready(10'000), ElementsAre(eventfd_tag)) << sleep;
-    ASSERT_THAT(executor.ready(), IsEmpty()) << "woken twice by one ring, sleep " << sleep;
+    ASSERT_THAT(receiver.ready(10'000), ElementsAre(eventfd_tag)) << sleep;
+    ASSERT_THAT(receiver.ready(), IsEmpty()) << "woken twice by one ring, sleep " << sleep;
   }
 }
 
 TEST(Doorbell, ManyRingsBetweenTwoSleepsAreOneWakeUp) {
-  Executor executor;
-  const Doorbell doorbell = executor.same_user();
+  Receiver receiver;
+  const Doorbell doorbell = receiver.same_user();
   for (int i = 0; i < 100; ++i) ASSERT_EQ(doorbell.ring(), Rung::rung);
-  EXPECT_THAT(executor.ready(), ElementsAre(eventfd_tag));
-  EXPECT_THAT(executor.ready(), IsEmpty());
+  EXPECT_THAT(receiver.ready(), ElementsAre(eventfd_tag));
+  EXPECT_THAT(receiver.ready(), IsEmpty());
 }
 
 TEST(Doorbell, SameUserSendsNoDatagram) {
-  Executor executor;
-  EXPECT_EQ(executor.same_user().ring(), Rung::rung);
+  Receiver receiver;
+  EXPECT_EQ(receiver.same_user().ring(), Rung::rung);
   char byte = 0;
-  EXPECT_EQ(::recv(executor.doorbells.datagram_fd(), &byte, 1, MSG_DONTWAIT), -1);
+  EXPECT_EQ(::recv(receiver.doorbells.datagram_fd(), &byte, 1, MSG_DONTWAIT), -1);
   EXPECT_EQ(errno, EAGAIN);
 }
 
 TEST(Doorbell, RingsAThreadThatSleepsInAnotherProcess) {
-  Executor executor;
+  Receiver receiver;
   for (const bool same_user : {true, false}) {
-    const Doorbell doorbell = same_user ? executor.same_user() : executor.other_user();
+    const Doorbell doorbell = same_user ? receiver.same_user() : receiver.other_user();
     test::Child child([&] { return doorbell.ring() == Rung::rung ? 0 : 1; });
-    EXPECT_THAT(executor.ready(10'000), ElementsAre(same_user ? eventfd_tag : datagram_tag));
-    executor.doorbells.drain();
+    EXPECT_THAT(receiver.ready(10'000), ElementsAre(same_user ? eventfd_tag : datagram_tag));
+    receiver.doorbells.drain();
     EXPECT_EQ(child.wait(), 0);
   }
 }
 
 TEST(Doorbell, OtherUserIsReadableUntilDrained) {
-  Executor executor;
-  const Doorbell doorbell = executor.other_user();
+  Receiver receiver;
+  const Doorbell doorbell = receiver.other_user();
   EXPECT_EQ(doorbell.ring(), Rung::rung);
-  EXPECT_THAT(executor.ready(), ElementsAre(datagram_tag));
-  EXPECT_THAT(executor.ready(), ElementsAre(datagram_tag));
-  executor.doorbells.drain();
-  EXPECT_THAT(executor.ready(), IsEmpty());
-  executor.doorbells.drain();
+  EXPECT_THAT(receiver.ready(), ElementsAre(datagram_tag));
+  EXPECT_THAT(receiver.ready(), ElementsAre(datagram_tag));
+  receiver.doorbells.drain();
+  EXPECT_THAT(receiver.ready(), IsEmpty());
+  receiver.doorbells.drain();
   EXPECT_EQ(doorbell.ring(), Rung::rung);
-  EXPECT_THAT(executor.ready(), ElementsAre(datagram_tag));
+  EXPECT_THAT(receiver.ready(), ElementsAre(datagram_tag));
 }
 
 TEST(Doorbell, FullQueueOfDatagramsCountsAsRung) {
-  Executor executor;
-  const Doorbell doorbell = executor.other_user();
+  Receiver receiver;
+  const Doorbell doorbell = receiver.other_user();
   EXPECT_GT(fill_queue(doorbell), 0U);
   EXPECT_EQ(doorbell.ring(), Rung::rung);
-  EXPECT_THAT(executor.ready(), ElementsAre(datagram_tag));
-  executor.doorbells.drain();
-  EXPECT_THAT(executor.ready(), IsEmpty()) << "one drain empties a full queue";
+  EXPECT_THAT(receiver.ready(), ElementsAre(datagram_tag));
+  receiver.doorbells.drain();
+  EXPECT_THAT(receiver.ready(), IsEmpty()) << "one drain empties a full queue";
 }
 
 // All holders share the open file description, and any of them may change its flags.
 TEST(Doorbell, RingDoesNotBlockWhenAHolderClearedTheNonBlockingFlag) {
-  Executor executor;
-  const Doorbell doorbell = executor.other_user();
+  Receiver receiver;
+  const Doorbell doorbell = receiver.other_user();
   fill_queue(doorbell);
   ASSERT_EQ(::fcntl(doorbell.datagram_fd(), F_SETFL, 0), 0);
-  ASSERT_EQ(::fcntl(executor.doorbells.datagram_fd(), F_SETFL, 0), 0);
+  ASSERT_EQ(::fcntl(receiver.doorbells.datagram_fd(), F_SETFL, 0), 0);
   test::Child child([&] {
     ::alarm(10);  // ends a child that blocks
     if (doorbell.ring() != Rung::rung) return 1;
-    executor.doorbells.drain();
-    return executor.ready().empty() ? 0 : 2;
+    receiver.doorbells.drain();
+    return receiver.ready().empty() ? 0 : 2;
   });
   EXPECT_EQ(child.wait(), 0);
 }
@@ -163,11 +163,11 @@ TEST(Doorbell, OneDrainEmptiesALongQueue) {
     if (::unshare(::geteuid() == 0 ? CLONE_NEWNET : CLONE_NEWUSER | CLONE_NEWNET) != 0) return 77;
     const UniqueFd length(::open("/proc/sys/net/unix/max_dgram_qlen", O_WRONLY | O_CLOEXEC));
     if (!length || ::write(length.get(), "200", 3) != 3) return 77;
-    Executor executor;
-    const Doorbell doorbell = executor.other_user();
+    Receiver receiver;
+    const Doorbell doorbell = receiver.other_user();
     if (fill_queue(doorbell) < 100) return 1;
-    executor.doorbells.drain();
-    return executor.ready().empty() ? 0 : 2;
+    receiver.doorbells.drain();
+    return receiver.ready().empty() ? 0 : 2;
   });
   const int status = child.wait();
   if (status == 77) GTEST_SKIP() << "needs the right to change max_dgram_qlen";
@@ -175,52 +175,52 @@ TEST(Doorbell, OneDrainEmptiesALongQueue) {
 }
 
 TEST(Doorbell, FilledEventfdIsBackedByADatagram) {
-  Executor executor;
-  const Doorbell doorbell = executor.same_user();
+  Receiver receiver;
+  const Doorbell doorbell = receiver.same_user();
   fill_eventfd(doorbell.eventfd());
-  executor.ready();  // the wake-up by the filling itself
+  receiver.ready();  // the wake-up by the filling itself
   EXPECT_EQ(doorbell.ring(), Rung::rung);
-  EXPECT_THAT(executor.ready(), ElementsAre(datagram_tag));
+  EXPECT_THAT(receiver.ready(), ElementsAre(datagram_tag));
 }
 
 TEST(Doorbell, WorksAfterItsNameIsGone) {
-  Executor executor;
-  const Doorbell doorbell = executor.other_user();
-  ASSERT_EQ(::unlink(executor.directory.path("doorbell").c_str()), 0);
+  Receiver receiver;
+  const Doorbell doorbell = receiver.other_user();
+  ASSERT_EQ(::unlink(receiver.directory.path("doorbell").c_str()), 0);
   EXPECT_EQ(doorbell.ring(), Rung::rung);
-  EXPECT_THAT(executor.ready(), ElementsAre(datagram_tag));
-  const auto later = connect_doorbell(executor.directory.path(), "doorbell");
+  EXPECT_THAT(receiver.ready(), ElementsAre(datagram_tag));
+  const auto later = connect_doorbell(receiver.directory.path(), "doorbell");
   ASSERT_FALSE(later);
   EXPECT_EQ(later.error().code, Errc::endpoint_gone);
 }
 
 TEST(Doorbell, OneSenderCannotSilenceAnother) {
-  Executor executor;
-  const Doorbell hostile = executor.other_user();
-  const Doorbell honest = executor.other_user();
+  Receiver receiver;
+  const Doorbell hostile = receiver.other_user();
+  const Doorbell honest = receiver.other_user();
   fill_queue(hostile);
   EXPECT_EQ(honest.ring(), Rung::rung) << "a flood only makes the socket readable";
-  EXPECT_THAT(executor.ready(), ElementsAre(datagram_tag));
-  executor.doorbells.drain();
+  EXPECT_THAT(receiver.ready(), ElementsAre(datagram_tag));
+  receiver.doorbells.drain();
 
   ASSERT_EQ(::shutdown(hostile.datagram_fd(), SHUT_RDWR), 0);
   EXPECT_EQ(hostile.ring(), Rung::gone);
   EXPECT_EQ(honest.ring(), Rung::rung);
-  EXPECT_THAT(executor.ready(), ElementsAre(datagram_tag));
+  EXPECT_THAT(receiver.ready(), ElementsAre(datagram_tag));
 }
 
 TEST(Doorbell, RingingAClosedReceiverSaysGone) {
-  Executor executor;
-  const Doorbell doorbell = executor.other_user();
-  executor.doorbells = DoorbellReceiver();
+  Receiver receiver;
+  const Doorbell doorbell = receiver.other_user();
+  receiver.doorbells = DoorbellReceiver();
   EXPECT_EQ(doorbell.ring(), Rung::gone);
   EXPECT_EQ(doorbell.ring(), Rung::gone);
   EXPECT_EQ(Doorbell().ring(), Rung::gone);
 }
 
 TEST(Doorbell, DescriptorsSentThroughADoorbellDoNotLeak) {
-  Executor executor;
-  const Doorbell doorbell = executor.other_user();
+  Receiver receiver;
+  const Doorbell doorbell = receiver.other_user();
   const std::size_t before = test::open_descriptor_count();
   alignas(cmsghdr) char control[CMSG_SPACE(sizeof(int))]{};
   char byte = 0;
@@ -240,46 +240,46 @@ TEST(Doorbell, DescriptorsSentThroughADoorbellDoNotLeak) {
   if (::sendmsg(doorbell.datagram_fd(), &message, MSG_DONTWAIT) < 0) {
     EXPECT_EQ(errno, EPERM);
   }
-  executor.doorbells.drain();
-  EXPECT_THAT(executor.ready(), IsEmpty());
+  receiver.doorbells.drain();
+  EXPECT_THAT(receiver.ready(), IsEmpty());
   EXPECT_EQ(test::open_descriptor_count(), before);
 }
 
 TEST(Doorbell, DoorbellsAreCloseOnExecAndNonBlocking) {
-  Executor executor;
-  const Doorbell doorbell = executor.other_user();
+  Receiver receiver;
+  const Doorbell doorbell = receiver.other_user();
   for (const int fd :
-       {executor.doorbells.eventfd(), executor.doorbells.datagram_fd(), doorbell.datagram_fd()}) {
+       {receiver.doorbells.eventfd(), receiver.doorbells.datagram_fd(), doorbell.datagram_fd()}) {
     EXPECT_TRUE(test::is_close_on_exec(fd));
     EXPECT_TRUE(test::is_non_blocking(fd));
   }
 }
 
 TEST(Doorbell, SenderCanBeMadeFromOnlyTheReceiver) {
-  Executor executor;
-  const Doorbell doorbell(connect_doorbell(executor.doorbells.datagram_fd()).value());
+  Receiver receiver;
+  const Doorbell doorbell(connect_doorbell(receiver.doorbells.datagram_fd()).value());
   EXPECT_EQ(doorbell.ring(), Rung::rung);
-  EXPECT_THAT(executor.ready(), ElementsAre(datagram_tag));
+  EXPECT_THAT(receiver.ready(), ElementsAre(datagram_tag));
 }
 
 TEST(Doorbell, LeftoverOfAPreviousIncarnationIsReplaced) {
-  Executor executor;
-  const Doorbell old_doorbell = executor.other_user();
-  const auto replacement = make_doorbell(executor.directory.path(), "doorbell");
+  Receiver receiver;
+  const Doorbell old_doorbell = receiver.other_user();
+  const auto replacement = make_doorbell(receiver.directory.path(), "doorbell");
   ASSERT_TRUE(replacement);
-  const Doorbell new_doorbell = executor.other_user();
+  const Doorbell new_doorbell = receiver.other_user();
   EXPECT_EQ(new_doorbell.ring(), Rung::rung);
-  EXPECT_THAT(executor.ready(), IsEmpty()) << "the new doorbell does not ring the old receiver";
+  EXPECT_THAT(receiver.ready(), IsEmpty()) << "the new doorbell does not ring the old receiver";
   EXPECT_EQ(old_doorbell.ring(), Rung::rung);
-  EXPECT_THAT(executor.ready(), ElementsAre(datagram_tag));
+  EXPECT_THAT(receiver.ready(), ElementsAre(datagram_tag));
 }
 
 TEST(Doorbell, OtherUsersCannotConnectThroughThePrivateDirectory) {
   if (::geteuid() != 0) GTEST_SKIP() << "needs root to become another user";
-  Executor executor;
+  Receiver receiver;
   test::Child child([&] {
     if (::setuid(65534) != 0) return 1;
-    const auto doorbell = connect_doorbell(executor.directory.path(), "doorbell");
+    const auto doorbell = connect_doorbell(receiver.directory.path(), "doorbell");
     return !doorbell && doorbell.error().os_errno == EACCES ? 0 : 2;
   });
   EXPECT_EQ(child.wait(), 0);
@@ -304,8 +304,8 @@ TEST(Doorbell, BadNamesAreRefused) {
 
 // As on a kernel before 6.16: a peer sends a socket whose close() blocks. The sender then exits,
 // so the doorbell holds the last reference, and a blocking close() would not return.
-void send_lingering_socket(const Executor& executor, const test::DeafPeer& peer) {
-  const UniqueFd sender = connect_doorbell(executor.directory.path(), "doorbell").value();
+void send_lingering_socket(const Receiver& receiver, const test::DeafPeer& peer) {
+  const UniqueFd sender = connect_doorbell(receiver.directory.path(), "doorbell").value();
   test::Child child([&] {
     const int socket = peer.lingering_socket(1'000'000).release();
     iovec data{const_cast<char*>("x"), 1};
@@ -327,22 +327,22 @@ void send_lingering_socket(const Executor& executor, const test::DeafPeer& peer)
 
 TEST(Doorbell, DrainDoesNotWaitForTheCloseOfSentDescriptors) {
   const test::DeafPeer peer;
-  Executor executor;
-  accept_descriptors(executor.doorbells.datagram_fd());
+  Receiver receiver;
+  accept_descriptors(receiver.doorbells.datagram_fd());
   const std::size_t before = test::open_descriptor_count();
   for (int round = 0; round < 3; ++round) {
-    send_lingering_socket(executor, peer);
-    executor.other_user().ring();
-    EXPECT_THAT(executor.ready(), ElementsAre(datagram_tag));
-    EXPECT_TRUE(executor.doorbells.drain());
-    EXPECT_THAT(executor.ready(), IsEmpty());
+    send_lingering_socket(receiver, peer);
+    receiver.other_user().ring();
+    EXPECT_THAT(receiver.ready(), ElementsAre(datagram_tag));
+    EXPECT_TRUE(receiver.doorbells.drain());
+    EXPECT_THAT(receiver.ready(), IsEmpty());
   }
   EXPECT_EQ(test::open_descriptor_count(), before)
       << "none of the sent descriptors was installed here";
-  EXPECT_EQ(executor.other_user().ring(), Rung::rung);
-  EXPECT_THAT(executor.ready(), ElementsAre(datagram_tag)) << "the doorbell still works";
-  send_lingering_socket(executor, peer);
-  executor.doorbells = DoorbellReceiver();  // while it still contains a datagram
+  EXPECT_EQ(receiver.other_user().ring(), Rung::rung);
+  EXPECT_THAT(receiver.ready(), ElementsAre(datagram_tag)) << "the doorbell still works";
+  send_lingering_socket(receiver, peer);
+  receiver.doorbells = DoorbellReceiver();  // while it still contains a datagram
 }
 
 }  // namespace
