@@ -227,7 +227,33 @@ Object list_object(const std::vector<BridgeState>& bridges, const Rates& rates) 
   return {{"schema", "agnocast.bridge-list/1"}, {"bridges", std::move(list)}};
 }
 
-// Long because it fills two tables and the lines below them in one pass over the bridges.
+// Prints what no table has room for, a line each.
+void print_remarks(const std::vector<BridgeState>& bridges, Console& console) {
+  for (const BridgeState& bridge : bridges) {
+    const std::string name = "\nthe bridge of domain " + std::to_string(bridge.domain) + " (pid " +
+                             std::to_string(bridge.pid) + ") ";
+    if (!bridge.has_daemon) console.line(name + "is not connected to a daemon");
+    if (bridge.standby_for)
+      console.line(name + "is on standby for pid " + std::to_string(*bridge.standby_for));
+    if (bridge.announced != 0)
+      console.line(name + "announces " + counted(bridge.announced, "publisher") +
+                   " in DDS without a reader there");
+    if (bridge.lost_early != 0)
+      console.line(name + "has lost " + counted(bridge.lost_early, "message") +
+                   " of publishers that were announced to it too late");
+    if (bridge.discovery_info_refused != 0)
+      console.line(name + "has refused " + counted(bridge.discovery_info_refused, "message") +
+                   " about nodes in DDS (ros_discovery_info)");
+    for (const BridgeState::Limit& limit : bridge.limits) {
+      if (limit.refused != 0)
+        console.line(name + "has refused " + std::to_string(limit.refused) + " beyond the limit " +
+                     escaped(limit.limit) + " (" + std::to_string(limit.most) + ")");
+    }
+    for (const auto& [what, why] : bridge.failures)
+      console.line("\n" + escaped(what) + " could not be made: " + escaped(why));
+  }
+}
+
 void print_list(const std::vector<BridgeState>& bridges, const Rates& rates, bool is_verbose,
                 Console& console) {
   Table table({"DOMAIN", "TOPIC", "TYPE", "WAY", "ENDPOINTS", "MATCHED", "RATE", "BW", "MESSAGES",
@@ -281,29 +307,7 @@ void print_list(const std::vector<BridgeState>& bridges, const Rates& rates, boo
   if (alone != 0)
     console.line("\nnot shown: " + std::to_string(alone) +
                  " without a peer in DDS, or excluded by a rule (-v)");
-  for (const BridgeState& bridge : bridges) {
-    const std::string name = "\nthe bridge of domain " + std::to_string(bridge.domain) + " (pid " +
-                             std::to_string(bridge.pid) + ") ";
-    if (!bridge.has_daemon) console.line(name + "is not connected to a daemon");
-    if (bridge.standby_for)
-      console.line(name + "is on standby for pid " + std::to_string(*bridge.standby_for));
-    if (bridge.announced != 0)
-      console.line(name + "announces " + counted(bridge.announced, "publisher") +
-                   " in DDS without a reader there");
-    if (bridge.lost_early != 0)
-      console.line(name + "has lost " + counted(bridge.lost_early, "message") +
-                   " of publishers that were announced to it too late");
-    if (bridge.discovery_info_refused != 0)
-      console.line(name + "has refused " + counted(bridge.discovery_info_refused, "message") +
-                   " about nodes in DDS (ros_discovery_info)");
-    for (const BridgeState::Limit& limit : bridge.limits) {
-      if (limit.refused != 0)
-        console.line(name + "has refused " + std::to_string(limit.refused) + " beyond the limit " +
-                     escaped(limit.limit) + " (" + std::to_string(limit.most) + ")");
-    }
-    for (const auto& [what, why] : bridge.failures)
-      console.line("\n" + escaped(what) + " could not be made: " + escaped(why));
-  }
+  print_remarks(bridges, console);
 }
 
 std::string list_of(const std::vector<std::string>& nodes) {
