@@ -164,7 +164,8 @@ class Planner {
     for (const auto& [type, subscriptions] : side.subscriptions)
       inward({topic, type}, side, subscriptions);
   }
-  // Long because DDS readers, remote publishers and what they keep are found from the same writers.
+  // Long because DDS readers and remote publishers are planned from the same writers and classes of
+  // QoS.
   void inward(const TopicKey& key, const Side& side,
               const std::map<QosClass, Wanting>& subscriptions) {
     const Verdict verdict = verdict_on(key);
