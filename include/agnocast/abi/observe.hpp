@@ -87,8 +87,8 @@ struct AccessIs {
   std::uint32_t everybody;   // 1: every user that may connect
   std::uint32_t rule_count;  // of the whole configuration
   Name pattern;              // of the rule
-  char principals[512];  // allowed users and window sets, as written, separated by commas; "..." at
-                         // the end: more
+  char principals[512];      // allowed users and groups, as written, separated by commas; "..." at
+                             // the end: more
 };
 enum class JournalState : std::uint32_t {
   applied = 1,
