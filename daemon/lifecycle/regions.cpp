@@ -176,7 +176,7 @@ Result<void> Regions::open_client(ClientIndex client, std::uint64_t generation) 
   // that can read the region could lock it for reading and so keep the process from joining: so
   // the lock is taken before a descriptor for reading exists.
   if (auto locked = lock_for_writing(fd); !locked) return locked;
-  ClientMemory& memory = clients_[number(client)];
+  ClientMemory& memory = clients_[client];
   auto opened = map_region(memory, std::move(*writer));
   if (opened) opened = back(client, 0, abi::page_bytes);
   if (opened) opened = store_->put(DescriptorStore::region(client), fd);
@@ -196,7 +196,7 @@ Result<void> Regions::open_client(ClientIndex client, std::uint64_t generation) 
 
 Result<void> Regions::adopt_client(ClientIndex client, std::uint64_t window_count,
                                    std::uint64_t used_bytes) {
-  ClientMemory& memory = clients_[number(client)];
+  ClientMemory& memory = clients_[client];
   bool whole = true;
   for (std::uint64_t w = 0; w < window_count; ++w) {
     UniqueFd reader = store_->take(DescriptorStore::window(client, w));
@@ -216,7 +216,7 @@ Result<void> Regions::adopt_client(ClientIndex client, std::uint64_t window_coun
 }
 
 Result<void> Regions::back(ClientIndex client, std::uint64_t offset, std::uint64_t bytes) {
-  ClientMemory& memory = clients_[number(client)];
+  ClientMemory& memory = clients_[client];
   std::uint64_t& before = memory.backed_bytes[offset];
   if (before >= bytes) return {};
   std::byte* const at = memory.region->base() + offset;
@@ -236,7 +236,7 @@ bool Regions::is_clear(ClientIndex client, const Extent& extent) const noexcept 
 // The memory of an extent stays with its process when the endpoint has ended; no quota of
 // endpoints counts it.
 Result<void> Regions::count_growth(ClientIndex client, const OfUser& user, const Extent& extent) {
-  ClientMemory& memory = clients_[number(client)];
+  ClientMemory& memory = clients_[client];
   const std::uint64_t end = extent.offset + extent.bytes;
   const std::uint64_t more = end > memory.given_bytes ? end - memory.given_bytes : 0;
   std::uint64_t& all = given_bytes_[user.uid];
@@ -258,7 +258,7 @@ Result<void> Regions::clear(ClientIndex client, const OfUser& user, const Extent
   const std::uint32_t uid = user.uid;
   if (errands_->waiting(Errands::Lane::clearing, uid) >= clearing_waiting_max)
     return fail(Errc::limit_reached, "too many processes of this user wait for memory");
-  ClientMemory& memory = clients_[number(client)];
+  ClientMemory& memory = clients_[client];
   const auto result = std::make_shared<Result<void>>();
   const std::uint64_t clear = memory.last_clear + 1;
   const bool runs = errands_->try_run(
@@ -272,7 +272,7 @@ Result<void> Regions::clear(ClientIndex client, const OfUser& user, const Extent
       [this, here = std::weak_ptr(here_), client, region = memory.file, clear, extent, result,
        then = std::move(then)] {
         if (here.expired()) return;
-        ClientMemory& now = clients_[number(client)];
+        ClientMemory& now = clients_[client];
         // An older errand may still clear an extent that an endpoint has by now.
         if (now.file == region && now.last_clear == clear) now.cleared = Cleared{extent, *result};
         then();
@@ -284,7 +284,7 @@ Result<void> Regions::clear(ClientIndex client, const OfUser& user, const Extent
 }
 
 Result<void> Regions::renew(ClientIndex client, const Extent& extent, std::uint64_t backed_bytes) {
-  ClientMemory& memory = clients_[number(client)];
+  ClientMemory& memory = clients_[client];
   const bool is_clear_now = is_clear(client, extent);
   const auto cleared = std::exchange(memory.cleared, std::nullopt);
   auto result = is_clear_now ? cleared->result
@@ -301,7 +301,7 @@ Result<SharedFd> Regions::open_window(ClientIndex client, std::uint64_t base, ui
   if (!writer) return tl::unexpected(writer.error());
   auto reader = reopen_read_only(writer->get());
   if (!reader) return tl::unexpected(reader.error());
-  std::vector<SharedFd>& readers = clients_[number(client)].window_readers;
+  std::vector<SharedFd>& readers = clients_[client].window_readers;
   if (auto kept = store_->put(DescriptorStore::window(client, readers.size()), reader->get());
       !kept)
     return tl::unexpected(kept.error());
@@ -328,7 +328,7 @@ Result<void> Regions::check_window(int window, std::uint64_t base, std::uint64_t
 Result<void> Regions::bring_window(ClientIndex client, const UniqueFd& window) {
   auto reader = reopen_read_only(window.get());
   if (!reader) return tl::unexpected(reader.error());
-  std::vector<SharedFd>& readers = clients_[number(client)].window_readers;
+  std::vector<SharedFd>& readers = clients_[client].window_readers;
   if (auto kept = store_->put(DescriptorStore::window(client, readers.size()), reader->get());
       !kept)
     return kept;
@@ -337,7 +337,7 @@ Result<void> Regions::bring_window(ClientIndex client, const UniqueFd& window) {
 }
 
 Result<SharedFd> Regions::window_writer(ClientIndex client, std::uint64_t window) {
-  auto& on_its_way = clients_[number(client)].window_writers[window];
+  auto& on_its_way = clients_[client].window_writers[window];
   if (SharedFd same = on_its_way.lock()) return same;
   const std::string path =
       "/proc/self/fd/" + std::to_string(of(client).window_readers[window]->get());
@@ -361,7 +361,7 @@ void Regions::free_elsewhere(ClientMemory memory) noexcept {
 }
 
 void Regions::unmap_client(ClientIndex client) noexcept {
-  ClientMemory& memory = clients_[number(client)];
+  ClientMemory& memory = clients_[client];
   if (!memory.region) return;
   ClientMemory writable;
   writable.region_writer = std::move(memory.region_writer);
@@ -370,7 +370,7 @@ void Regions::unmap_client(ClientIndex client) noexcept {
 }
 
 void Regions::close_client(ClientIndex client) noexcept {
-  ClientMemory memory = std::exchange(clients_[number(client)], ClientMemory());
+  ClientMemory memory = std::exchange(clients_[client], ClientMemory());
   if (memory.region_reader) store_->remove(DescriptorStore::region(client));
   for (std::size_t w = 0; w < memory.window_readers.size(); ++w)
     store_->remove(DescriptorStore::window(client, w));

@@ -28,6 +28,7 @@
 
 #include <agnocast/result.hpp>
 #include <base/memory/mapping.hpp>
+#include <daemon/state/per_client.hpp>
 #include <daemon/state/registry.hpp>
 #include <daemon/transport/closer.hpp>
 #include <daemon/transport/descriptor_store.hpp>
@@ -167,14 +168,14 @@ class Regions {
   // of processes, and a bound on what the daemon remembers for a user that is stuck.
   static constexpr std::size_t clearing_waiting_max = 4096;
 
-  explicit Regions(DescriptorStore& store) : store_(&store), clients_(abi::client_count_max) {}
+  explicit Regions(DescriptorStore& store) : store_(&store) {}
   [[nodiscard]] static Result<Regions> map(DescriptorStore& store, UniqueFd board,
                                            UniqueFd journal);
   [[nodiscard]] Result<void> map_region(ClientMemory& memory, UniqueFd writer) const;
   void free_elsewhere(ClientMemory memory) noexcept;
   [[nodiscard]] Result<void> count_growth(ClientIndex client, const OfUser& user,
                                           const Extent& extent);
-  const ClientMemory& of(ClientIndex client) const noexcept { return clients_[number(client)]; }
+  const ClientMemory& of(ClientIndex client) const noexcept { return clients_[client]; }
 
   DescriptorStore* store_;
   std::unique_ptr<Closer> closer_ = std::make_unique<Closer>();
@@ -183,7 +184,7 @@ class Regions {
   UniqueFd board_fd_, journal_fd_;
   SharedFd board_reader_;
   Mapping board_, journal_;
-  std::vector<ClientMemory> clients_;
+  PerClient<ClientMemory> clients_;
   std::unordered_map<std::uint32_t, std::uint64_t> given_bytes_;  // by uid
   std::uint64_t map_count_max_ = 0;                               // vm.max_map_count
 };

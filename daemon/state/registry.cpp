@@ -61,12 +61,11 @@ Registry::Registry(const Memory& memory, const Capacity& capacity) noexcept
     : capacity_(capacity),
       log_(memory.log),
       tables_(*reinterpret_cast<Tables*>(memory.tables)),
-      board_(memory.board),
-      views_(abi::client_count_max) {}
+      board_(memory.board) {}
 
 void Registry::rebuild() {
   topics_.clear();
-  views_.assign(abi::client_count_max, View());
+  views_.clear();
   accounts_.clear();
   for (std::uint32_t i = 0; i < client_high(); ++i) count_client(ClientIndex{i});
   for (std::uint32_t t = 0; t < tables_.header.topic_high; ++t) {
@@ -78,7 +77,7 @@ void Registry::rebuild() {
         const EndpointRef ref{kind, at, i};
         track(ref);
         for (std::uint32_t c = 0; c < client_high(); ++c) {
-          if (notified_of(ref).contains(c)) ++views_[c].knows[t];
+          if (notified_of(ref).contains(c)) ++views_[ClientIndex{c}].knows[t];
         }
       });
     }
@@ -100,7 +99,7 @@ Usage& Usage::operator-=(const Usage& less) noexcept {
 // Replaces the previous count, so open() may call it again when it completes a change.
 void Registry::count_client(ClientIndex index) {
   const ClientRecord& record = client(index);
-  View& view = views_[number(index)];
+  View& view = views_[index];
   accounts_[view.uid].usage -= view.own;
   if (accounts_[view.uid].usage == Usage()) accounts_.erase(view.uid);
   view.uid = record.uid;
@@ -119,7 +118,7 @@ void Registry::count_endpoint(const EndpointRef& ref, bool is_there) {
   Usage one;
   ++(ref.kind == Kind::publisher ? one.publishers : one.subscriptions);
   if (ref.kind == Kind::subscription) one.held_messages = subscription(ref.topic, ref.index).quota;
-  const std::uint32_t uid = views_[number(owner_of(ref))].uid;
+  const std::uint32_t uid = views_[owner_of(ref)].uid;
   Account& account = accounts_[uid];
   Places& places = account.topics[number(ref.topic)];
   std::uint64_t& count = ref.kind == Kind::publisher ? places.publishers : places.subscriptions;
@@ -135,7 +134,7 @@ void Registry::count_endpoint(const EndpointRef& ref, bool is_there) {
 }
 
 void Registry::track(const EndpointRef& ref) {
-  View& view = views_[number(owner_of(ref))];
+  View& view = views_[owner_of(ref)];
   if (std::find(view.endpoints.begin(), view.endpoints.end(), ref) != view.endpoints.end()) return;
   view.endpoints.push_back(ref);
   count_endpoint(ref, true);
@@ -147,7 +146,7 @@ void Registry::track(const EndpointRef& ref) {
 }
 
 void Registry::untrack(const EndpointRef& ref) {
-  View& view = views_[number(owner_of(ref))];
+  View& view = views_[owner_of(ref)];
   const auto found = std::find(view.endpoints.begin(), view.endpoints.end(), ref);
   if (found == view.endpoints.end()) return;
   view.endpoints.erase(found);
@@ -158,7 +157,7 @@ void Registry::untrack(const EndpointRef& ref) {
 
 void Registry::add_to(AnnounceSet& set, TopicIndex topic, std::uint64_t client) {
   if (set.contains(client)) return;
-  ++views_[client].knows[number(topic)];
+  ++views_[ClientIndex{static_cast<std::uint32_t>(client)}].knows[number(topic)];
   AGNOCAST_CRASH_POINT(B_told);
   set.tell(client);
 }
@@ -166,7 +165,7 @@ void Registry::add_to(AnnounceSet& set, TopicIndex topic, std::uint64_t client) 
 void Registry::take_from(AnnounceSet& set, TopicIndex topic, std::uint64_t client) {
   if (!set.contains(client)) return;
   // open() completes a change before it derives these.
-  auto& knows = views_[client].knows;
+  auto& knows = views_[ClientIndex{static_cast<std::uint32_t>(client)}].knows;
   if (const auto known = knows.find(number(topic)); known != knows.end() && --known->second == 0)
     knows.erase(known);
   AGNOCAST_CRASH_POINT(B_told);
@@ -187,7 +186,7 @@ std::optional<std::uint32_t> Registry::next_place(Kind kind, TopicIndex topic,
 std::optional<std::uint64_t> Registry::lowest_extent(ClientIndex client,
                                                      std::uint64_t bytes) const {
   std::uint64_t candidate = abi::page_bytes;  // behind the header
-  for (const auto& [offset, length] : views_[number(client)].extents) {
+  for (const auto& [offset, length] : views_[client].extents) {
     if (offset - candidate >= bytes) break;
     candidate = offset + length;
   }
@@ -203,7 +202,7 @@ Result<ClientPlan> Registry::plan_client() const {
   if (index >= capacity_.clients) return full("clients", capacity_.clients);
   if (tables_.client[index].state != ClientState::free)
     return fail(Errc::store_damaged, "an unused place for a process is not free");
-  AGNOCAST_CHECK(views_[index].endpoints.empty());
+  AGNOCAST_CHECK(views_[ClientIndex{index}].endpoints.empty());
   return ClientPlan{static_cast<ClientIndex>(index), next_generation()};
 }
 
@@ -223,7 +222,7 @@ Result<ClientIndex> Registry::add_client(const NewClient& wanted) {
 }
 
 std::uint64_t Registry::used_bytes_of(ClientIndex index) const {
-  const auto& extents = views_[number(index)].extents;
+  const auto& extents = views_[index].extents;
   return extents.empty() ? abi::page_bytes : extents.rbegin()->first + extents.rbegin()->second;
 }
 
@@ -300,12 +299,12 @@ void Registry::client_died(ClientIndex index, DeathReason reason) {
 
 void Registry::acknowledge_topic(ClientIndex gone, TopicIndex topic) {
   AGNOCAST_CHECK(client(gone).state == ClientState::dead);
-  if (views_[number(gone)].knows.count(number(topic)) == 0) return;
+  if (views_[gone].knows.count(number(topic)) == 0) return;
   change(Type::topic_forgotten, {number(topic), number(gone), client(gone).generation});
 }
 
 std::optional<TopicIndex> Registry::known_topic_of(ClientIndex index) const {
-  const auto& knows = views_[number(index)].knows;
+  const auto& knows = views_[index].knows;
   if (knows.empty()) return std::nullopt;
   return TopicIndex{knows.begin()->first};
 }

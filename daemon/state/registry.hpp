@@ -18,6 +18,7 @@
 #include <agnocast/abi/words.hpp>
 #include <agnocast/result.hpp>
 #include <daemon/state/hold_pool.hpp>
+#include <daemon/state/per_client.hpp>
 #include <daemon/state/tables.hpp>
 #include <journal/board_steps.hpp>
 #include <journal/redo_log.hpp>
@@ -187,7 +188,7 @@ class Registry {
     return client(index).state == ClientState::alive;
   }
   const std::vector<EndpointRef>& endpoints_of(ClientIndex index) const {
-    return views_[number(index)].endpoints;
+    return views_[index].endpoints;
   }
   /// Returns the used length of the process's region: the end of its last extent.
   std::uint64_t used_bytes_of(ClientIndex index) const;
@@ -419,7 +420,7 @@ class Registry {
   Tables& tables_;
   std::byte* board_;
   std::uint64_t redone_lsn_ = 0;
-  std::vector<View> views_;
+  PerClient<View> views_;
   std::unordered_map<std::string, TopicIndex> topics_;
   std::map<std::uint32_t, Account> accounts_;  // by uid
 };
