@@ -258,7 +258,7 @@ class PublisherCore {
   void keep_no_history() noexcept { history_ = 0; }
   /// The process of an endpoint is gone, without a daemon to report it: its holds and its unread
   /// messages count no more. The caller scans afterwards.
-  void bury(std::uint64_t index, std::uint64_t generation) noexcept {
+  void remove_dead_subscription(std::uint64_t index, std::uint64_t generation) noexcept {
     Endpoint& endpoint = endpoints_[index];
     if (abi::generation_of(endpoint.word) == generation)
       endpoint.word = abi::pack_board_word(generation, abi::BoardState::free);

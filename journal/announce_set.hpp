@@ -7,7 +7,7 @@
 // only when every process that was ever sent an announcement of that generation has sent UNLINKED
 // or is dead. The set is part of the daemon's logged tables; it is never inferred from shared
 // memory. Four details are mandatory:
-//   (a) tell() is logged before the announcement is sent
+//   (a) notify() is logged before the announcement is sent
 //   (b) a client sends UNLINKED after its link is gone
 //   (c) a restarted daemon sends every process its announcements again
 //   (d) a client answers a repeated one with UNLINKED again
@@ -29,7 +29,7 @@ class AnnounceSet {
   void begin(std::uint64_t generation) noexcept { generation_ = generation; }
   std::uint64_t generation() const noexcept { return generation_; }
 
-  void tell(std::uint64_t client) noexcept {
+  void notify(std::uint64_t client) noexcept {
     AGNOCAST_STEP(R1_tell) clients_[client / 64] |= bit(client);
   }
   /// Removes a client that sent UNLINKED. A packet about another generation is late and ignored.

@@ -22,7 +22,7 @@ struct Traffic {
   std::atomic<std::uint64_t> refused{0};         // not written or not published; see the log
   std::atomic<std::uint64_t> last_ns{0};         // of the newest message, monotonic
   const std::uint64_t since_ns = monotonic_ns();
-  Seldom tells;  // limits log lines
+  Seldom reports;  // limits log lines
 
   void count(std::size_t message_bytes) noexcept {
     ++messages;

@@ -228,7 +228,7 @@ RawDecoder InwardRoutes::decoder_of(std::shared_ptr<const BridgedType> type,
                                     const std::string& topic) const {
   struct Refused {
     std::atomic<std::uint64_t> count{0};
-    Seldom tells;
+    Seldom reports;
   };
   return [&log = log_, type = std::move(type), topic, refused = std::make_shared<Refused>(),
           starved = std::make_shared<Refused>()](RawPieces pieces) -> std::shared_ptr<void> {
@@ -241,7 +241,7 @@ RawDecoder InwardRoutes::decoder_of(std::shared_ptr<const BridgedType> type,
         return read_cdr(type->cdr, pieces, received->message.get());
       } catch (const std::bad_alloc&) {
         const std::uint64_t count = ++starved->count;
-        if (starved->tells.now())
+        if (starved->reports.now())
           log.write(LogLevel::warning, "no memory for a message",
                     {{"topic", topic}, {"dropped", std::to_string(count)}});
         throw;
@@ -252,7 +252,7 @@ RawDecoder InwardRoutes::decoder_of(std::shared_ptr<const BridgedType> type,
       return received;
     }
     const std::uint64_t count = ++refused->count;
-    if (refused->tells.now())
+    if (refused->reports.now())
       log.write(
           LogLevel::warning, "malformed message",
           {{"topic", topic}, {"refused", std::to_string(count)}, {"why", read.error().text()}});

@@ -106,7 +106,7 @@ bool RemotePublishers::fit_history(OpenRemotePublisher& remote_publisher, std::s
 void RemotePublishers::drop(OpenRemotePublisher& remote_publisher, const char* why,
                             std::size_t messages) const {
   const std::uint64_t dropped = remote_publisher.traffic.refused += messages;
-  if (!remote_publisher.traffic.tells.now()) return;
+  if (!remote_publisher.traffic.reports.now()) return;
   log_.write(LogLevel::warning, "message not published",
              {{"topic", remote_publisher.plan.key.topic},
               {"dropped", std::to_string(dropped)},

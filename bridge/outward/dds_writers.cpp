@@ -94,7 +94,7 @@ void DdsWriters::end_waiting_if(Condition condition) {
 
 void DdsWriters::lose(std::size_t messages, const char* why) noexcept {
   const std::uint64_t lost = lost_ += messages;
-  if (!tells_lost_.now()) return;
+  if (!reports_lost_.now()) return;
   try {
     log_.write(LogLevel::warning, "first messages lost",
                {{"dropped", std::to_string(lost)}, {"why", why}});
@@ -277,7 +277,7 @@ bool DdsWriters::write(OpenDdsWriter& dds_writer, const GenericMessage& message)
   }
   const bool would_block = written && *written == WriteOutcome::would_block;
   if (would_block && !dds_writer.is_over) {
-    if (dds_writer.traffic.tells.now())
+    if (dds_writer.traffic.reports.now())
       log_.write(LogLevel::notice, "keep-all blocks a publisher",
                  {{"topic", dds_writer.plan.local_reader.of.key.topic},
                   {"node", dds_writer.plan.node},
@@ -286,7 +286,7 @@ bool DdsWriters::write(OpenDdsWriter& dds_writer, const GenericMessage& message)
   }
   const std::uint64_t dropped =
       ++(would_block ? dds_writer.traffic.unacknowledged : dds_writer.traffic.refused);
-  if (!dds_writer.traffic.tells.now()) return true;
+  if (!dds_writer.traffic.reports.now()) return true;
   log_.write(LogLevel::warning, "message not written",
              {{"topic", dds_writer.plan.local_reader.of.key.topic},
               {"node", dds_writer.plan.node},

@@ -142,7 +142,7 @@ class DdsWriters {
   Reaper& reaper_;
   const std::function<void()> wake_;
   std::atomic<std::uint64_t> lost_{0};
-  Seldom tells_lost_;
+  Seldom reports_lost_;
   mutable std::mutex mutex_;  // guards the rest; never held while a message is written
   std::map<std::uint64_t, std::shared_ptr<OpenDdsWriter>> open_;
   std::set<std::uint64_t> without_;       // known publishers without a DDS writer

@@ -16,8 +16,8 @@ bool DiscoveryInfo::hear() {
   const auto are_others_new = graph_.update();
   if (!are_others_new) refusals_.note("ros_discovery_info", are_others_new.error().text());
   const std::uint64_t refused = graph_.refused();
-  if (refused > refused_told_ && tells_refused_.now()) {
-    refused_told_ = refused;
+  if (refused > refused_reported_ && reports_refused_.now()) {
+    refused_reported_ = refused;
     log_.write(LogLevel::warning, "malformed ros_discovery_info",
                {{"refused", std::to_string(refused)}});
   }

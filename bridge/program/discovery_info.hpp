@@ -40,9 +40,9 @@ class DiscoveryInfo {
   RosGraph& graph_;
   const Log& log_;
   Refusals& refusals_;
-  std::set<std::string> local_;     // full names of the nodes at the last say()
-  std::uint64_t refused_told_ = 0;  // count in the last log line
-  Seldom tells_refused_;
+  std::set<std::string> local_;         // full names of the nodes at the last say()
+  std::uint64_t refused_reported_ = 0;  // count in the last log line
+  Seldom reports_refused_;
 };
 
 }  // namespace agnocast::bridge

@@ -21,8 +21,8 @@ class LimitsLog {
   void write() {
     std::uint64_t all = 0;
     for (const LimitRow& row : limit_table) all += limits_.refused(row.limit);
-    if (all == told_ || !tells_.now()) return;
-    told_ = all;
+    if (all == reported_ || !reports_.now()) return;
+    reported_ = all;
     std::string text;
     for (const LimitRow& row : limit_table) {
       if (const std::uint64_t refused = limits_.refused(row.limit); refused != 0)
@@ -34,8 +34,8 @@ class LimitsLog {
  private:
   const Limits& limits_;
   const Log& log_;
-  std::uint64_t told_ = 0;  // refusals in the last log line
-  Seldom tells_;
+  std::uint64_t reported_ = 0;  // refusals in the last log line
+  Seldom reports_;
 };
 
 }  // namespace agnocast::bridge

@@ -81,7 +81,7 @@ void ServiceRoutes::dropped(const Log& log, ServiceTraffic& traffic,
                             ServiceTraffic::Counter& reason, const std::string& service,
                             const std::string& why) {
   const std::uint64_t count = ++reason;
-  if (traffic.tells.now())
+  if (traffic.reports.now())
     log.write(LogLevel::warning, "request or response dropped",
               {{"service", service}, {"dropped", std::to_string(count)}, {"why", why}});
 }
@@ -453,15 +453,15 @@ void ServiceRoutes::write_request(const Log& log, Asking& asking, GenericService
 
 void ServiceRoutes::answer(Asked& asked, const Raw& raw) {
   Asking& asking = *asked.asking;
-  const auto told = header_of(raw.bytes);
-  if (!told)
+  const auto received = header_of(raw.bytes);
+  if (!received)
     return dropped(log_, asking.traffic, asking.traffic.malformed, asking.service,
                    "it has no client id and number");
-  if (told->client_id != asking.client_id) return;  // all clients of a service share the topic
+  if (received->client_id != asking.client_id) return;  // all clients of a service share the topic
   {
     // Another server was faster, or the request never existed.
     const std::lock_guard lock(asking.mutex);
-    if (!asking.pending.contains(told->sequence_number)) return void(++asking.traffic.unasked);
+    if (!asking.pending.contains(received->sequence_number)) return void(++asking.traffic.unasked);
   }
   ServiceHeader header;
   auto response = asked.service->borrow_loaned_response();

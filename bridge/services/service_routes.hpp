@@ -61,7 +61,7 @@ struct ServiceTraffic {
   Counter malformed{0}, refused{0}, timed_out{0}, forgotten{0}, unasked{0};  // see ServiceNumbers
   Counter last_ns{0};
   const std::uint64_t since_ns = monotonic_ns();
-  Seldom tells;  // limits log lines
+  Seldom reports;  // limits log lines
 
   void count_request(std::size_t size) noexcept { count(requests, request_bytes, size); }
   void count_response(std::size_t size) noexcept { count(responses, response_bytes, size); }

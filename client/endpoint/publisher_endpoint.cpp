@@ -434,7 +434,7 @@ bool PublisherEndpoint::is_succeeded_by(const PublisherEndpoint& successor) cons
   return std::includes(there.begin(), there.end(), here.begin(), here.end());
 }
 
-void PublisherEndpoint::bury_dead() {
+void PublisherEndpoint::remove_dead_subscriptions() {
   std::vector<EndpointId> dead;
   {
     const std::lock_guard lock(mutex_);
@@ -445,7 +445,7 @@ void PublisherEndpoint::bury_dead() {
   for (const EndpointId& endpoint : dead) {
     {
       const std::lock_guard lock(mutex_);
-      core_->bury(endpoint.index, endpoint.generation);
+      core_->remove_dead_subscription(endpoint.index, endpoint.generation);
     }
     detach(endpoint.index, endpoint.generation);
   }

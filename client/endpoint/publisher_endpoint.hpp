@@ -194,7 +194,7 @@ class PublisherEndpoint {
   /// lives, is also linked to `successor`.
   bool is_succeeded_by(const PublisherEndpoint& successor) const;
   /// Stands in for the daemon: ends the endpoints whose processes are gone.
-  void bury_dead();
+  void remove_dead_subscriptions();
   /// Returns whether it has moved or ended, and no reader needs any of its messages.
   bool is_finished() noexcept;
   /// From now on it does not access its session.

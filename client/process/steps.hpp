@@ -15,14 +15,14 @@
   X(C_thread, "start the control thread")                                 \
   X(C_ask, "send a request to the daemon")                                \
   X(C_answer, "an answer has been read")                                  \
-  X(C_post, "send a packet without an answer to the daemon")              \
+  X(C_send, "send a packet without an answer to the daemon")              \
   X(C_packet, "a packet of the daemon has been read")                     \
   X(C_window_described, "own region: a window's place")                   \
   X(C_window_open, "pass a window to the hook")                           \
   X(C_window_opened, "a window is in use")                                \
   X(C_extent_open, "map a new endpoint's extent")                         \
   X(C_registered, "a new endpoint enters the table")                      \
-  X(C_sleeper, "a new wait set has its doorbells")                        \
+  X(C_wait_set, "a new wait set has its doorbells")                       \
   X(C_left, "leave was answered")                                         \
   X(C_closed, "a subscription is closed")                                 \
   X(C_release_last, "the release that a closing link waited for")         \
@@ -50,7 +50,7 @@
   X(C_rejoin, "send the identity of the previous connection")             \
   X(C_rejoined, "the connection may be used again")                       \
   X(C_revoked, "the session has ended")                                   \
-  X(C_alone, "the daemon's store is lost")                                \
+  X(C_store_lost, "the daemon's store is lost")                           \
   X(C_next, "begin a new session")                                        \
   X(C_follow, "the heap follows another region")                          \
   X(C_bring, "bring a window along")                                      \
@@ -59,13 +59,13 @@
   X(C_place, "a wait set gets a place in the new session")                \
   X(C_successor, "a subscription's successor is made")                    \
   X(C_succeeded, "a subscription has a successor")                        \
-  X(C_heir, "a publisher's successor is made")                            \
+  X(C_migration_successor, "a publisher's successor is made")             \
   X(C_inherit, "a successor inherits a message")                          \
   X(C_move, "a publisher moves to its successor")                         \
   X(C_moved, "a publisher has moved")                                     \
   X(C_redirect, "a publisher that had moved before points to the newest") \
-  X(C_heir_leaves, "the successor of an ended publisher leaves")          \
+  X(C_successor_leaves, "the successor of an ended publisher leaves")     \
   X(C_finish, "an endpoint of a previous session has ended")              \
-  X(C_former_end, "a previous session ends")
+  X(C_previous_end, "a previous session ends")
 
 AGNOCAST_STEPS(client, 256, AGNOCAST_CLIENT_STEPS)

@@ -60,7 +60,7 @@ void Collector::collect_peers(Connection& connection) {
 
 void Collector::collect_alone() {
   for (const auto& publisher : endpoints_.publishers()) {
-    publisher->bury_dead();
+    publisher->remove_dead_subscriptions();
     if (!publisher->is_finished()) continue;
     AGNOCAST_CRASH_POINT(C_finish);
     publisher->finish();

@@ -119,7 +119,7 @@ class Connection {
     body.header = {opcode, sizeof(T), again ? abi::wire::asked_again : 0};
     const std::lock_guard lock(mutex_);
     if (!is_open_) return;
-    AGNOCAST_CRASH_POINT(C_post);
+    AGNOCAST_CRASH_POINT(C_send);
     send({reinterpret_cast<const std::byte*>(&body), sizeof(T)});
   }
   /// Sends `body` and returns. `on_answer` runs in the control thread with the answer or the

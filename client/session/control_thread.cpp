@@ -245,12 +245,12 @@ void ControlThread::run_former_errands() {
 bool ControlThread::unmap_everything() {
   Reregistration::instance().release_places(*context_);
   if (!places_.end()) return false;  // retried in the next cycle
-  AGNOCAST_CRASH_POINT(C_former_end);
+  AGNOCAST_CRASH_POINT(C_previous_end);
   Heap::leave_region(registration_.region_base());
-  AGNOCAST_CRASH_POINT(C_former_end);
+  AGNOCAST_CRASH_POINT(C_previous_end);
   departures_.forget_unclaimed();
   registration_.unmap_all();
-  AGNOCAST_CRASH_POINT(C_former_end);
+  AGNOCAST_CRASH_POINT(C_previous_end);
   epoll_.reset();
   ControlWake::give_back(registration_.wake());
   return true;

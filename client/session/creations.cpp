@@ -144,7 +144,7 @@ Result<std::unique_ptr<WaitSet::Place>> Creations::open_wait_set(std::uint64_t w
             !read)
           return read;
         const auto fds = packet.packet.fds();
-        AGNOCAST_CRASH_POINT(C_sleeper);
+        AGNOCAST_CRASH_POINT(C_wait_set);
         place = std::make_unique<WaitSet::Place>(
             registration_.region_base(), wait_set,
             DoorbellReceiver(std::move(fds[0]), std::move(fds[1])));

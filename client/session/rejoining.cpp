@@ -63,7 +63,7 @@ void ControlThread::become_orphaned(const Failure& why) noexcept {
   tell_state(ConnectionState::orphaned);
   if (why.code != Errc::started_anew) return;
   state_.step(SessionState::Step::lose);
-  AGNOCAST_CRASH_POINT(C_alone);
+  AGNOCAST_CRASH_POINT(C_store_lost);
   endpoints_.be_alone();
   Reregistration::instance().begin();
 }

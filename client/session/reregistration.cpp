@@ -330,7 +330,7 @@ Result<void> Reregistration::make_publishers(Context& present) {
     auto made = present.make_publisher(entry.request.get(), entry.end_message,
                                        {publisher->persistent_id(), publisher->shared_events()});
     if (made) {
-      AGNOCAST_CRASH_POINT(C_heir);
+      AGNOCAST_CRASH_POINT(C_migration_successor);
       pending_.push_back({publisher, *made, Clock::now()});
     } else {
       problem = tl::unexpected<Failure>(made.error());
@@ -349,7 +349,7 @@ bool Reregistration::try_to_move(Context& present, const Pending& pending) {
     if (before->move_to(successor) && before != publisher) publisher->redirect_to(successor);
     before->context()->wake_control();
   }
-  if (publisher->has_ended()) AGNOCAST_CRASH_POINT(C_heir_leaves);
+  if (publisher->has_ended()) AGNOCAST_CRASH_POINT(C_successor_leaves);
   if (publisher->has_ended()) present.let_leave(*successor);  // also if it ended in between
   return true;
 }

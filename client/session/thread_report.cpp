@@ -36,7 +36,7 @@ void tell_thread(Connection& connection, const ThreadRegister::Thread& thread, b
 void ThreadReport::tell(Connection& connection) {
   const ThreadRegister& known = ThreadRegister::instance();
   const std::uint64_t version = known.version();
-  if (version == told_version_) return;
+  if (version == reported_version_) return;
   std::vector<std::shared_ptr<const ThreadRegister::Group>> groups;
   std::vector<ThreadRegister::Thread> threads;
   known.copy(groups, threads);
@@ -65,11 +65,11 @@ void ThreadReport::tell(Connection& connection) {
   }
   groups_ = std::move(present_groups);
   threads_ = std::move(present_threads);
-  told_version_ = version;
+  reported_version_ = version;
 }
 
 void ThreadReport::forget() noexcept {
-  told_version_ = 0;
+  reported_version_ = 0;
   groups_.clear();
   threads_.clear();
 }

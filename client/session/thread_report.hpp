@@ -24,7 +24,7 @@ class ThreadReport {
  private:
   using GroupKey = std::pair<std::uint64_t, std::uint64_t>;  // executor, group
 
-  std::uint64_t told_version_ = 0;
+  std::uint64_t reported_version_ = 0;
   std::set<GroupKey> groups_;
   std::set<ThreadRegister::Thread> threads_;
 };

@@ -173,10 +173,10 @@ void AddressConflicts::look_at(const EndpointRef& publisher, const EndpointRef& 
   const auto is_news = [&](const EndpointRef& own, const EndpointRef& its) {
     Session* const session = channel_.session_of(registry_.owner_of(own));
     return session != nullptr &&
-           session->collisions().tell({own.kind, number(own.topic), own.index},
-                                      {its.kind, number(its.topic), its.index},
-                                      {registry_.generation_of(own), registry_.generation_of(its),
-                                       found->window, why_not.empty()});
+           session->collisions().report({own.kind, number(own.topic), own.index},
+                                        {its.kind, number(its.topic), its.index},
+                                        {registry_.generation_of(own), registry_.generation_of(its),
+                                         found->window, why_not.empty()});
   };
   const bool tells_publisher = is_news(publisher, subscription);
   const bool tells_subscription = is_news(subscription, publisher);

@@ -93,7 +93,7 @@ bool Reaping::carry_out(const death::Orphan& step) {
 // stays: it may live.
 bool Reaping::carry_out(const death::Unmap&) {
   regions_.unmap_client(client());
-  AGNOCAST_CRASH_POINT(B_buried);
+  AGNOCAST_CRASH_POINT(B_memory_closed);
   return false;
 }
 
@@ -110,7 +110,7 @@ bool Reaping::carry_out(const death::FreeUnused& step) {
 bool Reaping::carry_out(const death::Forget&) {
   endpoint_manager_.forget_client(client());
   doorbells_.close_client(client());
-  AGNOCAST_CRASH_POINT(B_bells_closed);
+  AGNOCAST_CRASH_POINT(B_doorbells_closed);
   endpoint_manager_.run(endpoint_manager_.endings().free_unused_clients());
   endpoint_manager_.run(endpoint_manager_.endings().give_up_gone());
   return false;

@@ -36,7 +36,7 @@ wire::Announcement announcement_of(const EndpointRef& ref, const Record& record,
 Session* Announcer::record_member(const EndpointRef& ref, ClientIndex to) {
   if (!registry_.is_alive(to) || regions_.region_reader(registry_.owner_of(ref)) == nullptr)
     return nullptr;
-  registry_.tell(ref, to);
+  registry_.notify(ref, to);
   return channel_.session_of(to);
 }
 

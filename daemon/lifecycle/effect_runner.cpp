@@ -94,6 +94,6 @@ void EffectRunner::carry_out(const effect::GiveUpOrphans& effect) {
 void EffectRunner::carry_out(const effect::GiveUpSubscriptions& effect) {
   run(endings_.give_up_subscriptions(effect.topic));
 }
-void EffectRunner::carry_out(const effect::BeginFree&) { AGNOCAST_CRASH_POINT(B_settle); }
+void EffectRunner::carry_out(const effect::BeginFree&) { AGNOCAST_CRASH_POINT(B_vacate); }
 
 }  // namespace agnocast::daemon

@@ -129,7 +129,7 @@ struct GiveUpSubscriptions {
   TopicIndex topic{};
 };
 
-/// The crash point B_settle: an unused place was found, and nothing has been freed.
+/// The crash point B_vacate: an unused place was found, and nothing has been freed.
 struct BeginFree {};
 
 }  // namespace effect

@@ -206,7 +206,7 @@ Result<void> EndpointManager::unlinked(ClientIndex client, const wire::Unlinked&
   AGNOCAST_CHECK(session != nullptr);
   return run(leaving_.unlinked(
       client, statement,
-      {session->announcements(), session->packet_count(), welcome_back_.tells(client)}));
+      {session->announcements(), session->packet_count(), welcome_back_.is_announcing(client)}));
 }
 
 Result<void> EndpointManager::run(const Result<Effects>& decision) {

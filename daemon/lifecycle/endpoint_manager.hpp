@@ -75,7 +75,7 @@ class EndpointManager {
   void welcome_back(ClientIndex client) { welcome_back_.begin(client); }
   void go_on_telling() { welcome_back_.go_on(); }
   /// Returns whether a process has not been sent everything yet.
-  bool tells() const noexcept { return welcome_back_.tells(); }
+  bool is_announcing() const noexcept { return welcome_back_.is_announcing(); }
 
   /// Sends the owner of an endpoint a notice about it.
   void notice(const EndpointRef& ref, Errc code, const std::string& text) {

@@ -166,7 +166,7 @@ Result<Effects> Leaving::region_unlinked(ClientIndex client, const wire::Unlinke
       registry_.client(owner).generation != statement.generation)
     return Effects{};  // late: the process is over
   // A process that is still being notified will be asked again afterwards.
-  if (reader.is_being_told) return Effects{};
+  if (reader.is_being_announced_to) return Effects{};
   const Worth worth = worth_of(reader, region_of(owner), statement.seen);
   if (worth == Worth::unknown) return Effects{effect::BeginAnew{client}};
   if (worth == Worth::is_void) return Effects{};

@@ -19,8 +19,8 @@ namespace agnocast::daemon {
 /// The packets that a connection has brought to its process.
 struct Reader {
   const AnnouncementNumbers& announcements;
-  std::uint64_t packet_count = 0;  // sent so far
-  bool is_being_told = false;      // what existed before it came back, and not all of that yet
+  std::uint64_t packet_count = 0;      // sent so far
+  bool is_being_announced_to = false;  // what existed before it came back, and not all of that yet
 };
 
 class Leaving {

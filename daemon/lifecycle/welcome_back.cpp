@@ -11,7 +11,7 @@
 namespace agnocast::daemon {
 
 void WelcomeBack::begin(ClientIndex client) {
-  ToTell rest;
+  Unannounced rest;
   // A process is notified only about topics in which it has endpoints; with the last one it has
   // acknowledged everything there.
   for (const EndpointRef& ref : registry_.endpoints_of(client)) {
@@ -19,35 +19,35 @@ void WelcomeBack::begin(ClientIndex client) {
     rest.topics.insert(ref.topic);
   }
   rest.endpoints = rest.own;
-  tell_more(client, std::move(rest));
+  announce_more(client, std::move(rest));
 }
 
 void WelcomeBack::go_on() {
-  for (auto& [client, rest] : std::exchange(to_tell_, {})) {
+  for (auto& [client, rest] : std::exchange(unannounced_, {})) {
     if (MemoryReserve::refill()) {
-      tell_more(client, std::move(rest));
+      announce_more(client, std::move(rest));
     } else {
-      to_tell_.insert_or_assign(client, std::move(rest));
+      unannounced_.insert_or_assign(client, std::move(rest));
     }
   }
 }
 
 // Without a connection, all of this begins anew when the process is back.
-void WelcomeBack::tell_more(ClientIndex client, ToTell rest) {
+void WelcomeBack::announce_more(ClientIndex client, Unannounced rest) {
   while (rest.next_region < registry_.client_high()) {
     Session* const session = channel_.session_of(client);
     if (session == nullptr) return;
     const bool is_full = session->queued_count() >= Session::queue_count_max / 2;
     if (is_full || (session->is_crowded() && session->has_output())) {
-      to_tell_.insert_or_assign(client, std::move(rest));
+      unannounced_.insert_or_assign(client, std::move(rest));
       return;
     }
-    tell_next(client, rest);
+    announce_next(client, rest);
   }
   announcer_.send_missed_notices(client);
 }
 
-void WelcomeBack::tell_next(ClientIndex client, ToTell& rest) {
+void WelcomeBack::announce_next(ClientIndex client, Unannounced& rest) {
   const auto is_there = [this](std::uint64_t generation, const EndpointRef& ref) {
     return registry_.is_used(ref) && registry_.generation_of(ref) == generation;
   };

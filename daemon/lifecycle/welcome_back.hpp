@@ -29,27 +29,27 @@ class WelcomeBack {
   void begin(ClientIndex client);
   void go_on();
   /// Return whether any process, or this one, has not been sent everything yet.
-  bool tells() const noexcept { return !to_tell_.empty(); }
-  bool tells(ClientIndex client) const { return to_tell_.contains(client); }
-  void forget_client(ClientIndex client) { to_tell_.erase(client); }
+  bool is_announcing() const noexcept { return !unannounced_.empty(); }
+  bool is_announcing(ClientIndex client) const { return unannounced_.contains(client); }
+  void forget_client(ClientIndex client) { unannounced_.erase(client); }
 
  private:
   /// What a process has not been sent yet on its connection, in this order.
-  struct ToTell {
+  struct Unannounced {
     std::map<std::uint64_t, EndpointRef> own;        // endpoints, by generation
     std::map<std::uint64_t, EndpointRef> endpoints;  // endpoints whose peers are next
     std::set<TopicIndex> topics;                     // topics whose ended endpoints are next
     std::uint32_t next_region = 0;                   // regions of others that it has
   };
-  void tell_more(ClientIndex client, ToTell rest);
-  void tell_next(ClientIndex client, ToTell& rest);
+  void announce_more(ClientIndex client, Unannounced rest);
+  void announce_next(ClientIndex client, Unannounced& rest);
 
   const Registry& registry_;
   const Announcing& announcing_;
   Announcer& announcer_;
   EffectRunner& runner_;
   ClientChannel& channel_;
-  std::map<ClientIndex, ToTell> to_tell_;
+  std::map<ClientIndex, Unannounced> unannounced_;
 };
 
 }  // namespace agnocast::daemon

@@ -530,9 +530,9 @@ void Supervisor::keep(const Notification& notification, std::vector<UniqueFd> fd
   if (notification.ready || notification.watchdog) heard(monotonic_ms());
   is_stopping_ = is_stopping_ || notification.stopping;
   if (notification.stopping && kill_due_ms_) kill_due_ms_ = monotonic_ms() + end_patience_ms;
-  std::string said = notification.ready ? "READY=1\n" : "";
-  if (!notification.status.empty()) said += "STATUS=" + notification.status;
-  if (!said.empty()) forward(said);
+  std::string notification_text = notification.ready ? "READY=1\n" : "";
+  if (!notification.status.empty()) notification_text += "STATUS=" + notification.status;
+  if (!notification_text.empty()) forward(notification_text);
   if (notification.stopping && stops_) forward("STOPPING=1");
 }
 

@@ -190,7 +190,7 @@ int Broker::due_ms() const noexcept {
   if (acceptor_.pauses()) return short_interval_ms;
   if (const int due = answers_.due_ms(); due >= 0) return std::min(due, short_interval_ms);
   if (connections_.detached_count() > 0 || output_.flushes_later() ||
-      endpoint_manager_.has_waiting() || endpoint_manager_.tells() ||
+      endpoint_manager_.has_waiting() || endpoint_manager_.is_announcing() ||
       endpoint_manager_.has_renewed() || endpoint_requests_.has_uncleared())
     return short_interval_ms;
   return connections_.all().empty() ? 10'000 : watch_interval_ms;

@@ -87,7 +87,7 @@ void RejoinRequests::renew_doorbells(Peer& peer) {
     if ((wait_sets >> wait_set & 1) == 0) continue;
     auto doorbells = of_.doorbells.renew(client, wait_set, of_.registry.client(client).uid);
     if (!doorbells || doorbells->empty()) continue;
-    AGNOCAST_CRASH_POINT(B_bell_bound);
+    AGNOCAST_CRASH_POINT(B_doorbell_bound);
     auto packet = make_body<wire::DoorbellsRenewed>(wire::Opcode::doorbells_renewed);
     packet.wait_set = wait_set;
     of_.output.reply(peer, packet_of(packet), std::move(*doorbells));

@@ -40,7 +40,7 @@ Result<void> WaitSetRequests::open_wait_set(Peer& peer, const WaitSetRequest& re
   MemoryReserve::no_return();
   auto doorbells = doorbells_.open(client, request.wait_set, registry_.client(client).uid);
   if (!doorbells) return tl::unexpected(doorbells.error());
-  AGNOCAST_CRASH_POINT(B_bell_bound);
+  AGNOCAST_CRASH_POINT(B_doorbell_bound);
   registry_.open_wait_set(client, static_cast<std::uint32_t>(request.wait_set));
   const auto packet = make_body<wire::Done>(wire::Opcode::wait_set_opened, request.request);
   output_.reply(peer, packet_of(packet), std::move(*doorbells));

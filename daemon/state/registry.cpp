@@ -158,8 +158,8 @@ void Registry::untrack(const EndpointRef& ref) {
 void Registry::add_to(AnnounceSet& set, TopicIndex topic, std::uint64_t client) {
   if (set.contains(client)) return;
   ++views_[ClientIndex{static_cast<std::uint32_t>(client)}].knows[number(topic)];
-  AGNOCAST_CRASH_POINT(B_told);
-  set.tell(client);
+  AGNOCAST_CRASH_POINT(B_notified);
+  set.notify(client);
 }
 
 void Registry::take_from(AnnounceSet& set, TopicIndex topic, std::uint64_t client) {
@@ -168,7 +168,7 @@ void Registry::take_from(AnnounceSet& set, TopicIndex topic, std::uint64_t clien
   auto& knows = views_[ClientIndex{static_cast<std::uint32_t>(client)}].knows;
   if (const auto known = knows.find(number(topic)); known != knows.end() && --known->second == 0)
     knows.erase(known);
-  AGNOCAST_CRASH_POINT(B_told);
+  AGNOCAST_CRASH_POINT(B_notified);
   set.acknowledge(client, set.generation());
 }
 
@@ -561,7 +561,7 @@ std::uint64_t Registry::generation_of(const EndpointRef& ref) const noexcept {
                                      : subscription(ref.topic, ref.index).generation;
 }
 
-void Registry::tell(const EndpointRef& ref, ClientIndex to) {
+void Registry::notify(const EndpointRef& ref, ClientIndex to) {
   // A repeated announcement changes nothing; the log is for what changes.
   if (notified_of(ref).contains(number(to)) &&
       (owner_of(ref) == to || client(owner_of(ref)).notified.contains(number(to))))

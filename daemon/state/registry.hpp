@@ -316,7 +316,7 @@ class Registry {
   ClientIndex owner_of(const EndpointRef& ref) const noexcept;
   std::uint64_t generation_of(const EndpointRef& ref) const noexcept;
   /// Records that `to` is about to be notified of the endpoint, and of its process's region.
-  void tell(const EndpointRef& ref, ClientIndex to);
+  void notify(const EndpointRef& ref, ClientIndex to);
   void acknowledge_unmap(const EndpointRef& ref, ClientIndex by);
   void acknowledge_region_unmap(ClientIndex owner, ClientIndex by);
 

@@ -133,7 +133,7 @@ void Registry::apply_to_announce_sets(const Record& record) {
   } else if (record.type == Type::unlinked) {
     if (kind == Kind::region) {
       AnnounceSet& set = tables_.client[record.argument[0]].notified;
-      AGNOCAST_CRASH_POINT(B_told);
+      AGNOCAST_CRASH_POINT(B_notified);
       set.acknowledge(who, set.generation());
     } else {
       take_from(notified({kind, topic, index_of(record)}), topic, who);
@@ -143,8 +143,8 @@ void Registry::apply_to_announce_sets(const Record& record) {
     add_to(notified(ref), topic, who);
     const ClientIndex owner = owner_of(ref);
     if (number(owner) == who) return;
-    AGNOCAST_CRASH_POINT(B_told);
-    tables_.client[number(owner)].notified.tell(who);
+    AGNOCAST_CRASH_POINT(B_notified);
+    tables_.client[number(owner)].notified.notify(who);
   }
 }
 
@@ -161,7 +161,7 @@ void Registry::apply_to_client(const Record& record) {
       store(client.wait_sets, 0);
       store(client.readers, 0);
       store(client.window_count, 0);
-      AGNOCAST_CRASH_POINT(B_told);
+      AGNOCAST_CRASH_POINT(B_notified);
       client.notified.begin(client.generation);
       store(client.state, ClientState::alive);
       store(tables_.header.counters.clients_registered, record.argument[6]);
@@ -193,7 +193,7 @@ void Registry::apply_to_client(const Record& record) {
       const std::uint64_t gone = record.argument[0];
       for (std::uint32_t i = 0; i < tables_.header.client_high; ++i) {
         if (tables_.client[i].state == ClientState::free) continue;
-        AGNOCAST_CRASH_POINT(B_told);
+        AGNOCAST_CRASH_POINT(B_notified);
         tables_.client[i].notified.died(gone);
       }
       store(client.state, ClientState::forgotten);
@@ -222,7 +222,7 @@ void Registry::apply_to_publisher(const Record& record) {
       store(publisher.final_head, 0);
       store(publisher.creation, argument[7]);
       store(publisher.last_joined, 0);
-      AGNOCAST_CRASH_POINT(B_told);
+      AGNOCAST_CRASH_POINT(B_notified);
       publisher.notified.begin(publisher.generation);
       store(publisher.state, EndpointState::active);
       use_place({Kind::publisher, at, index});
@@ -278,7 +278,7 @@ void Registry::apply_to_subscription(const Record& record) {
       store(subscription.wait_set, argument[7]);
       store(subscription.creation, argument[8]);
       store(subscription.quota_of_others, argument[9]);
-      AGNOCAST_CRASH_POINT(B_told);
+      AGNOCAST_CRASH_POINT(B_notified);
       subscription.notified.begin(subscription.generation);
       store(subscription.state, EndpointState::active);
       use_place({Kind::subscription, at, index});

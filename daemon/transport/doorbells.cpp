@@ -65,7 +65,7 @@ Result<std::vector<SharedFd>> Doorbells::make(ClientIndex client, std::uint64_t 
                                               std::uint32_t uid, SharedFd eventfd) {
   const Key key{number(client), wait_set};
   const std::string name = name_of(key);
-  AGNOCAST_CRASH_POINT(B_bell_bind);
+  AGNOCAST_CRASH_POINT(B_doorbell_bind);
   ::mkdir(directory_.c_str(), 0700);  // it may have been removed; make_doorbell() checks its owner
   auto receiver = make_doorbell(directory_, name);
   if (!receiver) return tl::unexpected(receiver.error());
@@ -206,7 +206,7 @@ void Doorbells::close_client(ClientIndex client) noexcept {
   const auto begin = doorbells_.lower_bound({number(client), 0});
   const auto end = doorbells_.lower_bound({number(client) + 1, 0});
   for (auto at = begin; at != end; ++at) {
-    AGNOCAST_CRASH_POINT(B_bell_remove);
+    AGNOCAST_CRASH_POINT(B_doorbell_remove);
     ::unlink((directory_ + "/" + name_of(at->first)).c_str());
     store_.remove(DescriptorStore::eventfd(client, at->first.second));
   }

@@ -182,7 +182,7 @@ class CollisionsNotified {
   explicit CollisionsNotified(std::shared_ptr<KeptForUser> user) : bytes_(std::move(user)) {}
 
   /// Returns whether this is news about the endpoint of the process and the other one.
-  bool tell(const Announced& own, const Announced& other, const Collision& what) {
+  bool report(const Announced& own, const Announced& other, const Collision& what) {
     const bool is_full = notified_.size() >= count_max || !bytes_.has_room_for(entry_bytes);
     if (is_full && !notified_.contains({own, other})) notified_.clear();
     Collision& before = notified_[{own, other}];

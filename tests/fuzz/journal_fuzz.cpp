@@ -91,7 +91,7 @@ void live(Registry& registry, FuzzedDataProvider& input) {
       const EndpointRef ref =
           endpoints[input.ConsumeIntegralInRange<std::size_t>(0, endpoints.size() - 1)];
       const bool publisher = ref.kind == Kind::publisher;
-      if (what == 5) registry.tell(ref, client);
+      if (what == 5) registry.notify(ref, client);
       if (what == 6) registry.acknowledge_unmap(ref, client);
       if (what == 7 && publisher &&
           registry.publisher(ref.topic, ref.index).state == EndpointState::active)

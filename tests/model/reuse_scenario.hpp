@@ -321,7 +321,7 @@ class ReuseScenario {
             break;
           case announce:
             state.addressee = state.life;
-            state.set.tell(state.life);  // (a) logged; sent in a separate step
+            state.set.notify(state.life);  // (a) logged; sent in a separate step
             state.notified[state.life] = state.set.generation();
             thread.pc = send_announcement;
             break;

@@ -324,9 +324,10 @@ TEST(DaemonSweep, APublisherInAPublishAndTheDaemonThatRepairsItsQueueDieTogether
   print_places(sum);
   EXPECT_GE(sum.died_at.size(), 15u);
   if (stride != 1) return;
-  for (const Step step : {steps::D2_word, steps::D3_slot, steps::D3_order, steps::D3_intent,
-                          steps::D3_final_head, steps::D3_word, steps::D3_epoch, steps::R3_died,
-                          steps::B_ring, steps::B_bells_closed, steps::B_buried, steps::B_settle})
+  for (const Step step :
+       {steps::D2_word, steps::D3_slot, steps::D3_order, steps::D3_intent, steps::D3_final_head,
+        steps::D3_word, steps::D3_epoch, steps::R3_died, steps::B_ring, steps::B_doorbells_closed,
+        steps::B_memory_closed, steps::B_vacate})
     EXPECT_GT(sum.daemon_died_at[step], 0u) << name_of(step);
 }
 
@@ -501,8 +502,8 @@ TEST(DaemonSweep, ADoorbellIsRecreatedWhereverTheDaemonThatMakesItDies) {
   for (const bool is_behind : {false, true}) {
     for (std::uint64_t n = 1;; ++n) {
       const std::string wrong = doorbells.renew([&](ControlPage& daemon) {
-        is_behind ? daemon.arm_from(steps::B_bell_bind, n)
-                  : daemon.arm_until(steps::B_bell_bind, n);
+        is_behind ? daemon.arm_from(steps::B_doorbell_bind, n)
+                  : daemon.arm_until(steps::B_doorbell_bind, n);
       });
       const auto death = doorbells.stage().daemon_control().died_at();
       ASSERT_EQ(wrong, "") << "point " << n << (is_behind ? " behind" : " before")
@@ -516,8 +517,8 @@ TEST(DaemonSweep, ADoorbellIsRecreatedWhereverTheDaemonThatMakesItDies) {
   }
   std::printf("doorbells that are made anew: %ju deaths at %zu names\n", std::uintmax_t{deaths},
               died_at.size());
-  for (const Step step :
-       {steps::B_accepted, steps::B_bell_bind, steps::B_bell_bound, steps::B_send, steps::B_sent})
+  for (const Step step : {steps::B_accepted, steps::B_doorbell_bind, steps::B_doorbell_bound,
+                          steps::B_send, steps::B_sent})
     EXPECT_GT(died_at[step], 0u) << name_of(step);
 }
 

@@ -11,7 +11,7 @@
 //   publish ID COUNT BYTES               → COMMITTED [why not more]
 //   take ID                             → none LOST | PUBLISHER NUMBER SEQUENCE LOST | bad …  held
 //   release ID POSITION                  → ok | bad …           a held message, compared once more
-//   bury                                 → ok | bad …           the same of ended subscriptions
+//   release_ended                        → ok | bad …           the same of ended subscriptions
 //   matched ID                           → subscriptions that this publisher has
 //   sync                                 → ok     everything announced so far has been handled
 //   run_pub ID COUNT SEED PROGRESS       → free run: COMMITTED
@@ -45,7 +45,7 @@ class Actor {
     line >> what;
     if (what == "sync") return sync();
     if (what == "live") return live();
-    if (what == "bury") return bury();
+    if (what == "release_ended") return release_ended();
     std::uint64_t id = 0;
     line >> id;
     if (what == "seed") return seed_ = id, "ok";
@@ -141,7 +141,7 @@ class Actor {
     return "ok";
   }
 
-  std::string bury() {
+  std::string release_ended() {
     bool intact = true;
     for (const Held& held : outliving_)
       intact = intact && SpecimenMaker::is_intact(*held.message, seed_, held.name);

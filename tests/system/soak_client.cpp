@@ -33,7 +33,7 @@ class Mayfly {
       if (random_.chance(3)) leave();
       if (random_.chance(3) && writers_.size() + readers_.size() < 6) join();
       if (random_.below(1000) < 4) end_properly();
-      bury(now_ns());
+      release_ended(now_ns());
       ::usleep(static_cast<useconds_t>(random_.below(2000)));
     }
   }
@@ -66,7 +66,7 @@ class Mayfly {
       readers_.erase(leaving);
     }
   }
-  void bury(std::uint64_t now) {
+  void release_ended(std::uint64_t now) {
     while (!outliving_.empty() && outliving_.front().until_ns <= now) {
       verify(here_, outliving_.front(), "release after its subscription");
       outliving_.pop_front();
@@ -76,7 +76,7 @@ class Mayfly {
   [[noreturn]] void end_properly() {
     if (random_.chance(70)) {
       while (!readers_.empty() || !writers_.empty()) leave();
-      bury(~std::uint64_t{0});
+      release_ended(~std::uint64_t{0});
     }
     ::_exit(0);
   }

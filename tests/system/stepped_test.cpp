@@ -97,7 +97,7 @@ class Schedule {
     while (!failed_ && !subscriptions_.empty()) leave_subscription();
     while (!failed_ && !publishers_.empty()) leave_publisher();
     for (std::size_t place = 0; place < actor_count && !failed_; ++place)
-      expect(stage_.actor(place).ask("bury"), "ok", "held beyond the subscription");
+      expect(stage_.actor(place).ask("release_ended"), "ok", "held beyond the subscription");
   }
 
   bool failed() const { return failed_; }
@@ -196,7 +196,8 @@ class Schedule {
     const std::uint64_t id = any_of(subscriptions_);
     const std::size_t place = subscriptions_[id].place;
     expect(ask(place, "unsub " + std::to_string(id)), "ok", "unsub");
-    if (random_.chance(70)) expect(ask(place, "bury"), "ok", "held beyond the subscription");
+    if (random_.chance(70))
+      expect(ask(place, "release_ended"), "ok", "held beyond the subscription");
     reference_.leave_subscription(id);
     subscriptions_.erase(id);
     sync_everybody();

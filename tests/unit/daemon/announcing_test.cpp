@@ -125,7 +125,7 @@ TEST_F(AnnouncingTest, AReaderThatComesBackIsNotifiedOfAnOrphanThatItHadJoined) 
   const ClientIndex owner = scene.process(), reader = scene.process();
   const EndpointRef publisher = scene.publisher(owner);
   const EndpointRef before = scene.subscription(reader);
-  registry.tell(publisher, reader);
+  registry.notify(publisher, reader);
   scene.orphan(publisher);
   const EndpointRef after = scene.subscription(reader);
   EXPECT_EQ(count_of<effect::Announce>(announcing.to_owner(before)), 1u);
@@ -139,7 +139,7 @@ TEST_F(AnnouncingTest, APublisherThatComesBackIsAskedToUnmapDeadSubscriptions) {
   const ClientIndex owner = scene.process(), reader = scene.process();
   scene.publisher(owner);
   const EndpointRef subscription = scene.subscription(reader);
-  registry.tell(subscription, owner);
+  registry.notify(subscription, owner);
   EXPECT_TRUE(announcing.what_is_over(owner, subscription.topic).empty());
   registry.change_subscription(subscription.topic, subscription.index, EndpointState::dead);
   EXPECT_EQ(count_of<effect::Send>(announcing.what_is_over(owner, subscription.topic)), 1u);

@@ -54,7 +54,7 @@ class ClientDeathTest : public testing::Test {
 TEST_F(ClientDeathTest, GoesThroughTheStatesInOrder) {
   const ClientIndex client = dead_client(), other = scene.process();
   const EndpointRef known = scene.publisher(other, "/known");
-  registry.tell(known, client);
+  registry.notify(known, client);
   registry.client_died(client, journal::DeathReason::died);
   ClientDeath death(client, registry);
   EXPECT_EQ(death.state(), DeathState::closing);

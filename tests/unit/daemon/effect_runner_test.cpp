@@ -42,7 +42,7 @@ class EffectRunnerTest : public testing::Test {
 TEST_F(EffectRunnerTest, TheLastAcknowledgementFreesPlaceTopicAndProcess) {
   const ClientIndex owner = scene.process(), reader = scene.process();
   const EndpointRef publisher = scene.publisher(owner);
-  registry.tell(publisher, reader);
+  registry.notify(publisher, reader);
   registry.client_died(owner, journal::DeathReason::died);
   runner.run(endings.orphan(publisher, 0, journal::LeaveCause::nothing_open));
   registry.client_forgotten(owner);
@@ -59,7 +59,7 @@ TEST_F(EffectRunnerTest, TheLastAcknowledgementFreesPlaceTopicAndProcess) {
 TEST_F(EffectRunnerTest, EachPeerOfAnOrphanIsSentOnePacket) {
   const ClientIndex owner = scene.process(), reader = scene.process(), away = scene.process();
   const EndpointRef publisher = scene.publisher(owner);
-  for (const ClientIndex to : {reader, away}) registry.tell(publisher, to);
+  for (const ClientIndex to : {reader, away}) registry.notify(publisher, to);
   Session& session = connect(reader);
   Session& own = connect(owner);
   runner.run(endings.orphan(publisher, 0, journal::LeaveCause::left));

@@ -41,8 +41,8 @@ TEST_F(EndingsTest, RecordsAnOrphanThenRingsReadersThenNotifiesItsPeers) {
   const EndpointRef publisher = scene.publisher(owner);
   scene.subscription(reader);
   const EndpointRef left = scene.subscription(knows);
-  registry.tell(publisher, reader);
-  registry.tell(publisher, knows);
+  registry.notify(publisher, reader);
+  registry.notify(publisher, knows);
   registry.change_subscription(left.topic, left.index, EndpointState::leaving);
   const std::uint64_t before = scene.records();
   const Effects effects = endings.orphan(publisher, 77, journal::LeaveCause::rolled_back);
@@ -64,7 +64,7 @@ TEST_F(EndingsTest, ClosesASubscriptionBeforeItNotifiesPeers) {
   scene.publisher(owner);
   scene.publisher(stranger);
   const EndpointRef subscription = scene.subscription(reader);
-  registry.tell(subscription, owner);
+  registry.notify(subscription, owner);
   const Effects effects = endings.close_subscription(subscription);
   ASSERT_TRUE(is<effect::ChangeSubscription>(effects, 0));
   EXPECT_EQ(std::get<effect::ChangeSubscription>(effects[0]).state, EndpointState::dead);
@@ -75,7 +75,7 @@ TEST_F(EndingsTest, ClosesASubscriptionBeforeItNotifiesPeers) {
 TEST_F(EndingsTest, FreesNoPlaceThatAPeerHas) {
   const ClientIndex owner = scene.process(), reader = scene.process();
   const EndpointRef publisher = scene.publisher(owner);
-  registry.tell(publisher, reader);
+  registry.notify(publisher, reader);
   scene.orphan(publisher);
   EXPECT_TRUE(endings.free_unused(publisher).empty());
   registry.acknowledge_unmap(publisher, reader);
@@ -128,8 +128,8 @@ TEST_F(EndingsTest, OwesTheAcknowledgementsOfAProcessWithoutAReadingEndpoint) {
   const ClientIndex owner = scene.process(), reads = scene.process(), drained = scene.process();
   const EndpointRef publisher = scene.publisher(owner);
   scene.subscription(reads);
-  registry.tell(publisher, reads);
-  registry.tell(publisher, drained);
+  registry.notify(publisher, reads);
+  registry.notify(publisher, drained);
   const Effects effects = endings.owed_acknowledgements(Kind::publisher, publisher.topic);
   ASSERT_EQ(count_of<effect::Acknowledge>(effects), 1u);
   EXPECT_EQ(std::get<effect::Acknowledge>(effects[0]).by, drained);
@@ -145,7 +145,7 @@ TEST(Endings, GiveUpTheOldestOrphansOnce) {
   std::vector<EndpointRef> orphans;
   for (int i = 0; i < 4; ++i) {
     orphans.push_back(scene.publisher(owner));
-    scene.registry.tell(orphans.back(), reader);
+    scene.registry.notify(orphans.back(), reader);
     scene.orphan(orphans.back());
   }
   const Effects effects = endings.give_up_orphans(orphans[0].topic);

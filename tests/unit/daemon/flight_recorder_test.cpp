@@ -101,7 +101,7 @@ TEST_F(FlightRecorder, NamesAPlaceOnlyUntilItIsReused) {
   const TopicIndex t = registry.add_topic({0, "/points", "T", 1}).value();
   const auto p = publisher(a, t);
   const EndpointRef ref{Kind::publisher, t, p.index};
-  registry.tell(ref, b);
+  registry.notify(ref, b);
   registry.acknowledge_unmap(ref, b);
   registry.acknowledge_region_unmap(a, b);
   registry.orphan_publisher(t, p.index, 0, journal::LeaveCause::rolled_back);

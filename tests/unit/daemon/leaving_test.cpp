@@ -34,13 +34,14 @@ class LeavingTest : public testing::Test {
     statement.seen = seen;
     return leaving.unlinked(client, statement, {book, packet_count, false});
   }
-  Result<Effects> region_unlinked(ClientIndex client, ClientIndex owner, bool is_being_told) {
+  Result<Effects> region_unlinked(ClientIndex client, ClientIndex owner,
+                                  bool is_being_announced_to) {
     wire::Unlinked statement{};
     statement.kind = Kind::region;
     statement.index = number(owner);
     statement.generation = registry.client(owner).generation;
     statement.seen = packet_count;
-    return leaving.unlinked(client, statement, {book, packet_count, is_being_told});
+    return leaving.unlinked(client, statement, {book, packet_count, is_being_announced_to});
   }
 
   test::RegistryScene scene;
@@ -93,7 +94,7 @@ TEST_F(LeavingTest, NothingIsDrainedBeforeItHasLeft) {
 TEST_F(LeavingTest, ADrainedSubscriptionAcknowledgesPublishersWithoutAnotherReaderInItsProcess) {
   const ClientIndex owner = scene.process(), reader = scene.process();
   const EndpointRef publisher = scene.publisher(owner), first = scene.subscription(reader);
-  registry.tell(publisher, reader);
+  registry.notify(publisher, reader);
   registry.change_subscription(first.topic, first.index, EndpointState::leaving);
   EXPECT_EQ(count_of<effect::Acknowledge>(drained(reader, first).value()), 1u);
   scene.subscription(reader);
@@ -116,7 +117,7 @@ TEST_F(LeavingTest, OnlyTheLastDrainedPublisherOfAProcessAcknowledgesTheReaders)
 TEST_F(LeavingTest, AStatementMadeBeforeTheLastAnnouncementIsVoid) {
   const ClientIndex owner = scene.process(), reader = scene.process();
   const EndpointRef publisher = scene.publisher(owner);
-  registry.tell(publisher, reader);
+  registry.notify(publisher, reader);
   book.announced(subject_of(publisher), 5);
   EXPECT_EQ(unlinked(reader, publisher, 11).error().code, Errc::protocol_violation)
       << "a client cannot have read more packets than were sent";
@@ -134,7 +135,7 @@ TEST_F(LeavingTest, AnAnnouncementThatTheBookHasDroppedIsRepeatedOnANewConnectio
   for (std::uint32_t i = 0; i < 1000; ++i) small.announced({Kind::publisher, 1, i}, i + 1);
   const ClientIndex owner = scene.process(), reader = scene.process();
   const EndpointRef publisher = scene.publisher(owner);
-  registry.tell(publisher, reader);
+  registry.notify(publisher, reader);
   wire::Unlinked statement{};
   statement.kind = Kind::publisher;
   statement.generation = registry.generation_of(publisher);
@@ -148,7 +149,7 @@ TEST_F(LeavingTest, AnAnnouncementThatTheBookHasDroppedIsRepeatedOnANewConnectio
 TEST_F(LeavingTest, ARegionIsAcknowledgedAfterAllItsEndpoints) {
   const ClientIndex owner = scene.process(), reader = scene.process();
   const EndpointRef publisher = scene.publisher(owner);
-  registry.tell(publisher, reader);
+  registry.notify(publisher, reader);
   EXPECT_FALSE(region_unlinked(reader, owner, false)) << "one of its publishers is mapped";
   registry.acknowledge_unmap(publisher, reader);
   EXPECT_TRUE(region_unlinked(reader, owner, true)->empty())

@@ -176,8 +176,8 @@ TEST_F(Redo, CompletesEveryChangeWhateverPartWasMade) {
     r.add_subscription(b, t, qos, {7, 3}, 5, plan, "listener");
   });
   step(RecordType::raise_slots, [&](R& r) { r.raise_slots(t, {0, 512}); });
-  step(RecordType::announced, [&](R& r) { r.tell(publisher, b); });
-  step(RecordType::announced, [&](R& r) { r.tell(subscription, a); });
+  step(RecordType::announced, [&](R& r) { r.notify(publisher, b); });
+  step(RecordType::announced, [&](R& r) { r.notify(subscription, a); });
   step(RecordType::rejoined, [&](R& r) { r.note_rejoined(a); });
   step(RecordType::recovered,
        [&](R& r) { r.note_recovered({.pid = 4, .dead_count = 6, .board_word_count = 7}); });

@@ -190,7 +190,7 @@ TEST_F(RegistryTest, AgreesWithAModelOverManyRestarts) {
       const EndpointRef ref{Kind::publisher, t, m.index};
       const ClientIndex other = clients[random() % clients.size()];
       if (what == 1 && m.state == EndpointState::active) {
-        life->tell(ref, other);
+        life->notify(ref, other);
         m.notified.insert(number(other));
       } else if (what == 2) {
         life->acknowledge_unmap(ref, other);

@@ -31,7 +31,7 @@ TEST_F(RegistryTest, ReusesAnIndexOnlyWhenNoProcessKnowsTheOldOne) {
   const TopicIndex t = topic();
   const auto p = publisher(a, t);
   const EndpointRef ref{Kind::publisher, t, p.index};
-  registry.tell(ref, b);
+  registry.notify(ref, b);
   EXPECT_TRUE(registry.client(a).notified.contains(number(b))) << "b knows its region as well";
   registry.orphan_publisher(t, p.index, abi::pack_entry(p.first_sequence, 0));
   EXPECT_EQ(publisher(a, t).index, 1u);
@@ -111,7 +111,7 @@ TEST_F(RegistryTest, EndsAProcessOnlyWhenNoOtherProcessKnowsPartOfIt) {
   const ClientIndex a = client(), b = client();
   const TopicIndex t = topic();
   const auto p = publisher(a, t);
-  registry.tell({Kind::publisher, t, p.index}, b);
+  registry.notify({Kind::publisher, t, p.index}, b);
   EXPECT_FALSE(registry.can_free(a));
   registry.client_died(a, journal::DeathReason::died);
   registry.orphan_publisher(t, p.index, 0);
@@ -134,8 +134,8 @@ TEST_F(RegistryTest, ForgetsADeadProcessEverywhere) {
   const TopicIndex t = topic(), u = topic("/other");
   const auto p = publisher(a, t);
   const auto s = subscription(a, u);
-  registry.tell({Kind::publisher, t, p.index}, b);
-  registry.tell({Kind::subscription, u, s.index}, b);
+  registry.notify({Kind::publisher, t, p.index}, b);
+  registry.notify({Kind::subscription, u, s.index}, b);
   registry.client_died(b, journal::DeathReason::died);
   EXPECT_EQ(registry.known_topic_of(b), t);
   registry.acknowledge_topic(b, t);
@@ -191,7 +191,7 @@ TEST_F(RegistryTest, IsFoundAgainAfterARestart) {
   const ClientIndex a = client(), b = client();
   const TopicIndex t = topic();
   const auto p = publisher(a, t);
-  registry.tell({Kind::publisher, t, p.index}, b);
+  registry.notify({Kind::publisher, t, p.index}, b);
   Registry later(memory.parts());
   ASSERT_TRUE(later.open());
   EXPECT_EQ(later.find_topic(0, "/topic"), t);
@@ -285,8 +285,8 @@ TEST_F(RegistryTest, AssignsNoFreePlaceThatAProcessIsStillNotifiedOf) {
   publisher(a, t);
   subscription(a, t);
   Tables& tables = *reinterpret_cast<Tables*>(memory.parts().tables);
-  tables.publisher[number(t)][1].notified.tell(5);
-  tables.subscription[number(t)][1].notified.tell(5);
+  tables.publisher[number(t)][1].notified.notify(5);
+  tables.subscription[number(t)][1].notified.notify(5);
   const auto of_publisher = registry.plan_publisher(a, t, qos);
   ASSERT_FALSE(of_publisher);
   EXPECT_EQ(of_publisher.error().code, Errc::store_damaged);
@@ -298,7 +298,7 @@ TEST_F(RegistryTest, AssignsNoFreePlaceThatAProcessIsStillNotifiedOf) {
   registry.change_subscription(t, 0, EndpointState::over);
   registry.free_subscription(t, 0);
   tables.subscription[number(t)][1].notified.acknowledge(5, 0);
-  tables.subscription[number(t)][0].notified.tell(5);
+  tables.subscription[number(t)][0].notified.notify(5);
   EXPECT_FALSE(registry.is_used(ref));
   EXPECT_EQ(registry.plan_subscription(a, t, qos, {1, 1}).value().index, 1u);
 }

@@ -25,17 +25,17 @@ constexpr Announced subscription(std::uint64_t index) { return {Kind::subscripti
 TEST(CollisionsNotified, IsNewsOncePerPairAndAfterEachChange) {
   CollisionsNotified notified(std::make_shared<KeptForUser>());
   const CollisionsNotified::Collision what{10, 20, 0, true};
-  EXPECT_TRUE(notified.tell(publisher, subscription(0), what));
-  EXPECT_FALSE(notified.tell(publisher, subscription(0), what));
-  EXPECT_TRUE(notified.tell(publisher, subscription(1), what));
-  EXPECT_FALSE(notified.tell(publisher, subscription(0), what));
+  EXPECT_TRUE(notified.report(publisher, subscription(0), what));
+  EXPECT_FALSE(notified.report(publisher, subscription(0), what));
+  EXPECT_TRUE(notified.report(publisher, subscription(1), what));
+  EXPECT_FALSE(notified.report(publisher, subscription(0), what));
   for (const CollisionsNotified::Collision& other :
        {CollisionsNotified::Collision{11, 20, 0, true},
         CollisionsNotified::Collision{11, 21, 0, true},
         CollisionsNotified::Collision{11, 21, 1, true},
         CollisionsNotified::Collision{11, 21, 1, false}}) {
-    EXPECT_TRUE(notified.tell(publisher, subscription(0), other));
-    EXPECT_FALSE(notified.tell(publisher, subscription(0), other));
+    EXPECT_TRUE(notified.report(publisher, subscription(0), other));
+    EXPECT_FALSE(notified.report(publisher, subscription(0), other));
   }
 }
 
@@ -46,8 +46,8 @@ TEST(CollisionsNotified, IsBoundedHoweverManyPairsCollide) {
   std::uint64_t reported = 0, repeated = 0;
   std::size_t most = 0;
   for (std::uint64_t i = 0; i < pairs; ++i) {
-    if (notified.tell(publisher, subscription(i), what)) ++reported;
-    if (notified.tell(publisher, subscription(i), what)) ++repeated;
+    if (notified.report(publisher, subscription(i), what)) ++reported;
+    if (notified.report(publisher, subscription(i), what)) ++repeated;
     most = std::max(most, notified.size());
   }
   EXPECT_EQ(reported, pairs);
@@ -67,17 +67,17 @@ TEST(CollisionsNotified, IsBoundedPerUser) {
     CollisionsNotified& notified = sessions.emplace_back(user);
     std::uint64_t reported = 0;
     for (std::uint64_t i = 0; i < CollisionsNotified::count_max; ++i)
-      if (notified.tell(publisher, subscription(i), what)) ++reported;
+      if (notified.report(publisher, subscription(i), what)) ++reported;
     EXPECT_EQ(reported, CollisionsNotified::count_max);
     ASSERT_LE(user->book_bytes, BookBytes::of_user_max + (s + 1) * BookBytes::own_max);
   }
   CollisionsNotified of_another(other);
-  EXPECT_TRUE(of_another.tell(publisher, subscription(0), what));
+  EXPECT_TRUE(of_another.report(publisher, subscription(0), what));
   std::uint64_t reported = 1;
   for (std::uint64_t i = 1; i < CollisionsNotified::count_max; ++i)
-    if (of_another.tell(publisher, subscription(i), what)) ++reported;
+    if (of_another.report(publisher, subscription(i), what)) ++reported;
   EXPECT_EQ(reported, CollisionsNotified::count_max);
-  EXPECT_FALSE(of_another.tell(publisher, subscription(0), what))
+  EXPECT_FALSE(of_another.report(publisher, subscription(0), what))
       << "another user has its own room";
   EXPECT_GT(user->book_bytes, BookBytes::of_user_max) << "the later ones found no room";
   sessions.clear();

@@ -234,7 +234,7 @@ TEST(RecoveryTables, AgreeWithAnnounceSetsAndBooks) {
     AnnounceSet<M> set;
     AnnouncementBook<M> book;
     set.begin(generation);
-    if (found[0] == announce::notified) set.tell(client);
+    if (found[0] == announce::notified) set.notify(client);
     if (found[2] != announce::never) book.linked(generation);
     if (found[2] == announce::unlinked) book.unlinked(generation);
     // The new connection: the daemon notifies each client in the set again, the client answers.
