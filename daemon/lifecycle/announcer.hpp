@@ -50,7 +50,10 @@ class Announcer {
   /// Subscriptions, by generation, announced without doorbells for lack of descriptors.
   using ByGeneration = std::map<std::uint64_t, EndpointRef>;
   bool has_waiting() const noexcept { return !waiting_.empty(); }
-  void move_waiting_to(ByGeneration& others) { others.merge(waiting_); }
+  void move_waiting_to(ByGeneration& others) {
+    others.merge(waiting_);
+    waiting_.clear();  // merge() leaves those that `others` has already
+  }
 
  private:
   void announce_publisher(TopicIndex topic, std::uint32_t index, std::uint32_t subscription);

@@ -11,6 +11,7 @@
 namespace agnocast::daemon {
 
 void WelcomeBack::begin(ClientIndex client) {
+  unannounced_.erase(client);  // what was left for its former connection
   Unannounced rest;
   // A process is notified only about topics in which it has endpoints; with the last one it has
   // acknowledged everything there.
