@@ -10,7 +10,12 @@
 #include <gtest/gtest.h>
 
 #include <cstdint>
+#include <functional>
+#include <map>
+#include <memory>
 #include <string>
+#include <string_view>
+#include <utility>
 
 namespace agnocast::test {
 
@@ -24,18 +29,35 @@ struct DaemonCore {
       const auto found = sessions.find(client);
       return found == sessions.end() ? nullptr : &found->second;
     }
-    std::uint64_t user_namespace_of(daemon::ClientIndex) override { return 0; }
+    std::uint64_t user_namespace_of(daemon::ClientIndex client) override {
+      const auto found = user_namespaces.find(client);
+      return found == user_namespaces.end() ? 0 : found->second;
+    }
     void send(daemon::ClientIndex client, daemon::Outgoing packet) override {
       daemon::Session* const session = session_of(client);
       if (session == nullptr) return;
+      if (on_send) on_send(client, packet);
       session->push(std::move(packet));
-      session->drop_output();
+      if (!keeps_output) session->drop_output();
     }
     void begin_anew(daemon::ClientIndex client, std::string_view) override {
       sessions.erase(client);
     }
 
+    /// Connects a process, once more if it is connected.
+    daemon::Session& connect(
+        daemon::ClientIndex client,
+        std::shared_ptr<daemon::KeptForUser> user = std::make_shared<daemon::KeptForUser>()) {
+      sessions.erase(client);
+      return sessions.try_emplace(client, PacketSocket(), PeerIdentity(), std::move(user))
+          .first->second;
+    }
+
     std::map<daemon::ClientIndex, daemon::Session> sessions;
+    std::map<daemon::ClientIndex, std::uint64_t> user_namespaces;  // 0 for others: unknown
+    /// Called before each packet to a connected process.
+    std::function<void(daemon::ClientIndex, const daemon::Outgoing&)> on_send;
+    bool keeps_output = false;  // no process reads
   };
 
   explicit DaemonCore(const daemon::Capacity& capacity = {})
@@ -54,19 +76,27 @@ struct DaemonCore {
     registry.open_wait_set(plan.index, 0);
     return plan.index;
   }
+  /// Returns a request for an endpoint, with an id of its own.
+  daemon::CreateRequest request(daemon::Kind kind, const std::string& topic) {
+    daemon::CreateRequest asked;
+    asked.kind = kind;
+    asked.request = ++last_request;
+    asked.topic = topic;
+    asked.type = "T";
+    asked.node = "node";
+    asked.qos = {1, false, true, false, false};
+    asked.quota = 1;
+    return asked;
+  }
   daemon::EndpointRef create(daemon::ClientIndex client, daemon::Kind kind,
                              const std::string& topic) {
-    daemon::CreateRequest request;
-    request.kind = kind;
-    request.request = ++last_request;
-    request.topic = topic;
-    request.type = "T";
-    request.node = "node";
-    request.qos = {1, false, true, false, false};
-    request.quota = 1;
-    const auto created = endpoint_manager.create(client, request);
+    return create(client, request(kind, topic));
+  }
+  daemon::EndpointRef create(daemon::ClientIndex client, const daemon::CreateRequest& asked) {
+    const auto created = endpoint_manager.create(client, asked);
     EXPECT_TRUE(created) << (created ? "" : detail_of(created.error()));
-    return registry.find_creation(client, kind, request.request).value_or(daemon::EndpointRef());
+    return registry.find_creation(client, asked.kind, asked.request)
+        .value_or(daemon::EndpointRef());
   }
   void end(daemon::ClientIndex client) {
     daemon::Reaping reaping(client, journal::DeathReason::died, registry, regions, doorbells,

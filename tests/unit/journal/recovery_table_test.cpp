@@ -97,7 +97,7 @@ TEST(RecoveryTables, HaveExactlyOneRowPerCombinationAndTheDocumentExplainsEach) 
   check_table<FoundDecision, 3>(found::rows, {3, 2, 2}, document);
   check_table<EndDecision, 3>(end::rows, {3, 2, 2}, document);
   check_table<BroughtDecision, 6>(brought::rows, {3, 2, 2, 2, 2, 2}, document);
-  // Redo: one row for every kind of record; tests/unit/daemon/redo_test.cpp runs them.
+  // Redo: one row for every kind of record; tests/unit/daemon/state/redo_test.cpp runs them.
 #define AGNOCAST_CHECK_RECORD(name, number, arguments)                                            \
   if (number != 0) {                                                                              \
     const auto row = document.find("@R" #number);                                                 \

@@ -6,7 +6,7 @@
 
 #include <daemon/admission/access_control.hpp>
 #include <tests/support/registry_scene.hpp>
-#include <tests/unit/daemon/users.hpp>
+#include <tests/unit/daemon/admission/users.hpp>
 
 #include <gtest/gtest.h>
 

@@ -6,7 +6,7 @@
 
 #include <daemon/admission/admission.hpp>
 #include <tests/support/processes/daemon_core.hpp>
-#include <tests/unit/daemon/users.hpp>
+#include <tests/unit/daemon/admission/users.hpp>
 
 #include <gtest/gtest.h>
 

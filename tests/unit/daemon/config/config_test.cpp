@@ -6,7 +6,7 @@
 
 #include <tests/support/machine/temporary_directory.hpp>
 #include <tests/support/processes/child.hpp>
-#include <tests/unit/daemon/config_text.hpp>
+#include <tests/unit/daemon/config/config_text.hpp>
 
 #include <gmock/gmock.h>
 

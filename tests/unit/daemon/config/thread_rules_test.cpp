@@ -7,7 +7,7 @@
 
 #include <daemon/config/rule_reading.hpp>
 #include <daemon/config/scheduling_text.hpp>
-#include <tests/unit/daemon/config_text.hpp>
+#include <tests/unit/daemon/config/config_text.hpp>
 
 #include <gmock/gmock.h>
 

@@ -21,9 +21,7 @@ class EffectRunnerTest : public testing::Test {
     runner.on_client_freed = [this](ClientIndex client) { freed.push_back(client); };
     runner.on_topic_freed = [this](TopicIndex) { ++topics_freed; };
   }
-  Session& connect(ClientIndex client) {
-    return channel.sessions.emplace(client, Session(PacketSocket(), PeerIdentity())).first->second;
-  }
+  Session& connect(ClientIndex client) { return channel.connect(client); }
 
   test::RegistryScene scene;
   Registry& registry = scene.registry;

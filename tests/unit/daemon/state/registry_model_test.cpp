@@ -3,7 +3,7 @@
 // Goal: the registry's tables, boards and counts agree with a trivial model over many
 // incarnations. Method: seeded random operations; the boards are read as clients read them.
 
-#include <tests/unit/daemon/registry_fixture.hpp>
+#include <tests/unit/daemon/state/registry_fixture.hpp>
 
 namespace agnocast::daemon {
 namespace {

@@ -6,7 +6,7 @@
 // registry over anonymous memory; seeded random operations against a trivial reference model; a
 // death simulated at every record by leaving it committed and not applied.
 
-#include <tests/unit/daemon/registry_fixture.hpp>
+#include <tests/unit/daemon/state/registry_fixture.hpp>
 
 namespace agnocast::daemon {
 namespace {

@@ -5,7 +5,7 @@
 
 #include <daemon/transport/connection_table.hpp>
 #include <daemon/transport/errands.hpp>
-#include <tests/unit/daemon/users.hpp>
+#include <tests/unit/daemon/admission/users.hpp>
 
 #include <gtest/gtest.h>
 
