@@ -14,7 +14,8 @@
 // In scripts that lose the daemon's store only a sample is tried, as each point starts two
 // daemons; AGNOCAST_SEED chooses another sample, AGNOCAST_SWEEP=all tries all points. Without a
 // death: processes and daemon are delayed at random points, and no process notices.
-// AGNOCAST_ROTATION: a part of the points (tests/support/rotation.hpp), but every named one.
+// AGNOCAST_ROTATION: a part of the points (tests/support/rotation.hpp), but every named one, and of
+// the runs with delays.
 // AGNOCAST_SWEEP_JITTER=N: surviving processes are delayed as well, at N of a million points.
 // AGNOCAST_SWEEP_STRIDE=N tries every N-th point only, AGNOCAST_SWEEP_SCRIPT=I only script I.
 
@@ -179,6 +180,7 @@ TEST(ClientSweep, AProcessKilledAtAnyPointDisturbsNoOtherAndLeavesNothing) {
 // Each run interleaves concurrent operations differently.
 TEST(ClientSweep, DelaysOfAnyProcessChangeNoResult) {
   constexpr std::uint64_t points_per_million = 50'000;
+  const test::Rotation rotation;
   const std::uint64_t runs = runs_everything() ? 200 : 10,
                       only = number_of("AGNOCAST_SWEEP_SCRIPT", 0);
   for (std::size_t i = 0; i < std::size(scripts); ++i) {
@@ -187,6 +189,7 @@ TEST(ClientSweep, DelaysOfAnyProcessChangeNoResult) {
     Performance performance(stage, scripts[i]);
     ASSERT_EQ(performance.rehearse(), "") << scripts[i].name;
     for (std::uint64_t run = 0; run < runs; ++run) {
+      if (!rotation.takes(run)) continue;
       const std::uint64_t seed = 1 + 10 * (number_of("AGNOCAST_SEED", 0) + run);
       ASSERT_EQ(performance.perform_slowly(seed, points_per_million), "")
           << scripts[i].name << ", run " << run << "\nagnocastd wrote:\n"

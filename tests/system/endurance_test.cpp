@@ -8,10 +8,12 @@
 // to be equal, except for resident memory and live bytes, which an allocator's caches and
 // high-water marks move: their tolerance stands beside them.
 //   AGNOCAST_ENDURANCE=short   a tenth of these numbers.
+//   AGNOCAST_ROTATION=I/N      an N-th of the processes: they take most of the time.
 //   AGNOCAST_RESTARTS=100000   the restarts of a publisher beside a subscriber that lives.
 
 #include <tests/support/processes/daemon_process.hpp>
 #include <tests/support/processes/steered_process.hpp>
+#include <tests/support/rotation.hpp>
 #include <tests/system/random.hpp>
 
 #include <gtest/gtest.h>
@@ -42,13 +44,14 @@ constexpr int patience_s = 1200;
 // not. So the median of the nine growths may be ten bytes for each step, or this:
 constexpr std::int64_t private_growth_least = 32 << 10;
 // Tables and regions keep the pages of the busiest moment so far: how far the control thread of a
-// client lagged behind, which depends on the machine. A page leaked by each step would be 360 MiB.
+// client lagged behind, which depends on the machine. A page leaked by each endpoint would be 360
+// MiB.
 constexpr std::int64_t shared_growth_max = 64 << 20;
 // Blocks in the caches of the publisher's threads count as live: 0 to 122 KiB of them were
 // measured. A block leaked by each message would be 16 MB, in the short form 1.6 MB.
 constexpr std::int64_t live_tolerance = 256 << 10;
 // Extents and topics that were open once stay mapped, adjacent or with a gap: how many at once
-// depends on the same lag. A mapping leaked by each step would be 10,000 at least.
+// depends on the same lag. A mapping leaked by each step would be 200 at least.
 constexpr std::size_t mapping_tolerance = 32;
 
 std::uint64_t count_of(std::uint64_t whole) {
@@ -56,9 +59,13 @@ std::uint64_t count_of(std::uint64_t whole) {
   return wanted != nullptr && std::string(wanted) == "short" ? whole / 10 : whole;
 }
 
+std::uint64_t process_count(std::uint64_t whole) {
+  return std::max<std::uint64_t>(count_of(whole) / Rotation().parts(), 200);
+}
+
 std::uint64_t restart_count() {
   const char* const wanted = std::getenv("AGNOCAST_RESTARTS");
-  return wanted != nullptr ? std::strtoull(wanted, nullptr, 10) : count_of(2'000);
+  return wanted != nullptr ? std::strtoull(wanted, nullptr, 10) : process_count(2'000);
 }
 
 struct ProcessSample {
@@ -308,7 +315,7 @@ TEST_F(EnduranceOfProcesses, LeaveNothingBehind) {
   Random random(7);
   std::uint64_t killed = 0;
   std::vector<std::string> places;
-  endure("processes", count_of(10'000), [&](std::uint64_t count) {
+  endure("processes", process_count(10'000), [&](std::uint64_t count) {
     std::deque<pid_t> alive;
     for (std::uint64_t i = 0; i < count; ++i) {
       alive.push_back(spawn(random.chance(50), static_cast<int>(random.below(3))));

@@ -36,7 +36,7 @@ using test::eventually;
 using test::Spun;
 using Arrays = test_msgs::srv::Arrays;
 
-constexpr auto patience = 20s;
+constexpr auto patience = 5min;
 
 class GenericServices : public test::SuiteDaemon {
  protected:

@@ -33,7 +33,7 @@ using test::PlainNode;
 using test::Repeat;
 using test::Spun;
 
-inline constexpr auto patience = 20s;
+inline constexpr auto patience = 5min;
 
 class Services : public test::SuiteDaemon {
  protected:

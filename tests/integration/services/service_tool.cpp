@@ -122,7 +122,7 @@ class Tool {
   }
   std::string result(std::int64_t id) {
     auto& future = futures_.at(id);
-    if (future.wait_for(std::chrono::seconds(15)) != std::future_status::ready) return "nothing";
+    if (future.wait_for(std::chrono::minutes(5)) != std::future_status::ready) return "nothing";
     try {
       const auto response = future.get();
       for (const std::uint64_t value : response->values) {

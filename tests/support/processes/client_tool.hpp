@@ -1,6 +1,6 @@
 // SPDX-License-Identifier: Apache-2.0
 //
-// ClientTool: a process of tests/integration/client_tool, steered line by line.
+// ClientTool: a process of tests/integration/client/programs/client_tool.cpp, steered line by line.
 #pragma once
 
 #include <tests/support/processes/steered_process.hpp>

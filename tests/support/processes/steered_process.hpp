@@ -55,7 +55,7 @@ class SteeredProcess {
     (void)!::send(socket_.get(), text.data(), text.size(), MSG_NOSIGNAL);
   }
   /// Returns the next line of output, or what happened instead if none comes in time.
-  std::string answer(int patience_s = 20) {
+  std::string answer(int patience_s = 300) {
     for (;;) {
       if (const std::size_t end = said_.find('\n'); end != std::string::npos) {
         std::string line = said_.substr(0, end);
@@ -77,13 +77,14 @@ class SteeredProcess {
     pollfd readable{socket_.get(), POLLIN, 0};
     return ::poll(&readable, 1, static_cast<int>(wait.count())) > 0;
   }
-  std::string ask(const std::string& line, int patience_s = 20) {
+  std::string ask(const std::string& line, int patience_s = 300) {
     tell(line);
     return answer(patience_s);
   }
-  /// Asks until the answer is `wanted`; false after 10 s.
+  /// Asks until the answer is `wanted`; false after five minutes, which only a test that fails
+  /// takes.
   bool eventually(const std::string& line, const std::string& wanted) {
-    const auto end = std::chrono::steady_clock::now() + std::chrono::seconds(10);
+    const auto end = std::chrono::steady_clock::now() + std::chrono::minutes(5);
     while (std::chrono::steady_clock::now() < end) {
       if (ask(line) == wanted) return true;
       std::this_thread::sleep_for(std::chrono::milliseconds(10));
