@@ -13,7 +13,7 @@
 #include <base/sockets/answer_packet.hpp>
 #include <base/sockets/daemon_socket.hpp>
 #include <base/sockets/socket_path.hpp>
-#include <client/session/connection.hpp>
+#include <client/connection/connection.hpp>
 
 #include <poll.h>
 #include <sys/eventfd.h>

@@ -1,8 +1,8 @@
 // SPDX-License-Identifier: Apache-2.0
 
 #include <base/descriptors/kept_fd.hpp>
+#include <client/connection/connection.hpp>
 #include <client/process/steps.hpp>
-#include <client/session/connection.hpp>
 
 #include <fcntl.h>
 #include <poll.h>

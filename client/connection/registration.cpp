@@ -1,6 +1,6 @@
 // SPDX-License-Identifier: Apache-2.0
 
-#include <client/session/registration.hpp>
+#include <client/connection/registration.hpp>
 
 #include <agnocast/abi/fingerprint.hpp>
 #include <agnocast/connection_state.hpp>

@@ -17,10 +17,10 @@
 #include <agnocast/abi/wire.hpp>
 #include <agnocast/result.hpp>
 #include <base/descriptors/unique_fd.hpp>
+#include <client/connection/connection.hpp>
 #include <client/heap/arena.hpp>
 #include <client/heap/sparse_region.hpp>
 #include <client/process/control_wake.hpp>
-#include <client/session/connection.hpp>
 
 #include <chrono>
 #include <cstdint>

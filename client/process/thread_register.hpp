@@ -1,7 +1,7 @@
 // SPDX-License-Identifier: Apache-2.0
 //
 // ThreadRegister: which executors of this process have which callback groups, and which threads
-// run them. The control thread of a session tells the daemon (session/thread_report.hpp), which
+// run them. The control thread of a session tells the daemon (upkeep/thread_report.hpp), which
 // lists the threads and applies the rules of its configuration to them.
 //
 // A thread belongs to an executor since it first looked for a callback there, until it ends or the

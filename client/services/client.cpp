@@ -10,9 +10,9 @@
 
 #include <agnocast/client.hpp>
 #include <agnocast/service_name.hpp>
+#include <client/connection/connection.hpp>
 #include <client/process/forked_child.hpp>
 #include <client/process/watch.hpp>
-#include <client/session/connection.hpp>
 
 #include <cxxabi.h>
 

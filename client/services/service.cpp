@@ -14,10 +14,10 @@
 #include <agnocast/service.hpp>
 #include <agnocast/service_name.hpp>
 #include <base/signals.hpp>
+#include <client/connection/connection.hpp>
 #include <client/process/forked_child.hpp>
 #include <client/process/library_thread.hpp>
 #include <client/process/watch.hpp>
-#include <client/session/connection.hpp>
 #include <client/session/context.hpp>
 
 #include <pthread.h>

@@ -25,22 +25,22 @@
 #include <agnocast/connection_state.hpp>
 #include <agnocast/residency.hpp>
 #include <agnocast/result.hpp>
+#include <client/connection/connection.hpp>
+#include <client/connection/reconnection.hpp>
+#include <client/connection/registration.hpp>
 #include <client/endpoint/endpoint_table.hpp>
 #include <client/endpoint/peer_table.hpp>
 #include <client/endpoint/publisher_endpoint.hpp>
 #include <client/endpoint/subscription_endpoint.hpp>
 #include <client/heap/heap.hpp>
 #include <client/process/wait_set.hpp>
-#include <client/session/connection.hpp>
 #include <client/session/control_thread.hpp>
 #include <client/session/creations.hpp>
-#include <client/session/departures.hpp>
 #include <client/session/endpoint_request.hpp>
-#include <client/session/own_heap.hpp>
-#include <client/session/reconnection.hpp>
-#include <client/session/registration.hpp>
 #include <client/session/session_state.hpp>
 #include <client/session/wait_set_places.hpp>
+#include <client/upkeep/departures.hpp>
+#include <client/upkeep/own_heap.hpp>
 
 #include <atomic>
 #include <chrono>

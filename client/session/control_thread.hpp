@@ -14,20 +14,20 @@
 #include <agnocast/connection_state.hpp>
 #include <agnocast/result.hpp>
 #include <base/descriptors/unique_fd.hpp>
+#include <client/connection/reannouncement.hpp>
+#include <client/connection/reconnection.hpp>
+#include <client/connection/registration.hpp>
 #include <client/endpoint/endpoint_table.hpp>
 #include <client/endpoint/peer_table.hpp>
-#include <client/session/announcements.hpp>
-#include <client/session/collector.hpp>
-#include <client/session/departures.hpp>
-#include <client/session/own_heap.hpp>
-#include <client/session/reader_look.hpp>
-#include <client/session/reannouncement.hpp>
-#include <client/session/reconnection.hpp>
-#include <client/session/registration.hpp>
-#include <client/session/scan_timer.hpp>
 #include <client/session/session_state.hpp>
-#include <client/session/thread_report.hpp>
 #include <client/session/wait_set_places.hpp>
+#include <client/upkeep/announcements.hpp>
+#include <client/upkeep/collector.hpp>
+#include <client/upkeep/departures.hpp>
+#include <client/upkeep/own_heap.hpp>
+#include <client/upkeep/reader_look.hpp>
+#include <client/upkeep/scan_timer.hpp>
+#include <client/upkeep/thread_report.hpp>
 
 #include <chrono>
 

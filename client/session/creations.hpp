@@ -10,10 +10,10 @@
 
 #include <agnocast/message_type.hpp>
 #include <agnocast/result.hpp>
+#include <client/connection/registration.hpp>
 #include <client/endpoint/endpoint_table.hpp>
-#include <client/session/departures.hpp>
 #include <client/session/endpoint_request.hpp>
-#include <client/session/registration.hpp>
+#include <client/upkeep/departures.hpp>
 
 #include <cstdint>
 #include <memory>

@@ -1,7 +1,7 @@
 // SPDX-License-Identifier: Apache-2.0
 
 #include <client/process/steps.hpp>
-#include <client/session/announcements.hpp>
+#include <client/upkeep/announcements.hpp>
 
 #include <algorithm>
 #include <cstdint>

@@ -11,11 +11,11 @@
 #pragma once
 
 #include <agnocast/abi/wire.hpp>
+#include <client/connection/connection.hpp>
 #include <client/endpoint/endpoint_table.hpp>
 #include <client/endpoint/peer_table.hpp>
 #include <client/heap/heap_growth.hpp>
-#include <client/session/connection.hpp>
-#include <client/session/reader_look.hpp>
+#include <client/upkeep/reader_look.hpp>
 
 #include <cstddef>
 #include <memory>

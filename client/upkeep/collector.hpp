@@ -5,9 +5,9 @@
 // daemon afterwards, never before (rule RU).
 #pragma once
 
+#include <client/connection/connection.hpp>
 #include <client/endpoint/endpoint_table.hpp>
 #include <client/endpoint/peer_table.hpp>
-#include <client/session/connection.hpp>
 
 namespace agnocast {
 

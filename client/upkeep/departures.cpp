@@ -1,7 +1,7 @@
 // SPDX-License-Identifier: Apache-2.0
 
 #include <client/process/steps.hpp>
-#include <client/session/departures.hpp>
+#include <client/upkeep/departures.hpp>
 
 #include <algorithm>
 #include <cstddef>

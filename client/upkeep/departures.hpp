@@ -11,11 +11,11 @@
 #pragma once
 
 #include <agnocast/abi/wire.hpp>
+#include <client/connection/connection.hpp>
 #include <client/endpoint/departure.hpp>
 #include <client/endpoint/endpoint_table.hpp>
 #include <client/heap/sparse_region.hpp>
 #include <client/process/control_wake.hpp>
-#include <client/session/connection.hpp>
 
 #include <chrono>
 #include <condition_variable>

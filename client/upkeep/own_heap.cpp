@@ -1,6 +1,6 @@
 // SPDX-License-Identifier: Apache-2.0
 
-#include <client/session/own_heap.hpp>
+#include <client/upkeep/own_heap.hpp>
 
 #include <base/text/text.hpp>
 #include <client/heap/heap_return.hpp>

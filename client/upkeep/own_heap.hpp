@@ -13,10 +13,10 @@
 #include <agnocast/heap.hpp>
 #include <agnocast/residency.hpp>
 #include <agnocast/result.hpp>
+#include <client/connection/connection.hpp>
 #include <client/endpoint/peer_table.hpp>
 #include <client/heap/heap.hpp>
 #include <client/heap/heap_growth.hpp>
-#include <client/session/connection.hpp>
 
 #include <atomic>
 #include <cstddef>

@@ -1,7 +1,7 @@
 // SPDX-License-Identifier: Apache-2.0
 
-#include <client/session/reader_look.hpp>
 #include <client/shares/machine_memory.hpp>
+#include <client/upkeep/reader_look.hpp>
 
 #include <algorithm>
 #include <map>

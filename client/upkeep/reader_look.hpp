@@ -5,11 +5,11 @@
 // (client/shares/unmapped_users.hpp).
 #pragma once
 
+#include <client/connection/connection.hpp>
 #include <client/endpoint/endpoint_table.hpp>
-#include <client/session/connection.hpp>
-#include <client/session/own_heap.hpp>
 #include <client/shares/reader_shares.hpp>
 #include <client/shares/unmapped_users.hpp>
+#include <client/upkeep/own_heap.hpp>
 
 #include <memory>
 #include <vector>

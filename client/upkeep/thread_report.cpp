@@ -1,6 +1,6 @@
 // SPDX-License-Identifier: Apache-2.0
 
-#include <client/session/thread_report.hpp>
+#include <client/upkeep/thread_report.hpp>
 
 #include <memory>
 #include <vector>

@@ -5,8 +5,8 @@
 // uses it.
 #pragma once
 
+#include <client/connection/connection.hpp>
 #include <client/process/thread_register.hpp>
-#include <client/session/connection.hpp>
 
 #include <cstdint>
 #include <set>

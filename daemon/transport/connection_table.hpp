@@ -75,7 +75,7 @@ struct Peer {
   std::optional<RegionTrace> revoked_trace = {};
   std::unique_ptr<ThreadsOfPeer> threads = {};  // null: it has said nothing of them
   // Limits how often its process comes back, which costs work. An honest one tries at most four
-  // times a second (client/session/reconnection.hpp), a few times more often at first.
+  // times a second (client/connection/reconnection.hpp), a few times more often at first.
   Allowance returns{20, 250};
 };
 /// Connections of one user.

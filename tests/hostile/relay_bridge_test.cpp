@@ -7,7 +7,7 @@
 // stream, nowhere, or alternate between both while they are read.
 
 #include <tests/hostile/rumors.hpp>
-#include <tests/integration/bridge/dds_domain.hpp>
+#include <tests/integration/bridge/dds/dds_domain.hpp>
 
 #include <sstream>
 #include <thread>

@@ -51,8 +51,8 @@ TEST(DoctorTable, HasATestForEachRow) {
   std::string sources;
   for (const char* const name :
        {"ctl/ctl_threads_test.cpp", "ctl/doctor_daemon_test.cpp", "ctl/doctor_door_test.cpp",
-        "ctl/doctor_processes_test.cpp", "client/doctor_live_test.cpp",
-        "bridge/bridge_doctor_test.cpp", "../system/containers_test.cpp"}) {
+        "ctl/doctor_processes_test.cpp", "client/tools/doctor_live_test.cpp",
+        "bridge/status/bridge_doctor_test.cpp", "../system/containers_test.cpp"}) {
     std::ifstream in(std::string(AGNOCAST_TEST_SOURCES "/") + name);
     sources.append(std::istreambuf_iterator<char>(in), {});
   }

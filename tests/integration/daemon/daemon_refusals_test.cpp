@@ -3,7 +3,7 @@
 // Goal: each refusal is the same on both sides: a code of its own for the client, and one line of
 // the daemon's log with that code and its details as fields. Method: for each bound and rule a
 // real daemon that has it, a client that goes one step too far, its answer, and the log.
-// client/bad_input_test.cpp covers the library's use of the codes.
+// client/api/bad_input_test.cpp covers the library's use of the codes.
 
 #include <tests/integration/daemon/raw_node.hpp>
 

@@ -4,9 +4,9 @@
 // answer and the connection. Method: a client's connection over socket pairs; this test plays the
 // daemon and the client's control thread.
 
+#include <client/connection/connection.hpp>
+#include <client/connection/reconnection.hpp>
 #include <client/endpoint/departure.hpp>
-#include <client/session/connection.hpp>
-#include <client/session/reconnection.hpp>
 
 #include <gtest/gtest.h>
 

@@ -3,8 +3,8 @@
 // Goal: the control thread looks, and asks again, at the intervals of scan_timer.hpp and
 // reannouncement.hpp.
 
-#include <client/session/reannouncement.hpp>
-#include <client/session/scan_timer.hpp>
+#include <client/connection/reannouncement.hpp>
+#include <client/upkeep/scan_timer.hpp>
 
 #include <gtest/gtest.h>
 

@@ -4,7 +4,7 @@
 // loopback device only; and the process on its other side.
 #pragma once
 
-#include <tests/integration/bridge/dds_side.hpp>
+#include <tests/integration/bridge/dds/dds_side.hpp>
 #include <tests/support/processes/steered_process.hpp>
 
 #include <sys/socket.h>

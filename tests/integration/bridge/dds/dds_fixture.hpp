@@ -3,7 +3,7 @@
 // Helpers shared by the tests of the bridge's DDS entities.
 #pragma once
 
-#include <tests/integration/bridge/dds_domain.hpp>
+#include <tests/integration/bridge/dds/dds_domain.hpp>
 #include <tests/support/memory/descriptors.hpp>
 
 #include <dirent.h>

@@ -3,7 +3,7 @@
 // Goal: the bridge's DDS entities wait, refuse and keep within their limits.
 // Method: as dds_test.cpp.
 
-#include <tests/integration/bridge/dds_fixture.hpp>
+#include <tests/integration/bridge/dds/dds_fixture.hpp>
 
 namespace agnocast::test {
 namespace {

@@ -21,7 +21,7 @@ using bridge::DdsSample;
 using bridge::DdsWriter;
 using Bytes = std::vector<std::byte>;
 
-constexpr auto patience = std::chrono::seconds(60);
+constexpr auto patience = std::chrono::minutes(5);
 
 struct Received {
   Bytes bytes;

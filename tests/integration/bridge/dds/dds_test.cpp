@@ -3,7 +3,7 @@
 // The DDS layer against real Cyclone DDS: another process with raw endpoints or as a plain program
 // with types of idlc, which is killed, stopped or runs.
 
-#include <tests/integration/bridge/dds_fixture.hpp>
+#include <tests/integration/bridge/dds/dds_fixture.hpp>
 
 namespace agnocast::test {
 namespace {

@@ -3,7 +3,7 @@
 // Nodes as ROS 2 announces them: the bytes of a recorded message, both layouts between two
 // processes, and lies.
 
-#include <tests/integration/bridge/dds_domain.hpp>
+#include <tests/integration/bridge/dds/dds_domain.hpp>
 
 #include <gtest/gtest.h>
 

@@ -4,7 +4,7 @@
 // and never in a loop; and whatever dies or is unplugged, each request ends, and later ones are
 // answered. Method: that of hosts_test.cpp.
 
-#include <tests/integration/bridge/hosts.hpp>
+#include <tests/integration/bridge/hosts/hosts.hpp>
 
 #include <gmock/gmock.h>
 

@@ -4,7 +4,7 @@
 // once and in order, also after any process dies or the cable is unplugged. Method: two network
 // namespaces as two hosts; a veth pair, real SIGKILL.
 
-#include <tests/integration/bridge/hosts.hpp>
+#include <tests/integration/bridge/hosts/hosts.hpp>
 
 #include <gmock/gmock.h>
 

@@ -4,7 +4,7 @@
 // parameters, with the same values except for their owner. Method: the packets that Cyclone DDS
 // sends for the real bridge, captured in a file, compared with those recorded from ROS 2.
 
-#include <tests/integration/bridge/bridge_side.hpp>
+#include <tests/integration/bridge/routes/bridge_side.hpp>
 #include <tests/support/processes/plain_node.hpp>
 #include <tests/unit/bridge/golden_sample.hpp>
 

@@ -4,7 +4,7 @@
 // other, whichever process is killed. Method: fast_peer; peer_test.cpp covers the messages common
 // to both vendors.
 
-#include <tests/integration/bridge/peer_side.hpp>
+#include <tests/integration/bridge/interoperability/peer_side.hpp>
 #include <tests/support/processes/ctl.hpp>
 
 #include <std_msgs/msg/bool.hpp>

@@ -5,8 +5,8 @@
 // text.
 #pragma once
 
-#include <tests/integration/bridge/bridge_side.hpp>
-#include <tests/integration/bridge/values.hpp>
+#include <tests/integration/bridge/programs/values.hpp>
+#include <tests/integration/bridge/routes/bridge_side.hpp>
 #include <tests/support/processes/plain_node.hpp>
 
 #include <agnocast/agnocast.hpp>

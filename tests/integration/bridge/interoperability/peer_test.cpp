@@ -5,7 +5,7 @@
 // plain_peer, C of Cyclone DDS with types of idlc, and once with fast_peer, Fast DDS as
 // rmw_fastrtps uses it.
 
-#include <tests/integration/bridge/peer_side.hpp>
+#include <tests/integration/bridge/interoperability/peer_side.hpp>
 
 #include <gmock/gmock.h>
 

@@ -4,7 +4,7 @@
 // participants of Cyclone DDS announce and see it. Method: plain_peer; peer_test.cpp checks that
 // messages follow these QoS.
 
-#include <tests/integration/bridge/peer_side.hpp>
+#include <tests/integration/bridge/interoperability/peer_side.hpp>
 
 #include <agnocast/graph.hpp>
 #include <bridge/plan/routes.hpp>

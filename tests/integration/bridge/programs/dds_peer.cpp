@@ -4,7 +4,7 @@
 // those of a plain program of Cyclone DDS with types of idlc.
 //   dds_peer DOMAIN
 
-#include <tests/integration/bridge/dds_side.hpp>
+#include <tests/integration/bridge/dds/dds_side.hpp>
 
 #include <dds/dds.h>
 #include <point_cloud2.h>

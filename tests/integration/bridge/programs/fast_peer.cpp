@@ -15,7 +15,7 @@
 //     nodes                          of others, by ros_discovery_info: sorted "NODE TOPIC …"
 //     delete NAME
 
-#include <tests/integration/bridge/values.hpp>
+#include <tests/integration/bridge/programs/values.hpp>
 
 #include <rmw_dds_common/msg/participant_entities_info.hpp>
 #include <sensor_msgs/msg/point_cloud2.hpp>

@@ -20,7 +20,7 @@
 //   garbage PORT N                   N datagrams to 127.0.0.1: noise, some after an RTPS header
 
 #include <bridge/dds/names.hpp>
-#include <tests/integration/bridge/dds_side.hpp>
+#include <tests/integration/bridge/dds/dds_side.hpp>
 
 #include <arpa/inet.h>
 #include <netinet/in.h>

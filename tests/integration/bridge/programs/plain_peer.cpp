@@ -12,7 +12,7 @@
 //     others TOPIC                     endpoints that other participants announce: a sorted list
 //     delete NAME
 
-#include <tests/integration/bridge/values.hpp>
+#include <tests/integration/bridge/programs/values.hpp>
 
 #include <dds/dds.h>
 #include <ros_types.h>

@@ -4,7 +4,7 @@
 // Method: topics of two alternating types; the daemon is killed for good and replaced while all
 // processes live.
 
-#include <tests/integration/bridge/bridge_side.hpp>
+#include <tests/integration/bridge/routes/bridge_side.hpp>
 #include <tests/support/processes/plain_node.hpp>
 
 #include <agnocast/agnocast.hpp>

@@ -4,7 +4,7 @@
 // from its task.
 // Method: more writers than places, a stopped reader in DDS, an allocation that fails.
 
-#include <tests/integration/bridge/bridge_side.hpp>
+#include <tests/integration/bridge/routes/bridge_side.hpp>
 #include <tests/support/processes/plain_node.hpp>
 
 #include <agnocast/agnocast.hpp>

@@ -3,7 +3,7 @@
 // Goal: endpoints that come and go leave nothing behind in the bridge, and an idle bridge does
 // nothing. Method: the real bridge, observed in /proc.
 
-#include <tests/integration/bridge/bridge_side.hpp>
+#include <tests/integration/bridge/routes/bridge_side.hpp>
 #include <tests/support/processes/held.hpp>
 #include <tests/support/processes/plain_node.hpp>
 

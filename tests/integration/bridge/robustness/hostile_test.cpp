@@ -6,7 +6,7 @@
 // device; beside it a topic with a publisher and a subscription of this host and an honest
 // participant, on which messages go on.
 
-#include <tests/integration/bridge/bridge_side.hpp>
+#include <tests/integration/bridge/routes/bridge_side.hpp>
 #include <tests/support/processes/plain_node.hpp>
 #include <tests/support/processes/spun.hpp>
 

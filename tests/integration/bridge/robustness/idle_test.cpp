@@ -5,7 +5,7 @@
 // our threads begin with agnocast; the others are Cyclone DDS's, which keep its leases and wake as
 // they like.
 
-#include <tests/integration/bridge/bridge_side.hpp>
+#include <tests/integration/bridge/routes/bridge_side.hpp>
 #include <tests/support/processes/plain_node.hpp>
 
 #include <agnocast/agnocast.hpp>

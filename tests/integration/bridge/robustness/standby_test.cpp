@@ -4,7 +4,7 @@
 // another one takes over when it dies. Method: real bridges with status sockets of their own,
 // killed; numbered messages both ways.
 
-#include <tests/integration/bridge/bridge_side.hpp>
+#include <tests/integration/bridge/routes/bridge_side.hpp>
 #include <tests/support/processes/plain_node.hpp>
 
 #include <agnocast/agnocast.hpp>

@@ -6,7 +6,7 @@
 //
 //   unshare -n sh -c 'ip link set lo up; integration_bridge --gtest_filter=AnnounceMany.*'
 
-#include <tests/integration/bridge/bridge_side.hpp>
+#include <tests/integration/bridge/routes/bridge_side.hpp>
 #include <tests/support/processes/plain_node.hpp>
 
 #include <agnocast/agnocast.hpp>

@@ -11,7 +11,7 @@
 #include <bridge/cdr/cdr.hpp>
 #include <bridge/dds/names.hpp>
 #include <bridge/dds/participant.hpp>
-#include <tests/integration/bridge/dds_domain.hpp>
+#include <tests/integration/bridge/dds/dds_domain.hpp>
 #include <tests/support/processes/daemon_process.hpp>
 #include <tests/support/processes/steered_process.hpp>
 

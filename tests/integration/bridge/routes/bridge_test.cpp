@@ -6,7 +6,7 @@
 // Method: the real agnocastd and agnocast-bridge; this process has the agnocast endpoints, and is
 // the other participant in DDS, on the loopback interface and in a domain of its own.
 
-#include <tests/integration/bridge/bridge_side.hpp>
+#include <tests/integration/bridge/routes/bridge_side.hpp>
 #include <tests/support/processes/plain_node.hpp>
 
 #include <agnocast/agnocast.hpp>

@@ -4,7 +4,7 @@
 // less or more, and readers that become deeper lose nothing. Method: the bridge is stopped while
 // publishers publish.
 
-#include <tests/integration/bridge/bridge_side.hpp>
+#include <tests/integration/bridge/routes/bridge_side.hpp>
 #include <tests/support/processes/plain_node.hpp>
 
 #include <agnocast/agnocast.hpp>

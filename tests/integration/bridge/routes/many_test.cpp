@@ -6,7 +6,7 @@
 // random rounds (AGNOCAST_TEST_SEED); the real bridge, and in DDS one participant that writes and
 // one that reads, since none receives its own messages.
 
-#include <tests/integration/bridge/bridge_side.hpp>
+#include <tests/integration/bridge/routes/bridge_side.hpp>
 #include <tests/support/processes/plain_node.hpp>
 
 #include <agnocast/agnocast.hpp>

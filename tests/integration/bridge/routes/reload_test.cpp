@@ -3,7 +3,7 @@
 // Goal: another configuration, by SIGHUP, loses no history and delivers none twice. Method: rules
 // that change the durability of endpoints in DDS while both sides live.
 
-#include <tests/integration/bridge/bridge_side.hpp>
+#include <tests/integration/bridge/routes/bridge_side.hpp>
 #include <tests/support/processes/plain_node.hpp>
 
 #include <agnocast/agnocast.hpp>

@@ -4,7 +4,7 @@
 // round, each with its own responses. Method: plain_service, C of Cyclone DDS with types of idlc,
 // in the form of rmw_cyclonedds.
 
-#include <tests/integration/bridge/bridge_side.hpp>
+#include <tests/integration/bridge/routes/bridge_side.hpp>
 #include <tests/support/processes/plain_node.hpp>
 #include <tests/support/processes/spun.hpp>
 

@@ -5,7 +5,7 @@
 // in DDS are compared with, and come from, tests/golden/encode.py, which shares no code with the
 // bridge.
 
-#include <tests/integration/bridge/bridge_side.hpp>
+#include <tests/integration/bridge/routes/bridge_side.hpp>
 #include <tests/support/machine/temporary_directory.hpp>
 #include <tests/support/messages/random_message.hpp>
 #include <tests/support/processes/plain_node.hpp>

@@ -8,7 +8,7 @@
 #include <base/sockets/unix_address.hpp>
 #include <bridge/dds/participant.hpp>
 #include <bridge/program/status_socket.hpp>
-#include <tests/integration/bridge/dds_domain.hpp>
+#include <tests/integration/bridge/dds/dds_domain.hpp>
 #include <tests/support/json_judge.hpp>
 #include <tests/support/machine/temporary_directory.hpp>
 #include <tests/support/processes/ctl.hpp>
@@ -51,7 +51,7 @@ using test::SteeredProcess;
 using testing::HasSubstr;
 using Clock = std::chrono::steady_clock;
 
-inline constexpr auto patience = 20s;
+inline constexpr auto patience = 5min;
 inline constexpr const char* string_type = "std_msgs::msg::dds_::String_";
 inline constexpr const char* add_type = "example_interfaces/srv/AddTwoInts";
 

@@ -5,7 +5,7 @@
 // and agnocast-ctl; this process has the agnocast endpoints and is the other participant in DDS;
 // the test's own sockets replace a bridge's and lie.
 
-#include <tests/integration/bridge/bridge_ctl.hpp>
+#include <tests/integration/bridge/status/bridge_ctl.hpp>
 
 namespace agnocast::bridge {
 namespace {

@@ -6,7 +6,7 @@
 
 #include <agnocast/agnocast.hpp>
 #include <bridge/dds/participant.hpp>
-#include <tests/integration/bridge/dds_domain.hpp>
+#include <tests/integration/bridge/dds/dds_domain.hpp>
 #include <tests/support/machine/doctored.hpp>
 #include <tests/support/machine/temporary_directory.hpp>
 #include <tests/support/processes/plain_node.hpp>

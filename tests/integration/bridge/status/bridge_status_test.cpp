@@ -4,7 +4,7 @@
 // without memory or descriptors; two bridges of a domain report which of them is on standby.
 // Method: as bridge_ctl_test.cpp.
 
-#include <tests/integration/bridge/bridge_ctl.hpp>
+#include <tests/integration/bridge/status/bridge_ctl.hpp>
 
 namespace agnocast::bridge {
 namespace {

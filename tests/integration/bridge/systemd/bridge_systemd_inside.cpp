@@ -7,7 +7,7 @@
 #include <agnocast/agnocast.hpp>
 #include <bridge/cdr/cdr.hpp>
 #include <bridge/dds/participant.hpp>
-#include <tests/integration/bridge/dds_domain.hpp>
+#include <tests/integration/bridge/dds/dds_domain.hpp>
 #include <tests/support/machine/systemctl.hpp>
 #include <tests/support/processes/plain_node.hpp>
 #include <tests/support/soon.hpp>
@@ -38,7 +38,6 @@ using test::output_of;
 using test::PlainNode;
 using Clock = std::chrono::steady_clock;
 
-constexpr auto patience = 60s;
 constexpr const char* configuration = "/etc/agnocast/bridge.toml";
 
 std::string property(const std::string& name) { return test::property_of("agnocast-bridge", name); }
@@ -48,7 +47,7 @@ bool systemctl(const std::string& verb, const std::string& unit = "agnocast-brid
 pid_t main_pid() { return test::main_pid_of("agnocast-bridge"); }
 template <class Condition>
 bool eventually(Condition condition) {
-  return test::soon(condition, patience);
+  return test::soon(condition);
 }
 void write_file(const std::string& path, const std::string& text) { std::ofstream(path) << text; }
 void configure(const std::string& more) {

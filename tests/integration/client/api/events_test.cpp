@@ -6,7 +6,7 @@
 // or is killed. The test polls statuses; a background executor or the test's own runs callbacks.
 
 #include <agnocast/agnocast.hpp>
-#include <tests/integration/client/second_process.hpp>
+#include <tests/integration/client/programs/second_process.hpp>
 #include <tests/support/processes/daemon_process.hpp>
 #include <tests/support/processes/spun.hpp>
 #include <tests/support/processes/suite_daemon.hpp>

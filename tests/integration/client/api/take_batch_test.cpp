@@ -8,7 +8,7 @@
 // child: fork_test.cpp; amid deaths and lost daemons: sweep_clients, whose `drain` uses batches.
 
 #include <agnocast/agnocast.hpp>
-#include <tests/integration/client/second_process.hpp>
+#include <tests/integration/client/programs/second_process.hpp>
 #include <tests/support/processes/daemon_process.hpp>
 #include <tests/support/processes/plain_node.hpp>
 #include <tests/support/processes/suite_daemon.hpp>

@@ -4,8 +4,8 @@
 // of a reentrant group do, in the executors with several threads; a group runs in one executor.
 // Method: executor_fixture.hpp.
 
-#include <tests/integration/client/executor_fixture.hpp>
-#include <tests/integration/client/spinning_thread.hpp>
+#include <tests/integration/client/executors/executor_fixture.hpp>
+#include <tests/integration/client/executors/spinning_thread.hpp>
 
 #include <gmock/gmock.h>
 

@@ -6,8 +6,8 @@
 // Method: a real daemon with rules, executors in this process, and `agnocast-ctl thread list`,
 // which reads back from the kernel. Real-time policies are tested where the kernel allows them.
 
-#include <tests/integration/client/executor_fixture.hpp>
-#include <tests/integration/client/spinning_thread.hpp>
+#include <tests/integration/client/executors/executor_fixture.hpp>
+#include <tests/integration/client/executors/spinning_thread.hpp>
 #include <tests/support/processes/ctl.hpp>
 
 #include <gmock/gmock.h>

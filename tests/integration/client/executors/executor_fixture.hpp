@@ -5,7 +5,7 @@
 #pragma once
 
 #include <agnocast/agnocast.hpp>
-#include <tests/integration/client/second_process.hpp>
+#include <tests/integration/client/programs/second_process.hpp>
 #include <tests/support/messages/error_of.hpp>
 #include <tests/support/processes/daemon_process.hpp>
 #include <tests/support/processes/suite_daemon.hpp>

@@ -5,7 +5,7 @@
 // Method: executor_fixture.hpp. tests/threads/executor_threads_test.cpp covers the moves under
 // ThreadSanitizer; callback_group_test.cpp has the groups and the executors with several threads.
 
-#include <tests/integration/client/executor_fixture.hpp>
+#include <tests/integration/client/executors/executor_fixture.hpp>
 #include <tests/support/processes/child.hpp>
 
 #include <poll.h>

@@ -6,8 +6,7 @@
 // library's own thread jumps into unmapped code. The plugin is built so that nothing else pins it
 // (-fno-gnu-unique, plugin.map).
 
-#include "plugin.hpp"
-
+#include <tests/integration/client/programs/plugin.hpp>
 #include <tests/support/processes/daemon_process.hpp>
 #include <tests/support/processes/own_process.hpp>
 

@@ -71,7 +71,7 @@ int use() {
                                               Repeat::answer(*request, *response);
                                             });
   auto client = try_create_client<Repeat>(node, "/repeat");
-  if (!service || !client || !(*client)->wait_for_service(std::chrono::seconds(10)))
+  if (!service || !client || !(*client)->wait_for_service(std::chrono::minutes(5)))
     return failed("service");
   auto request = (*client)->borrow_loaned_request();
   request->value = 3;

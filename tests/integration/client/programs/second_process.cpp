@@ -1,7 +1,7 @@
 // SPDX-License-Identifier: Apache-2.0
 
 #include <agnocast/agnocast.hpp>
-#include <tests/integration/client/second_process.hpp>
+#include <tests/integration/client/programs/second_process.hpp>
 
 #include <tests/support/sources_main.hpp>
 

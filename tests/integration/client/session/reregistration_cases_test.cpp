@@ -6,7 +6,7 @@
 // Method: the public interface in this process and client_tool in others; real daemons that are
 // killed with their supervisors and restarted without a store at the same socket.
 
-#include <tests/integration/client/reregistration_in_process.hpp>
+#include <tests/integration/client/session/reregistration_in_process.hpp>
 #include <tests/support/processes/child.hpp>
 #include <tests/support/processes/client_tool.hpp>
 #include <tests/support/processes/spun.hpp>

@@ -6,7 +6,7 @@
 // Method: the public interface, real daemons that are killed with their supervisors and restarted
 // without a store at the same socket, a second process that publishes.
 
-#include <tests/integration/client/reregistration_in_process.hpp>
+#include <tests/integration/client/session/reregistration_in_process.hpp>
 #include <tests/support/processes/spun.hpp>
 
 #include <algorithm>

@@ -5,7 +5,7 @@
 // no publisher holds back the messages of another.
 // Method: as reregistration_test.cpp.
 
-#include <tests/integration/client/reregistration.hpp>
+#include <tests/integration/client/session/reregistration.hpp>
 
 #include <csignal>
 #include <vector>

@@ -9,7 +9,7 @@
 #include <agnocast/abi/wire.hpp>
 #include <agnocast/error.hpp>
 #include <base/sockets/packet_socket.hpp>
-#include <tests/integration/client/reregistration.hpp>
+#include <tests/integration/client/session/reregistration.hpp>
 #include <tests/support/wire/foreign_socket.hpp>
 #include <tests/support/wire/listen_at.hpp>
 #include <tests/support/wire/wire_dump.hpp>
