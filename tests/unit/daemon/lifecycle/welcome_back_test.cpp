@@ -70,7 +70,7 @@ TEST_F(WelcomeBackTest, SendsItsEndpointsThenTheirPeersThenWhatIsOverThenRegions
   connect(back);
   welcome_back.begin(back);
   EXPECT_FALSE(welcome_back.is_announcing());
-  EXPECT_EQ(lines(), (std::vector<Line>{{back, Opcode::own},
+  ASSERT_EQ(lines(), (std::vector<Line>{{back, Opcode::own},
                                         {back, Opcode::own},
                                         {back, Opcode::own},
                                         {back, Opcode::announce},
