@@ -160,7 +160,7 @@ Result<std::shared_ptr<SubscriptionEndpoint>> Context::make_subscription(
     const Continued& continued) {
   if (Result<void> connected = connect(); !connected)
     return tl::unexpected<Failure>(connected.error());
-  // The wait set may be older than this session.
+  // The wait set may be older than the session.
   if (Result<void> place = make_place(*wait_set); !place)
     return tl::unexpected<Failure>(place.error());
   return creations_.make_subscription(request, wait_set, continued);
@@ -174,9 +174,7 @@ Result<void> Context::make_place(WaitSet& wait_set) {
         if (!state_.is_alone()) return {};
         return fail(Errc::started_anew, "agnocastd has lost its state");
       },
-      [this](std::uint64_t wait_set, bool again) {
-        return creations_.open_wait_set(wait_set, again);
-      });
+      [this](std::uint64_t number, bool again) { return creations_.open_wait_set(number, again); });
 }
 
 // The control thread sends the leave request, now or after it has reconnected.

@@ -38,7 +38,7 @@ class Creations {
   [[nodiscard]] Result<std::shared_ptr<PublisherEndpoint>> make_publisher(
       const EndpointRequest& request, const detail::MessageEnd& end_message,
       const Continued& continued, bool (*make_room)() noexcept);
-  /// Creates a subscription; the wait set must have a place in this session. Errors: those of
+  /// Creates a subscription; the wait set must have a place in the session. Errors: those of
   /// Context::create_subscription.
   [[nodiscard]] Result<std::shared_ptr<SubscriptionEndpoint>> make_subscription(
       const EndpointRequest& request, const std::shared_ptr<WaitSet>& wait_set,

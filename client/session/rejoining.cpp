@@ -9,7 +9,7 @@
 // recognises what it has; for what it no longer has it reports again: left, drained, unlinked. So
 // neither side depends on the arrival of an earlier packet.
 //
-// If the daemon refuses, this session is orphaned. If the daemon has lost its store, the process
+// If the daemon refuses, the session is orphaned. If the daemon has lost its store, the process
 // begins another session (reregistration.hpp), and this one ends when it is unused.
 
 #include <client/process/forked_child.hpp>

@@ -56,7 +56,7 @@ class Reregistration {
   /// Waits until `lost` is not the current session any more. Returns false at the deadline, or when
   /// there will be no other session.
   bool wait_for_next(const Context& lost, Clock::time_point deadline);
-  /// Removes the places of this session from all wait sets.
+  /// Removes the places of the session from all wait sets.
   void release_places(const Context& former) noexcept;
 
  private:

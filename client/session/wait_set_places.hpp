@@ -34,7 +34,7 @@ class WaitSetPlaces {
 
   // --- any thread
 
-  /// Gives the wait set a place in this session, unless it has one. Calls `permit` first, while no
+  /// Gives the wait set a place in the session, unless it has one. Calls `permit` first, while no
   /// other thread gets a place. Errors: limit_reached, those of `permit` and `open`, os_failure.
   [[nodiscard]] Result<void> give(WaitSet& wait_set, WaitSet::Session session, const Permit& permit,
                                   const Open& open);

@@ -17,7 +17,7 @@
 //   heard ID → messages of the callback
 //   asleep                        waits until the thread of the callbacks sleeps
 //   release · drop → ok | nothing      the oldest held message; release checks it once more
-//   orphaned → why this session is orphaned, once it is
+//   orphaned → why the session is orphaned, once it is
 //   connected · moved · settled   waits until the daemon knows this process; until all its
 //                                 publishers have moved there; until no previous session is left
 //   unpub ID · unsub ID           held messages stay
