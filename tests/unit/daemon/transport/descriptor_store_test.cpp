@@ -2,81 +2,25 @@
 //
 // Goal: put() sends name and descriptor to the service manager, take() returns each kept
 // descriptor once, and descriptors that nothing takes are removed. Method: our own service
-// manager: a socket for the datagrams, and a child that gets descriptors as LISTEN_FDS.
+// manager, and a child that gets descriptors as LISTEN_FDS.
 
 #include <daemon/transport/descriptor_store.hpp>
 #include <tests/support/processes/child.hpp>
 #include <tests/support/processes/own_process.hpp>
+#include <tests/unit/daemon/transport/service_manager.hpp>
 
 #include <fcntl.h>
 #include <gtest/gtest.h>
 #include <sys/eventfd.h>
-#include <sys/socket.h>
-#include <sys/un.h>
 #include <unistd.h>
 
-#include <array>
 #include <cstdlib>
-#include <cstring>
 #include <string>
 #include <thread>
 #include <vector>
 
 namespace agnocast::daemon {
 namespace {
-
-struct Received {
-  std::string text;
-  std::vector<UniqueFd> fds;
-};
-
-class Manager {
- public:
-  Manager() {
-    const UniqueFd made(::socket(AF_UNIX, SOCK_DGRAM | SOCK_CLOEXEC, 0));
-    socket_.reset(::fcntl(made.get(), F_DUPFD_CLOEXEC, 32));  // above those passed on
-    sockaddr_un address{};
-    address.sun_family = AF_UNIX;
-    socklen_t bytes = sizeof(sa_family_t);  // the kernel chooses an abstract name
-    EXPECT_EQ(::bind(socket_.get(), reinterpret_cast<sockaddr*>(&address), bytes), 0);
-    bytes = sizeof address;
-    ::getsockname(socket_.get(), reinterpret_cast<sockaddr*>(&address), &bytes);
-    address.sun_path[0] = '@';
-    const std::string name(address.sun_path, bytes - offsetof(sockaddr_un, sun_path));
-    ::setenv("NOTIFY_SOCKET", name.c_str(), 1);
-    ::setenv("FDSTORE", "100", 1);
-  }
-  ~Manager() {
-    ::unsetenv("NOTIFY_SOCKET");
-    ::unsetenv("FDSTORE");
-  }
-  Received receive() {
-    Received received;
-    std::array<char, 512> text{};
-    iovec data{text.data(), text.size()};
-    alignas(cmsghdr) std::array<char, 256> control{};
-    msghdr message{};
-    message.msg_iov = &data;
-    message.msg_iovlen = 1;
-    message.msg_control = control.data();
-    message.msg_controllen = control.size();
-    const ssize_t bytes = ::recvmsg(socket_.get(), &message, MSG_CMSG_CLOEXEC);
-    if (bytes > 0) received.text.assign(text.data(), static_cast<std::size_t>(bytes));
-    for (cmsghdr* part = CMSG_FIRSTHDR(&message); part != nullptr;
-         part = CMSG_NXTHDR(&message, part)) {
-      if (part->cmsg_type != SCM_RIGHTS) continue;
-      for (std::size_t i = 0; i < (part->cmsg_len - CMSG_LEN(0)) / sizeof(int); ++i) {
-        int fd = -1;
-        std::memcpy(&fd, CMSG_DATA(part) + i * sizeof fd, sizeof fd);
-        received.fds.emplace_back(fd);
-      }
-    }
-    return received;
-  }
-
- private:
-  UniqueFd socket_;
-};
 
 TEST(DescriptorStore, KeepsNothingWithoutAManagerAndReportsIt) {
   ::unsetenv("NOTIFY_SOCKET");
@@ -91,7 +35,7 @@ TEST(DescriptorStore, KeepsNothingWithoutAManagerAndReportsIt) {
 }
 
 TEST(DescriptorStore, NamesStoredDescriptorsAndRemovesOnlyExistingOnes) {
-  Manager manager;
+  ServiceManager manager;
   auto store = DescriptorStore::of_manager();
   ASSERT_TRUE(store) << store.error().what;
   const UniqueFd event(::eventfd(5, EFD_CLOEXEC));
@@ -111,7 +55,7 @@ TEST(DescriptorStore, NamesStoredDescriptorsAndRemovesOnlyExistingOnes) {
 }
 
 TEST(DescriptorStore, StopsAtTheLimitOfTheManager) {
-  Manager manager;
+  ServiceManager manager;
   ::setenv("FDSTORE", "1", 1);
   auto store = DescriptorStore::of_manager();
   ASSERT_TRUE(store);
@@ -127,7 +71,7 @@ TEST(DescriptorStore, StopsAtTheLimitOfTheManager) {
 TEST(DescriptorStore, ProbesAManagerThatStatesNoLimit) {
   for (const char* said : {"", "0"}) {
     for (const bool keeps : {true, false}) {
-      Manager manager;
+      ServiceManager manager;
       said[0] == '\0' ? ::unsetenv("FDSTORE") : ::setenv("FDSTORE", said, 1);
       std::thread answering([&] {
         Received probe = manager.receive();
@@ -149,7 +93,7 @@ TEST(DescriptorStore, ProbesAManagerThatStatesNoLimit) {
 }
 
 TEST(DescriptorStore, TakesEachOnceAndRemovesTheRest) {
-  Manager manager;
+  ServiceManager manager;
   EXPECT_TRUE(test::in_own_process([&] {
     // The descriptors of the test program there are not needed here.
     for (const int fd : {3, 4}) {
