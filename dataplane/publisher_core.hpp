@@ -254,6 +254,18 @@ class PublisherCore {
     return sum;
   }
 
+  /// Returns whether the last scan saw no reliable subscription that can still take a message up to
+  /// `sequence`.
+  bool is_taken(std::uint64_t sequence) const noexcept {
+    for (std::uint64_t i = 0; i < (over_ != 0 ? 0 : endpoint_high_); ++i) {
+      const Endpoint& endpoint = endpoints_[i];
+      if (abi::state_of(endpoint.word) != abi::BoardState::active || !endpoint.reliable) continue;
+      const std::uint64_t oldest = region::minus_at_least(head_sequence_ + 1, endpoint.window, 0);
+      if (std::max(endpoint.low, oldest) <= sequence) return false;
+    }
+    return true;
+  }
+
   /// From now on nothing is kept for late joiners. The caller scans afterwards.
   void keep_no_history() noexcept { history_ = 0; }
   /// The process of an endpoint is gone, without a daemon to report it: its holds and its unread
@@ -297,6 +309,7 @@ class PublisherCore {
     std::uint64_t quota = 0;         // messages that it may hold at once
     std::uint64_t limit = infinite;  // likewise, of this publisher
     std::uint64_t withdrawn_at = 0;  // head when it was withdrawn; 0 = it is not
+    bool reliable = false;
     typename M::Region region{};
   };
 
@@ -374,6 +387,7 @@ class PublisherCore {
         word = abi::pack_board_word(abi::generation_of(word), abi::BoardState::free);
       AGNOCAST_STEP(P7_window) endpoint.window = abi::window_of(qos);
       endpoint.bound = qos.keep_all && qos.reliable ? qos.depth : 0;
+      endpoint.reliable = qos.reliable;
       endpoint.quota = self_.topic.subscription(index, offsetof(abi::SubscriptionEntry, quota))
                            .load(std::memory_order_relaxed);
       end_withdrawal(index);

@@ -72,7 +72,8 @@ Result<std::shared_ptr<UntypedPublisher>> UntypedPublisher::create(const Endpoin
                                                                    const PublisherOptions& options,
                                                                    const MessageCode& code) {
   if (Result<void> depth = check_depth(qos); !depth) return tl::unexpected<Failure>(depth.error());
-  std::shared_ptr<UntypedPublisher> publisher(new UntypedPublisher(std::move(type), name.topic));
+  std::shared_ptr<UntypedPublisher> publisher(
+      new UntypedPublisher(std::move(type), name.topic, qos));
   const Result<bool> off = is_switched_off();
   if (!off) return tl::unexpected<Failure>(off.error());
   if (*off) return publisher;
@@ -168,6 +169,21 @@ SharedHeap UntypedPublisher::heap() const noexcept {
 }
 std::size_t UntypedPublisher::subscription_count() const noexcept {
   return endpoint_ != nullptr ? endpoint_->subscription_count() : 0;
+}
+
+bool UntypedPublisher::wait_for_all_acked(Patience patience) const noexcept {
+  if (endpoint_ == nullptr) return true;
+  // After a loss of the daemon's store, the messages are those of the present endpoint.
+  std::shared_ptr<PublisherEndpoint> awaited;
+  std::uint64_t last = 0;
+  do {
+    if (state() != Errc::ok) return false;
+    std::shared_ptr<PublisherEndpoint> present = endpoint_->present(endpoint_);
+    if (present != awaited) last = present->head_sequence();
+    awaited = std::move(present);
+    if (awaited->is_taken(last)) return true;
+  } while (patience.wait());
+  return false;
 }
 
 std::uint64_t UntypedPublisher::persistent_id() const noexcept {

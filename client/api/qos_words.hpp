@@ -17,13 +17,6 @@ inline abi::Qos to_abi(const QoS& qos) noexcept {
           qos.is_keep_all(), false};
 }
 
-// Best available: best effort, which matches every publisher.
-inline abi::Qos to_abi_of_subscription(const QoS& qos) noexcept {
-  abi::Qos words = to_abi(qos);
-  if (qos.is_best_available()) words.reliable = false;
-  return words;
-}
-
 // Checks the capacity of a queue; the daemon's own limit may be lower.
 inline Result<void> check_depth(const QoS& qos) {
   if (qos.depth() >= 1 && qos.depth() <= abi::depth_max) return {};

@@ -154,8 +154,10 @@ Result<std::shared_ptr<UntypedSubscription>> UntypedSubscription::create(
   if (Result<void> depth = check_depth(qos); !depth) return tl::unexpected<Failure>(depth.error());
   if (options.hold_quota() == 0)
     return fail(Errc::invalid_argument, "with a hold quota of 0 nothing can be taken");
-  std::shared_ptr<UntypedSubscription> subscription(new UntypedSubscription);
-  subscription->topic_ = name.topic;
+  // Best available: best effort, which matches every publisher.
+  QoS requested = qos;
+  if (qos.is_best_available()) requested.best_effort();
+  std::shared_ptr<UntypedSubscription> subscription(new UntypedSubscription(name.topic, requested));
   const Result<bool> off = is_switched_off();
   if (!off) return tl::unexpected<Failure>(off.error());
   if (*off) return subscription;
@@ -176,7 +178,7 @@ Result<std::shared_ptr<UntypedSubscription>> UntypedSubscription::create(
   request.node = name.node;
   request.type = type.name();
   request.layout_hash = type.layout_hash();
-  request.qos = to_abi_of_subscription(qos);
+  request.qos = to_abi(requested);
   request.qos.ignore_local = options.ignores_local_publications();
   request.quota = options.hold_quota();
   request.quota_or_less = !options.is_hold_quota_set();

@@ -96,6 +96,21 @@ bool PublisherEndpoint::has_more_room() noexcept {
   return some;
 }
 
+std::uint64_t PublisherEndpoint::head_sequence() const noexcept {
+  const std::lock_guard lock(mutex_);
+  return core_ != nullptr ? core_->head_sequence() : 0;
+}
+
+bool PublisherEndpoint::is_taken(std::uint64_t sequence) noexcept {
+  bool taken = true;
+  with_queue([&](Work& work) {
+    if (core_ == nullptr) return;
+    core_->scan(work);
+    taken = core_->is_taken(sequence);
+  });
+  return taken;
+}
+
 void PublisherEndpoint::count(std::size_t counter, std::uint64_t more) noexcept {
   std::shared_ptr<PublisherEndpoint> successor;
   {

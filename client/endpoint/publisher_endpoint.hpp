@@ -108,6 +108,9 @@ class PublisherEndpoint {
   /// Makes two full scans (the second one frees what the first one has retired), and destroys every
   /// message that they free. Returns false if there was none.
   bool has_more_room() noexcept;
+  std::uint64_t head_sequence() const noexcept;
+  /// Scans, and returns whether no reliable subscription can still take a message up to `sequence`.
+  bool is_taken(std::uint64_t sequence) noexcept;
   /// A publish found the heap full: the next make_room() then makes room for all publishers.
   void lacked_room() noexcept;
   /// Call before the first message, if the identity says that the id is announced later. Successors

@@ -145,6 +145,8 @@ class AGNOCAST_PUBLIC UntypedPublisher {
   LenderId lender() const noexcept { return lender_; }
   const MessageType& type() const noexcept { return type_; }
   const std::string& topic() const noexcept { return topic_; }
+  const QoS& qos() const noexcept { return qos_; }
+  bool wait_for_all_acked(Patience patience) const noexcept;
   std::size_t subscription_count() const noexcept;
   std::uint64_t callback_exception_count() const noexcept;
   MatchedInfo matched_status() noexcept;
@@ -160,11 +162,12 @@ class AGNOCAST_PUBLIC UntypedPublisher {
   void tell(std::shared_ptr<Watch> watch) noexcept;
 
  private:
-  UntypedPublisher(MessageType type, std::string topic) noexcept
-      : type_(std::move(type)), topic_(std::move(topic)) {}
+  UntypedPublisher(MessageType type, std::string topic, const QoS& qos) noexcept
+      : type_(std::move(type)), topic_(std::move(topic)), qos_(qos) {}
   const LenderId lender_;
   MessageType type_;
   std::string topic_;
+  QoS qos_;
   std::chrono::steady_clock::time_point end_ = std::chrono::steady_clock::time_point::max();
   std::shared_ptr<PublisherEndpoint> endpoint_;
   CallbackGroup::SharedPtr group_;  // this and the next only with event callbacks
@@ -181,6 +184,19 @@ class PublisherBase {
   /// revoked).
   bool is_active() const noexcept { return untyped_->is_active(); }
   const char* get_topic_name() const noexcept { return untyped_->topic().c_str(); }
+  /// Returns the QoS that the publisher offers; it converts to an rclcpp::QoS.
+  QoS get_actual_qos() const noexcept { return untyped_->qos(); }
+  /// Waits until each matched reliable subscription has taken what was published before this call,
+  /// or can no longer take it; a negative timeout means without limit. Returns false if time ran
+  /// out, or nothing can be taken any more: the session was revoked, or this is a forked child.
+  /// Looks at the subscriptions every millisecond; a stopped process holds it up.
+  template <class Rep = std::int64_t, class Period = std::milli>
+  bool wait_for_all_acked(
+      std::chrono::duration<Rep, Period> timeout = std::chrono::milliseconds(-1)) const noexcept {
+    return timeout < timeout.zero()
+               ? untyped_->wait_for_all_acked(detail::Patience(std::chrono::hours::max()))
+               : untyped_->wait_for_all_acked(detail::Patience(timeout));
+  }
   /// Returns the number of matched subscriptions, which receive messages published from now on.
   std::size_t get_subscription_count() const noexcept { return untyped_->subscription_count(); }
   /// Returns the number of exceptions thrown by event callbacks in a BackgroundExecutor (see

@@ -59,6 +59,17 @@ class QoS {
   QoS& transient_local() noexcept { return transient_local_ = true, *this; }
   QoS& durability_volatile() noexcept { return transient_local_ = false, *this; }
 
+  /// Converts to an rclcpp::QoS, or any class with its functions.
+  template <class Like,
+            class = decltype(Like(std::size_t{1}).keep_all().best_effort().transient_local())>
+  operator Like() const {
+    Like like(depth_);
+    if (keep_all_) like.keep_all();
+    if (!reliable_) like.best_effort();
+    if (transient_local_) like.transient_local();
+    return like;
+  }
+
   std::size_t depth() const noexcept { return depth_; }
   bool is_keep_all() const noexcept { return keep_all_; }
   /// For a publisher. A subscription with "best available" reliability is not reliable.

@@ -118,6 +118,7 @@ class AGNOCAST_PUBLIC UntypedSubscription {
   IncompatibleTypeInfo incompatible_type_status() noexcept;
   HeapCollisionInfo heap_collision_status() noexcept;
   const std::string& topic() const noexcept { return topic_; }
+  const QoS& qos() const noexcept { return qos_; }
   bool is_active() const noexcept;
   /// Returns the persistent endpoint id (EndpointName::persistent_id); 0: switched off.
   std::uint64_t persistent_id() const noexcept;
@@ -133,8 +134,10 @@ class AGNOCAST_PUBLIC UntypedSubscription {
   void look_again() noexcept;
 
  private:
-  UntypedSubscription() noexcept = default;
+  UntypedSubscription(std::string topic, const QoS& qos) noexcept
+      : topic_(std::move(topic)), qos_(qos) {}
   std::string topic_;
+  QoS qos_;
   std::shared_ptr<SubscriptionEndpoint> endpoint_;
   CallbackGroup::SharedPtr group_;  // this and the next only with callbacks
   std::shared_ptr<CallbackSource> source_;
@@ -237,6 +240,8 @@ class SubscriptionBase {
   /// process was revoked: no message ever arrives.
   bool is_active() const noexcept { return untyped_->is_active(); }
   const char* get_topic_name() const noexcept { return untyped_->topic().c_str(); }
+  /// Returns the QoS that the subscription requests; it converts to an rclcpp::QoS.
+  QoS get_actual_qos() const noexcept { return untyped_->qos(); }
 
  protected:
   explicit SubscriptionBase(std::shared_ptr<detail::UntypedSubscription> untyped) noexcept

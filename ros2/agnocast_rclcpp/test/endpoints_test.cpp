@@ -83,6 +83,33 @@ TEST_F(EndpointsTest, ANodeMayKeepAsManyMessagesAsItsQueueIsLong) {
   EXPECT_TRUE(spin_until([&] { return kept.size() == 100; })) << kept.size();
 }
 
+TEST_F(EndpointsTest, QosIsReportedAndTakenMessagesAreAcknowledged) {
+  const auto check = [&](const auto& publisher, const auto& subscription) {
+    const rclcpp::QoS offered = publisher->get_actual_qos();
+    EXPECT_EQ(offered.depth(), 7u);
+    EXPECT_EQ(offered.history(), rclcpp::HistoryPolicy::KeepLast);
+    EXPECT_EQ(offered.reliability(), rclcpp::ReliabilityPolicy::Reliable);
+    EXPECT_EQ(offered.durability(), rclcpp::DurabilityPolicy::TransientLocal);
+    const rclcpp::QoS requested = subscription->get_actual_qos();
+    EXPECT_EQ(requested.reliability(), rclcpp::ReliabilityPolicy::BestEffort);
+    EXPECT_EQ(requested.durability(), rclcpp::DurabilityPolicy::Volatile);
+    EXPECT_TRUE(publisher->wait_for_all_acked(0s)) << "the only subscription is best effort";
+    EXPECT_TRUE(publisher->wait_for_all_acked());
+  };
+  const rclcpp::QoS offer = rclcpp::QoS(7).transient_local();
+  const auto ignore = [](const String&) {};
+  check(node_->create_publisher<String>("of_ros", offer),
+        node_->create_subscription<String>("of_ros", rclcpp::SensorDataQoS(), ignore));
+  const auto publisher = agnocast::create_publisher<String>(node_, "ours", offer);
+  check(publisher,
+        agnocast::create_subscription<String>(node_, "ours", rclcpp::SensorDataQoS(), ignore));
+
+  const auto reliable = agnocast::create_subscription<String>(node_, "ours", 10, ignore);
+  (void)publisher->publish(String());
+  EXPECT_FALSE(publisher->wait_for_all_acked(10ms));
+  EXPECT_TRUE(spin_until([&] { return publisher->wait_for_all_acked(0s); }));
+}
+
 TEST_F(EndpointsTest, OneSpinSomeCallsEachEndpointOnce) {
   // As rclcpp calls each of its subscriptions, in both types of groups.
   std::vector<int> heard(6, 0);

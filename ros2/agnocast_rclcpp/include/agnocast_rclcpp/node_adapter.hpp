@@ -32,11 +32,7 @@ void override_qos(Node& node, const std::string& topic, const rclcpp::QosOverrid
                   agnocast::QoS& qos, EntityTraits traits) {
   unsigned unserved = qos.unserved();
   if (!options.get_policy_kinds().empty()) {
-    rclcpp::QoS given(qos.depth());
-    if (qos.is_keep_all()) given.keep_all();
-    if (!qos.is_reliable()) given.best_effort();
-    if (qos.is_transient_local()) given.transient_local();
-    qos = rclcpp::detail::declare_qos_parameters(options, node, topic, given, traits);
+    qos = rclcpp::detail::declare_qos_parameters(options, node, topic, rclcpp::QoS(qos), traits);
     unserved |= qos.unserved();
   }
   warn_of_policies(unserved, topic, node.get_logger());

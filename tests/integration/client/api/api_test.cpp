@@ -60,6 +60,16 @@ struct LookAlikeQos {
   Durability durability() const { return how_durable; }
 };
 
+/// What an rclcpp::QoS can be told.
+struct ToldQos {
+  explicit ToldQos(std::size_t told) : depth(told) {}
+  ToldQos& keep_all() { return all = true, *this; }
+  ToldQos& best_effort() { return reliable = false, *this; }
+  ToldQos& transient_local() { return kept = true, *this; }
+  std::size_t depth;
+  bool all = false, reliable = true, kept = false;
+};
+
 /// A look-alike of rmw_qos_profile_t.
 struct LookAlikeProfile {
   LookAlikeQos::History history;
@@ -301,7 +311,23 @@ TEST_F(Api, LookAlikesOfRclcppFit) {
   EXPECT_STREQ(create_publisher<Cloud>(shared, "other", 3)->get_topic_name(), "/ns/other");
 }
 
-// rclcpp::KeepAll has depth 0, and so has rclcpp::SystemDefaultsQoS.
+TEST_F(Api, EndpointsReportTheirQos) {
+  const auto publisher =
+      create_publisher<Cloud>(node, "reported", QoS(7).best_effort().transient_local());
+  const ToldQos told = publisher->get_actual_qos();
+  EXPECT_EQ(told.depth, 7u);
+  EXPECT_FALSE(told.all);
+  EXPECT_FALSE(told.reliable);
+  EXPECT_TRUE(told.kept);
+  const auto all = create_subscription<Cloud>(node, "reported", QoS(1).keep_all(9).best_effort());
+  EXPECT_TRUE(ToldQos(all->get_actual_qos()).all);
+  EXPECT_EQ(all->get_actual_qos().depth(), 9u);
+  const LookAlikeQos best{7, LookAlikeQos::History::KeepLast,
+                          LookAlikeQos::Reliability::BestAvailable};
+  EXPECT_TRUE(create_publisher<Cloud>(node, "best", best)->get_actual_qos().is_reliable());
+  EXPECT_FALSE(create_subscription<Cloud>(node, "best", best)->get_actual_qos().is_reliable());
+}
+
 TEST_F(Api, BestAvailableMatchesAllQos) {
   const LookAlikeQos best{7, LookAlikeQos::History::KeepLast,
                           LookAlikeQos::Reliability::BestAvailable,
@@ -319,6 +345,7 @@ TEST_F(Api, BestAvailableMatchesAllQos) {
   })) << "reported afterwards";
 }
 
+// rclcpp::KeepAll has depth 0, and so has rclcpp::SystemDefaultsQoS.
 TEST_F(Api, ARclcppHistoryWithoutADepthHasDepthOne) {
   const LookAlikeQos all{0, LookAlikeQos::History::KeepAll};
   EXPECT_TRUE(QoS(all).is_keep_all());

@@ -300,6 +300,40 @@ TEST_F(Publishing, KeepAllBlocksAndPublishForWaitsForTheReader) {
   EXPECT_EQ(result.adopted_bytes, sizeof(Moody) + 5000) << "the attempt that adopted counts";
 }
 
+TEST_F(Publishing, WaitsUntilEachReliableReaderHasTakenAll) {
+  auto publisher = create_publisher<Moody>(node, "acked", QoS(10));
+  const auto publish = [&](int count) {
+    while (count-- > 0) EXPECT_TRUE(publisher->publish(foreign(1)));
+  };
+  publish(1);
+  EXPECT_TRUE(publisher->wait_for_all_acked()) << "nobody has to receive it";
+  auto slow = create_subscription<Moody>(node, "acked", QoS(2));
+  auto lossy = create_subscription<Moody>(node, "acked", QoS(10).best_effort());
+  publish(3);
+  EXPECT_FALSE(publisher->wait_for_all_acked(seconds(0)));
+  ASSERT_TRUE(take_soon(slow));
+  EXPECT_FALSE(publisher->wait_for_all_acked(milliseconds(20)));
+  ASSERT_TRUE(take_soon(slow));
+  EXPECT_TRUE(publisher->wait_for_all_acked()) << "one is lost to it, and the other is best effort";
+
+  publish(2);
+  std::atomic<bool> is_waiting{false};
+  std::thread reader([&] {
+    while (!is_waiting) std::this_thread::yield();
+    std::this_thread::sleep_for(milliseconds(20));
+    for (int i = 0; i < 2; ++i) EXPECT_TRUE(take_soon(slow));
+  });
+  is_waiting = true;
+  EXPECT_TRUE(publisher->wait_for_all_acked());
+  EXPECT_FALSE(slow->take()) << "it has taken both";
+  reader.join();
+
+  publish(1);
+  EXPECT_FALSE(publisher->wait_for_all_acked(milliseconds(1)));
+  slow.reset();
+  EXPECT_TRUE(publisher->wait_for_all_acked(std::chrono::minutes(5))) << "nobody can take it";
+}
+
 TEST_F(Publishing, AFullHeapIsReportedUntilReadersRelease) {
   auto subscription = create_subscription<Moody>(node, "full", QoS(100));
   auto publisher = create_publisher<Moody>(node, "full", 100);

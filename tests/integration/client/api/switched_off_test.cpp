@@ -107,6 +107,8 @@ TEST_F(SwitchedOff, EndpointsAreMadeAndDoNothing) {
   EXPECT_EQ(publisher->publish_for(std::move(message), std::chrono::hours(1)).code,
             Errc::switched_off);
   EXPECT_NE(message, nullptr);
+  EXPECT_TRUE(publisher->wait_for_all_acked()) << "nothing was published";
+  EXPECT_EQ(publisher->get_actual_qos().depth(), 1u);
   EXPECT_FALSE(asked->take());
   ipc_shared_ptr<const Numbers> batch[2];
   EXPECT_EQ(asked->take_batch(batch, 2), 0u);

@@ -141,6 +141,7 @@ void expect_detached(Busy& busy) {
   EXPECT_TRUE(busy.loan) << "the caller still has it";
   auto message = std::make_unique<Cloud>();
   EXPECT_EQ(busy.publisher->publish(std::move(message)).code, Errc::shut_down);
+  EXPECT_FALSE(busy.publisher->wait_for_all_acked());
   EXPECT_NE(message, nullptr);
   EXPECT_FALSE(busy.subscription->take());
   ipc_shared_ptr<const Cloud> batch[2] = {busy.held};
