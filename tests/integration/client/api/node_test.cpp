@@ -3,7 +3,7 @@
 // Goal: agnocast::Node names itself and its topics as ROS 2 does, its endpoints are those of the
 // free functions, and callbacks of every promised signature compile and are called.
 // Method: the public interface with the real daemon; the test asserts questions of types at
-// compile time. The rules themselves: tests/unit/client/arguments_test.cpp.
+// compile time. The rules themselves: tests/unit/client/node/arguments_test.cpp.
 
 #include <agnocast/agnocast.hpp>
 #include <tests/integration/client/programs/second_process.hpp>

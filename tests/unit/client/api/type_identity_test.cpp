@@ -5,7 +5,7 @@
 // table at a time and compare hashes; compare translation units and processes that must agree;
 // describe an imitation of rosidl::Buffer. refused_types.cpp covers what the compiler refuses.
 
-#include "tests/unit/client/type_identity_types.hpp"
+#include "tests/unit/client/api/type_identity_types.hpp"
 
 #include <agnocast/residency.hpp>
 #include <agnocast/rosidl.hpp>

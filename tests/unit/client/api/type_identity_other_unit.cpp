@@ -2,7 +2,7 @@
 //
 // The other translation unit of type_identity_test.cpp. CMakeLists.txt sets its switches.
 
-#include "tests/unit/client/type_identity_types.hpp"
+#include "tests/unit/client/api/type_identity_types.hpp"
 
 #include <agnocast/rosidl.hpp>
 

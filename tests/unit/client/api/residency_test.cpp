@@ -6,8 +6,8 @@
 // outside the arena, then with random ones; an oracle that knows the origin of each allocation
 // gives the expected result. --seed=N repeats one random run, --runs=N makes more of them.
 
-#include "tests/unit/client/random_filler.hpp"
-#include "tests/unit/client/residency_messages.hpp"
+#include "tests/unit/client/api/random_filler.hpp"
+#include "tests/unit/client/api/residency_messages.hpp"
 
 namespace agnocast {
 namespace test {

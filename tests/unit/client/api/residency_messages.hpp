@@ -6,7 +6,7 @@
 
 #include "client/api/message_plan.hpp"
 #include "tests/support/memory/tagging_heap.hpp"
-#include "tests/unit/client/message_oracle.hpp"
+#include "tests/unit/client/api/message_oracle.hpp"
 
 #include <agnocast/residency.hpp>
 #include <agnocast/rosidl.hpp>

@@ -6,7 +6,7 @@
 #include <agnocast/callback_group_waitable.hpp>
 #include <agnocast/executor.hpp>
 #include <agnocast/timer.hpp>
-#include <tests/unit/client/node.hpp>
+#include <tests/unit/client/executors/node.hpp>
 
 #include <gtest/gtest.h>
 

@@ -4,7 +4,7 @@
 // scalars keep their defaults.
 #pragma once
 
-#include <tests/unit/client/residency_messages.hpp>
+#include <tests/unit/client/api/residency_messages.hpp>
 
 #include <random>
 

@@ -7,7 +7,7 @@
 #include <agnocast/timer.hpp>
 #include <tests/support/memory/descriptors.hpp>
 #include <tests/support/processes/actor.hpp>
-#include <tests/unit/client/node.hpp>
+#include <tests/unit/client/executors/node.hpp>
 
 #include <gmock/gmock.h>
 #include <gtest/gtest.h>
