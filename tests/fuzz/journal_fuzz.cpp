@@ -142,24 +142,10 @@ void ask(const Registry& registry) {
   }
 }
 
-}  // namespace
-
-extern "C" int LLVMFuzzerTestOneInput(const std::uint8_t* data, std::size_t size) {
-  static Memory memory;
-  memory.empty();
-  FuzzedDataProvider input(data, size);
-  const Registry::Memory parts = memory.parts();
-  Registry first(parts);
-  first.create(7);
-  live(first, input);
-  const std::uint64_t newest = first.log().committed_lsn();
-  // The last change was decided, and its daemon died in the middle of it.
-  const bool pending = newest != 0 && input.ConsumeBool();
-  if (pending) SharedMemory::word(parts.log, 2 * abi::cache_line_bytes).store(newest - 1);
-
-  bool damaged = false;
-  for (int i = input.ConsumeIntegralInRange(0, 6); i > 0; --i) {
-    damaged = true;
+/// Changes up to six words of the log or of the tables; returns whether there was one.
+bool damage(const Registry::Memory& parts, std::uint64_t newest, FuzzedDataProvider& input) {
+  const int count = input.ConsumeIntegralInRange(0, 6);
+  for (int i = 0; i < count; ++i) {
     switch (input.ConsumeIntegralInRange(0, 6)) {
       case 0:
         damage(parts.log, 4 * abi::cache_line_bytes, input);
@@ -186,6 +172,48 @@ extern "C" int LLVMFuzzerTestOneInput(const std::uint8_t* data, std::size_t size
         break;
     }
   }
+  return count != 0;
+}
+
+/// A daemon that accepted the memory continues, and leaves memory that another one can accept.
+void go_on(Registry& second, const Registry::Memory& parts, bool damaged,
+           FuzzedDataProvider& input) {
+  ask(second);
+  static_cast<void>(second.repair_board());
+  const std::uint64_t before = second.log().committed_lsn();
+  second.note_recovered({1, 0, 0});
+  REQUIRE(second.log().committed_lsn() == before + 1);
+  // Damage where open() does not look must not be relied on: the first change is tried.
+  if (damaged) {
+    static_cast<void>(second.add_client({1, 1, 1, 0, "newcomer"}));
+  } else {
+    live(second, input);
+  }
+  Registry third(parts);
+  if (const auto again = third.open(); !again) {
+    // Memory that a change has brought into use may be damaged too; then that is reported.
+    REQUIRE(damaged && again.error().code == Errc::store_damaged);
+    return;
+  }
+  REQUIRE(third.redone_lsn() == 0);
+  ask(third);
+}
+
+}  // namespace
+
+extern "C" int LLVMFuzzerTestOneInput(const std::uint8_t* data, std::size_t size) {
+  static Memory memory;
+  memory.empty();
+  FuzzedDataProvider input(data, size);
+  const Registry::Memory parts = memory.parts();
+  Registry first(parts);
+  first.create(7);
+  live(first, input);
+  const std::uint64_t newest = first.log().committed_lsn();
+  // The last change was decided, and its daemon died in the middle of it.
+  const bool pending = newest != 0 && input.ConsumeBool();
+  if (pending) SharedMemory::word(parts.log, 2 * abi::cache_line_bytes).store(newest - 1);
+  const bool damaged = damage(parts, newest, input);
   std::vector<std::byte> log_before(parts.log, parts.log + 2 * abi::page_bytes);
 
   journal::RedoLog log(parts.log);
@@ -198,26 +226,7 @@ extern "C" int LLVMFuzzerTestOneInput(const std::uint8_t* data, std::size_t size
   Registry second(parts);
   const auto opened = second.open();
   if (opened) {
-    ask(second);
-    // It continues, and leaves memory that another daemon can accept.
-    static_cast<void>(second.repair_board());
-    const std::uint64_t before = second.log().committed_lsn();
-    second.note_recovered({1, 0, 0});
-    REQUIRE(second.log().committed_lsn() == before + 1);
-    // Damage where open() does not look must not be relied on: the first change is tried.
-    if (damaged) {
-      static_cast<void>(second.add_client({1, 1, 1, 0, "newcomer"}));
-    } else {
-      live(second, input);
-    }
-    Registry third(parts);
-    if (const auto again = third.open(); !again) {
-      // Memory that a change has brought into use may be damaged too; then that is reported.
-      REQUIRE(damaged && again.error().code == Errc::store_damaged);
-      return 0;
-    }
-    REQUIRE(third.redone_lsn() == 0);
-    ask(third);
+    go_on(second, parts, damaged, input);
     return 0;
   }
   REQUIRE(damaged);
