@@ -247,6 +247,9 @@ IncompatibleQosInfo UntypedSubscription::incompatible_qos_status() noexcept {
   return endpoint_ != nullptr ? endpoint_->events().incompatible_qos_status()
                               : IncompatibleQosInfo{};
 }
+HoldQuotaInfo UntypedSubscription::hold_quota_status() noexcept {
+  return endpoint_ != nullptr ? endpoint_->events().hold_quota_status() : HoldQuotaInfo{};
+}
 HeapCollisionInfo UntypedSubscription::heap_collision_status() noexcept {
   return endpoint_ != nullptr ? endpoint_->events().heap_collision_status() : HeapCollisionInfo{};
 }

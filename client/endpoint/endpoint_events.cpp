@@ -51,6 +51,12 @@ void EndpointEvents::heap_collision(const char* text) noexcept {
   changed();
 }
 
+void EndpointEvents::held_back() noexcept {
+  const std::lock_guard lock(mutex_);
+  ++now_.held_back;
+  changed();
+}
+
 void EndpointEvents::drained() noexcept {
   const std::lock_guard lock(mutex_);
   ++now_.drained;
@@ -89,6 +95,11 @@ HeapCollisionInfo EndpointEvents::collisions_since(Counts& notified) const noexc
   return info;
 }
 
+HoldQuotaInfo EndpointEvents::held_back_since(Counts& notified) const noexcept {
+  const std::uint64_t change = now_.held_back - std::exchange(notified.held_back, now_.held_back);
+  return {static_cast<std::int32_t>(now_.held_back), static_cast<std::int32_t>(change)};
+}
+
 MatchedInfo EndpointEvents::matched_status() noexcept {
   if (is_forked_child()) return {};
   const std::lock_guard lock(mutex_);
@@ -113,12 +124,22 @@ HeapCollisionInfo EndpointEvents::heap_collision_status() noexcept {
   return collisions_since(notified_by_status_);
 }
 
+HoldQuotaInfo EndpointEvents::hold_quota_status() noexcept {
+  if (is_forked_child()) return {};
+  const std::lock_guard lock(mutex_);
+  return held_back_since(notified_by_status_);
+}
+
 void EndpointEvents::wake_for(const detail::EventCallbacks& callbacks,
                               std::shared_ptr<WaitSet> wait_set) noexcept {
   const std::lock_guard lock(mutex_);
-  wanted_ = {callbacks.matched != nullptr,           callbacks.incompatible_qos != nullptr,
-             callbacks.incompatible_type != nullptr, callbacks.connection != nullptr,
-             callbacks.heap_collision != nullptr,    callbacks.drained != nullptr};
+  wanted_ = {callbacks.matched != nullptr,
+             callbacks.incompatible_qos != nullptr,
+             callbacks.incompatible_type != nullptr,
+             callbacks.connection != nullptr,
+             callbacks.heap_collision != nullptr,
+             callbacks.hold_quota != nullptr,
+             callbacks.drained != nullptr};
   wait_set_ = std::move(wait_set);
   changed();
 }
@@ -134,6 +155,7 @@ bool EndpointEvents::look_for_pending() const noexcept {
          (wanted_.types && now_.types != notified_by_callback_.types) ||
          (wanted_.connections && now_.connections != notified_by_callback_.connections) ||
          (wanted_.collisions && now_.collisions != notified_by_callback_.collisions) ||
+         (wanted_.held_back && now_.held_back != notified_by_callback_.held_back) ||
          (wanted_.drained && now_.drained != notified_by_callback_.drained);
 }
 
@@ -164,6 +186,8 @@ bool EndpointEvents::run_one(const detail::EventCallbacks& callbacks) {
   }
   if (wanted_.collisions && now_.collisions != notified_by_callback_.collisions)
     return run(callbacks.heap_collision, collisions_since(notified_by_callback_));
+  if (wanted_.held_back && now_.held_back != notified_by_callback_.held_back)
+    return run(callbacks.hold_quota, held_back_since(notified_by_callback_));
   if (wanted_.drained && now_.drained != notified_by_callback_.drained) {
     notified_by_callback_.drained = now_.drained;
     return run([&](bool) { callbacks.drained(); }, true);

@@ -1,7 +1,7 @@
 // SPDX-License-Identifier: Apache-2.0
 //
 // EndpointEvents: what happened to one endpoint besides messages: matched, incompatible QoS,
-// incompatible type, the state of the process's connection, heap collision.
+// incompatible type, the state of the process's connection, heap collision, hold quota.
 //
 // The control thread counts. Status getters read in any thread; the node's executor runs the
 // callbacks. Counts are cumulative, so an event is not missed if it comes before anyone waits for
@@ -35,6 +35,8 @@ class EndpointEvents {
   void incompatible_type() noexcept;
   void connection(const ConnectionInfo& info) noexcept;
   void heap_collision(const char* text) noexcept;
+  /// Notes that messages wait because of the hold quota. Any thread.
+  void held_back() noexcept;
   /// Notes that unread messages of a gone publisher were lost: a take found nothing to deliver. Any
   /// thread.
   void drained() noexcept;
@@ -47,6 +49,7 @@ class EndpointEvents {
   IncompatibleQosInfo incompatible_qos_status() noexcept;
   IncompatibleTypeInfo incompatible_type_status() noexcept;
   HeapCollisionInfo heap_collision_status() noexcept;
+  HoldQuotaInfo hold_quota_status() noexcept;
   /// From now on a change that has a callback wakes this wait set.
   void wake_for(const detail::EventCallbacks& callbacks,
                 std::shared_ptr<WaitSet> wait_set) noexcept;
@@ -67,12 +70,14 @@ class EndpointEvents {
     std::uint64_t types = 0;
     std::uint64_t connections = 0;
     std::uint64_t collisions = 0;
+    std::uint64_t held_back = 0;
     std::uint64_t drained = 0;
   };
   MatchedInfo matched_since(Counts& notified) const noexcept;
   IncompatibleQosInfo qos_since(Counts& notified) const noexcept;
   IncompatibleTypeInfo types_since(Counts& notified) const noexcept;
   HeapCollisionInfo collisions_since(Counts& notified) const noexcept;
+  HoldQuotaInfo held_back_since(Counts& notified) const noexcept;
   void changed() noexcept;
   bool matched_changed() const noexcept {
     return now_.matched != notified_by_callback_.matched ||
@@ -88,7 +93,7 @@ class EndpointEvents {
   std::atomic<bool> pending_{false};
   struct {
     bool matched = false, qos = false, types = false, connections = false, collisions = false,
-         drained = false;
+         held_back = false, drained = false;
   } wanted_;
   std::shared_ptr<WaitSet> wait_set_;
   std::shared_ptr<Watch> watch_;

@@ -214,10 +214,14 @@ inline bool SubscriptionEndpoint::may_take() const noexcept {
   return !closed_ && !has_finished_ && takes_part();
 }
 
-/// Returns false at the quota, and until a missing window is there: a retry would only spin.
-bool SubscriptionEndpoint::can_take(const Link& link) const noexcept {
-  return link.held_count() < link.quota() &&
-         (!link.core_.is_awaiting_window() || link.is_orphaned_ || is_alone_ ||
+/// For a link with news. Returns false at the quota, and until a missing window is there: a retry
+/// would only spin.
+bool SubscriptionEndpoint::can_take(Link& link) const noexcept {
+  if (link.held_count() >= link.quota()) [[unlikely]] {
+    if (!std::exchange(link.is_held_back_, true)) events_->held_back();
+    return false;
+  }
+  return (!link.core_.is_awaiting_window() || link.is_orphaned_ || is_alone_ ||
           link.peer().heap().window_count() != link.windows_seen_);
 }
 
@@ -226,7 +230,8 @@ void SubscriptionEndpoint::look_at(Link& link) const noexcept {
   see_next(link);
 }
 void SubscriptionEndpoint::see_next(Link& link) const noexcept {
-  link.next_stamp_ = can_take(link) ? link.core_.next_stamp(link.head_) : std::nullopt;
+  link.next_stamp_ = link.core_.next_stamp(link.head_);
+  if (link.next_stamp_ && !can_take(link)) link.next_stamp_.reset();
 }
 
 // With one publisher nothing has to be compared; most takes that find nothing end here.
@@ -295,6 +300,7 @@ SubscriptionEndpoint::Attempt SubscriptionEndpoint::take_from(const std::shared_
       return attempt;
     }
     link->held_.fetch_add(1, std::memory_order_relaxed);
+    link->is_held_back_ = false;
     // The last message of a gone publisher: the control thread waits for its release.
     if (link->core_.drained()) link->closing_.store(true, std::memory_order_release);
     place->taken = *taken;
@@ -313,7 +319,7 @@ bool SubscriptionEndpoint::has_news() const noexcept {
 
 bool SubscriptionEndpoint::has_news_here() const noexcept {
   return may_take() && std::any_of(links_.begin(), links_.end(), [this](const auto& link) {
-           return can_take(*link) && link->core_.has_news();
+           return link->core_.has_news() && can_take(*link);
          });
 }
 

@@ -137,8 +137,9 @@ class Link {
   std::optional<std::uint64_t> next_stamp_;  // of the next message to take
   std::atomic<detail::Block*> kept_{nullptr};
   detail::Block* spares_ = nullptr;
-  bool ceased_ = false;     // the publisher adds no more
-  bool continues_ = false;  // it had an earlier queue of the same publisher
+  bool is_held_back_ = false;  // counted by held_back(), and nothing taken since
+  bool ceased_ = false;        // the publisher adds no more
+  bool continues_ = false;     // it had an earlier queue of the same publisher
   // Set by the daemon's packet, after it has announced every window that the publisher had by then.
   bool is_orphaned_ = false;
 };
@@ -314,7 +315,7 @@ class SubscriptionEndpoint {
   void look_at_empty() const noexcept;
   [[gnu::noinline]] bool take_in_order(Receiver& receiver) noexcept;
   bool may_take() const noexcept;
-  bool can_take(const Link& link) const noexcept;
+  bool can_take(Link& link) const noexcept;
   void look_at(Link& link) const noexcept;
   void see_next(Link& link) const noexcept;
   bool has_news_here() const noexcept;

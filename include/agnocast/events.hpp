@@ -1,10 +1,11 @@
 // SPDX-License-Identifier: Apache-2.0
 //
-// Events of an endpoint: matched endpoints, endpoints that could not match, and the connection to
-// the daemon. Each event is counted from the creation of the endpoint. A status getter returns
-// the counts and their change since its last call; a callback (set in the endpoint's options) is
-// called when they change. Event callbacks run where the message callbacks of the node run. They
-// keep their own count of changes: a status getter does not take a change away from a callback.
+// Events of an endpoint: matched endpoints, endpoints that could not match, messages held back, and
+// the connection to the daemon. Each event is counted from the creation of the endpoint. A status
+// getter returns the counts and their change since its last call; a callback (set in the endpoint's
+// options) is called when they change. Event callbacks run where the message callbacks of the node
+// run. They keep their own count of changes: a status getter does not take a change away from a
+// callback.
 #pragma once
 
 #include <agnocast/connection_state.hpp>
@@ -61,6 +62,14 @@ struct HeapCollisionInfo {
   char last_text[256] = "";
 };
 
+/// How often messages began to wait because this process held as many of their publisher as its
+/// subscription may hold (SubscriptionOptions::hold_quota). They are counted once until the next
+/// one is taken.
+struct HoldQuotaInfo {
+  std::int32_t total_count = 0;
+  std::int32_t total_count_change = 0;
+};
+
 namespace detail {
 
 struct EventCallbacks {
@@ -69,12 +78,14 @@ struct EventCallbacks {
   std::function<void(IncompatibleTypeInfo&)> incompatible_type;
   std::function<void(ConnectionInfo&)> connection;
   std::function<void(HeapCollisionInfo&)> heap_collision;
+  std::function<void(HoldQuotaInfo&)> hold_quota;  // of a subscription
   /// For services: all unread messages of a dead publisher were read or lost; it sends nothing
   /// more.
   std::function<void()> drained;
   explicit operator bool() const noexcept {
     return matched != nullptr || incompatible_qos != nullptr || incompatible_type != nullptr ||
-           connection != nullptr || heap_collision != nullptr || drained != nullptr;
+           connection != nullptr || heap_collision != nullptr || hold_quota != nullptr ||
+           drained != nullptr;
   }
 };
 

@@ -53,6 +53,10 @@ class SubscriptionOptions : public detail::EventOptions<SubscriptionOptions>,
     is_hold_quota_usual_ = false;
     return hold_quota_ = messages, is_hold_quota_set_ = false, *this;
   }
+  /// Called when messages begin to wait because of the quota.
+  SubscriptionOptions& hold_quota_callback(std::function<void(HoldQuotaInfo&)> callback) {
+    return events_.hold_quota = std::move(callback), *this;
+  }
   std::size_t hold_quota() const noexcept { return hold_quota_; }
   bool is_hold_quota_set() const noexcept { return is_hold_quota_set_; }
   /// Returns whether neither function was called.
@@ -117,6 +121,7 @@ class AGNOCAST_PUBLIC UntypedSubscription {
   IncompatibleQosInfo incompatible_qos_status() noexcept;
   IncompatibleTypeInfo incompatible_type_status() noexcept;
   HeapCollisionInfo heap_collision_status() noexcept;
+  HoldQuotaInfo hold_quota_status() noexcept;
   const std::string& topic() const noexcept { return topic_; }
   const QoS& qos() const noexcept { return qos_; }
   bool is_active() const noexcept;
@@ -236,6 +241,7 @@ class SubscriptionBase {
   HeapCollisionInfo get_heap_collision_status() noexcept {
     return untyped_->heap_collision_status();
   }
+  HoldQuotaInfo get_hold_quota_status() noexcept { return untyped_->hold_quota_status(); }
   /// Returns false if AGNOCAST=off was in the environment at creation, or the session of the
   /// process was revoked: no message ever arrives.
   bool is_active() const noexcept { return untyped_->is_active(); }

@@ -72,7 +72,8 @@ class EndpointsTest : public RclcppTest {
   std::unique_ptr<rclcpp::executors::SingleThreadedExecutor> executor_;
 };
 
-TEST_F(EndpointsTest, ANodeMayKeepAsManyMessagesAsItsQueueIsLong) {
+TEST_F(EndpointsTest, ANodeMayKeepAsManyMessagesAsItsQueueIsLongAndIsWarnedAtMore) {
+  const Warnings warnings;
   std::vector<std::shared_ptr<const String>> kept;
   const auto subscription = agnocast::create_subscription<String>(
       node_, "kept", 100,
@@ -80,6 +81,11 @@ TEST_F(EndpointsTest, ANodeMayKeepAsManyMessagesAsItsQueueIsLong) {
   const auto publisher = agnocast::create_publisher<String>(node_, "kept", 100);
   ASSERT_TRUE(spin_until([&] { return publisher->get_subscription_count() == 1; }));
   for (int i = 0; i < 100; ++i) ASSERT_EQ(publisher->publish(String()).code, agnocast::Errc::ok);
+  EXPECT_TRUE(spin_until([&] { return kept.size() == 100; })) << kept.size();
+  EXPECT_EQ(warnings.lines(), "");
+  ASSERT_EQ(publisher->publish(String()).code, agnocast::Errc::ok);
+  EXPECT_TRUE(spin_until([&] { return warnings.have("'/space/kept' keeps as many messages"); }));
+  kept.erase(kept.begin());
   EXPECT_TRUE(spin_until([&] { return kept.size() == 100; })) << kept.size();
 }
 

@@ -213,6 +213,7 @@ TEST_F(Api, AtTheHoldQuotaACallbackThreadSleepsUntilARelease) {
   std::mutex mutex;
   std::condition_variable changed;
   std::vector<ipc_shared_ptr<const Cloud>> held;
+  int reached = 0;
   BackgroundExecutor executor;
   executor.add_node(node);
   auto subscription = create_subscription<Cloud>(
@@ -222,15 +223,21 @@ TEST_F(Api, AtTheHoldQuotaACallbackThreadSleepsUntilARelease) {
         held.push_back(cloud);
         changed.notify_all();
       },
-      SubscriptionOptions().hold_quota(2));
+      SubscriptionOptions().hold_quota(2).hold_quota_callback([&](HoldQuotaInfo& info) {
+        const std::lock_guard lock(mutex);
+        reached = info.total_count;
+        changed.notify_all();
+      }));
   auto publisher = create_publisher<Cloud>(node, "quota", 1);
-  for (std::uint32_t width : {1u, 2u, 3u}) {
+  const auto publish = [&](std::uint32_t width) {
     auto loan = publisher->borrow_loaned_message();
     loan->width = width;
-    ASSERT_TRUE(publisher->publish(std::move(loan)));
-  }
+    EXPECT_TRUE(publisher->publish(std::move(loan)));
+  };
+  for (std::uint32_t width : {1u, 2u, 3u}) publish(width);
   std::unique_lock lock(mutex);
-  ASSERT_TRUE(changed.wait_for(lock, std::chrono::minutes(5), [&] { return held.size() == 2; }));
+  ASSERT_TRUE(changed.wait_for(lock, std::chrono::minutes(5),
+                               [&] { return held.size() == 2 && reached == 1; }));
   // It sleeps instead of polling: the process uses next to no processor time.
   const std::clock_t before = std::clock();
   EXPECT_FALSE(
@@ -243,6 +250,11 @@ TEST_F(Api, AtTheHoldQuotaACallbackThreadSleepsUntilARelease) {
   lock.lock();
   EXPECT_TRUE(changed.wait_for(lock, std::chrono::minutes(5), [&] { return held.size() == 2; }));
   EXPECT_EQ(held.back()->width, 3u);
+  EXPECT_EQ(reached, 1) << "nothing waits";
+  publish(4);
+  EXPECT_TRUE(changed.wait_for(lock, std::chrono::minutes(5), [&] { return reached == 2; }));
+  EXPECT_EQ(subscription->get_hold_quota_status().total_count_change, 2);
+  EXPECT_EQ(subscription->get_hold_quota_status().total_count_change, 0);
 }
 
 TEST_F(Api, DepthCountsOverAllPublishersOrForEachOne) {
