@@ -4,6 +4,9 @@
 
 #include "group_waitable.hpp"
 
+#include <agnocast/callback_group.hpp>
+#include <agnocast/executor.hpp>
+
 #include <pthread.h>
 #include <signal.h>
 #include <sys/epoll.h>
@@ -12,6 +15,8 @@
 #include <cerrno>
 #include <chrono>
 #include <cstdlib>
+#include <exception>
+#include <optional>
 #include <system_error>
 
 namespace agnocast_rclcpp {
@@ -33,6 +38,27 @@ epoll_event event_of(std::uint64_t number, std::uint32_t events) {
   event.data.u64 = number;
   return event;
 }
+
+/// While it exists, the daemon knows the thread that made it as one of the group "agnocast-guard",
+/// to which thread rules may apply. Without memory or descriptors the thread has no rule.
+class ThreadRule {
+ public:
+  ThreadRule() noexcept {
+    try {
+      group_ = agnocast::detail::make_callback_group("/agnocast-guard",
+                                                     agnocast::CallbackGroupType::MutuallyExclusive,
+                                                     false, "agnocast-guard");
+      executor_.emplace();
+      executor_->add_callback_group(group_);
+      executor_->spin_some();
+    } catch (const std::exception&) {
+    }
+  }
+
+ private:
+  agnocast::CallbackGroup::SharedPtr group_;
+  std::optional<agnocast::SingleThreadedExecutor> executor_;
+};
 
 }  // namespace
 
@@ -101,6 +127,7 @@ void GuardThread::remove(std::uint64_t number, int fd) noexcept {
 }
 
 void GuardThread::run() noexcept {
+  const ThreadRule rule;
   using Clock = std::chrono::steady_clock;
   auto next_look = Clock::now() + look_interval;
   while (!is_over_.load(std::memory_order_acquire)) {

@@ -13,7 +13,10 @@
 #include <unistd.h>
 
 #include <atomic>
+#include <filesystem>
+#include <fstream>
 #include <memory>
+#include <string>
 #include <utility>
 
 namespace agnocast_rclcpp {
@@ -61,6 +64,23 @@ TEST_F(Threads, TheDefaultGroupHasItsRule) {
 TEST_F(Threads, AnotherGroupHasTheRuleOfTheNode) {
   auto group = node->create_callback_group(rclcpp::CallbackGroupType::Reentrant);
   EXPECT_TRUE(are_scheduled(*multi_threaded(4).make(), group, {SCHED_OTHER, 8}));
+}
+
+TEST_F(Threads, TheThreadThatWakesExecutorsHasAGroupOfItsOwn) {
+  const auto subscription =
+      agnocast::create_subscription<String>(node, "topic", 10, [](const String&) {});
+  const auto nice_of_guard = [] {
+    for (const auto& task : std::filesystem::directory_iterator("/proc/self/task")) {
+      std::string name;
+      std::getline(std::ifstream(task.path() / "comm"), name);
+      if (name == "agnocast-guard") {
+        const auto id = std::stoul(task.path().filename().string());
+        return ::getpriority(PRIO_PROCESS, static_cast<id_t>(id));
+      }
+    }
+    return -1;
+  };
+  EXPECT_TRUE(eventually([&] { return nice_of_guard() == 5; })) << nice_of_guard();
 }
 
 }  // namespace
