@@ -149,7 +149,7 @@ std::string AddressConflicts::find_why_not_moved(ClientIndex owner, ClientIndex 
   if (record.window_count + reserve >= heap_.windows_per_process)
     return "[heap] windows_per_process is " + std::to_string(heap_.windows_per_process) +
            what_remains;
-  const std::uint64_t used = registry_.usage_of(record.uid).heap_bytes;
+  const std::uint64_t used = registry_.accounts().usage_of(record.uid).heap_bytes;
   const std::uint64_t quota = admission_.heap_quota();
   if (used > quota || bytes * (1 + reserve) > quota - used)
     return "[quota] heap_bytes is used up" + what_remains;

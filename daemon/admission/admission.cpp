@@ -38,7 +38,7 @@ Result<void> Admission::admit_client(std::uint32_t uid, bool counts_as_observer)
   // Further connections are only for processes that come back. Gone processes count as long as
   // others have their memory mapped.
   const std::uint64_t quota = config_.quota.clients;
-  const std::uint64_t used = registry_.usage_of(uid).clients;
+  const std::uint64_t used = registry_.accounts().usage_of(uid).clients;
   if (counts_as_observer || used >= quota)
     return over_quota({"[quota] clients", quota, used, 1}, clients_text());
   return check_kept(uid, kept_per_client);
@@ -52,7 +52,7 @@ Result<void> Admission::admit_observer(std::uint64_t used) {
 
 Result<void> Admission::admit_wait_set(std::uint32_t uid) {
   if (auto kept = check_kept(uid, 1); !kept) return kept;
-  return check_limit(registry_.usage_of(uid).wait_sets, 1, config_.quota.wait_sets,
+  return check_limit(registry_.accounts().usage_of(uid).wait_sets, 1, config_.quota.wait_sets,
                      "[quota] wait_sets");
 }
 
@@ -81,7 +81,7 @@ Result<void> Admission::admit_endpoint(const PeerIdentity& who, ClientIndex clie
   const bool publisher = request.kind == Kind::publisher;
   if (auto allowed = access_.check_endpoint(who, client, request); !allowed) return allowed;
   if (auto allowed = check_topics(record, request.topic); !allowed) return allowed;
-  const Usage usage = registry_.usage_of(record.uid);
+  const Usage usage = registry_.accounts().usage_of(record.uid);
   auto allowed =
       publisher ? check_limit(usage.publishers, 1, config_.quota.publishers, "[quota] publishers")
                 : check_limit(usage.subscriptions, 1, config_.quota.subscriptions,
@@ -99,12 +99,13 @@ Result<void> Admission::admit_endpoint(const PeerIdentity& who, ClientIndex clie
 
 Result<void> Admission::check_window(std::uint32_t uid, std::uint64_t bytes) {
   if (auto kept = check_kept(uid, 1); !kept) return kept;
-  return check_limit(registry_.usage_of(uid).heap_bytes, bytes, heap_quota(), "[quota] heap_bytes");
+  return check_limit(registry_.accounts().usage_of(uid).heap_bytes, bytes, heap_quota(),
+                     "[quota] heap_bytes");
 }
 
 Result<void> Admission::check_kept(std::uint32_t uid, std::uint64_t more) {
   if (!store_.keeps()) return {};
-  const Usage usage = registry_.usage_of(uid);
+  const Usage usage = registry_.accounts().usage_of(uid);
   return check_limit(kept_per_client * usage.clients + usage.windows + usage.wait_sets, more,
                      share_of_one_user(store_.capacity()),
                      "three quarters of FileDescriptorStoreMax");
@@ -113,15 +114,15 @@ Result<void> Admission::check_kept(std::uint32_t uid, std::uint64_t more) {
 // Counts existing topics too: a process that joins one keeps it there when the others have left.
 Result<void> Admission::check_topics(const ClientRecord& record, std::string_view topic) {
   const auto known = registry_.find_topic(record.domain, topic);
-  if (known && registry_.takes_part(record.uid, *known)) return {};
-  return check_limit(registry_.usage_of(record.uid).topics, 1, config_.quota.topics,
+  if (known && registry_.accounts().takes_part(record.uid, *known)) return {};
+  return check_limit(registry_.accounts().usage_of(record.uid).topics, 1, config_.quota.topics,
                      "[quota] topics");
 }
 
 Result<void> Admission::check_places(const ClientRecord& record, const CreateRequest& request) {
   const auto known = registry_.find_topic(record.domain, request.topic);
   if (!known) return {};
-  const Places used = registry_.user_places(record.uid, *known);
+  const Places used = registry_.accounts().user_places(record.uid, *known);
   if (request.kind == Kind::subscription)
     return check_limit(used.subscriptions, 1, places_quota(Kind::subscription),
                        "[quota] subscriptions_per_topic");

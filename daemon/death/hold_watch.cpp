@@ -59,12 +59,12 @@ std::uint32_t HoldWatch::look_at(TopicIndex topic, std::uint32_t subscription) {
 std::uint32_t HoldWatch::use_time_slice(std::uint32_t uid, Position& at) {
   std::uint32_t steps = 0;
   while (steps < steps_per_slice) {
-    const auto next = at.topic && registry_.takes_part(uid, *at.topic)
+    const auto next = at.topic && registry_.accounts().takes_part(uid, *at.topic)
                           ? registry_.next_place(Kind::subscription, *at.topic, at.place)
                           : std::nullopt;
     ++steps;
     if (!next) {
-      at = {registry_.next_topic_of(uid, at.topic), 0};
+      at = {registry_.accounts().next_topic_of(uid, at.topic), 0};
       if (!at.topic) break;
       continue;
     }
@@ -76,11 +76,13 @@ std::uint32_t HoldWatch::use_time_slice(std::uint32_t uid, Position& at) {
 }
 
 void HoldWatch::go_on() {
-  std::erase_if(positions_, [&](const auto& one) { return !registry_.has_user(one.first); });
+  std::erase_if(positions_,
+                [&](const auto& one) { return !registry_.accounts().has_user(one.first); });
   std::uint32_t steps = 0;
-  for (std::size_t round = 0; round < registry_.user_count() && steps < steps_per_look; ++round) {
-    last_user_ = registry_.next_user(last_user_);
-    if (!last_user_) last_user_ = registry_.next_user(std::nullopt);
+  for (std::size_t round = 0; round < registry_.accounts().user_count() && steps < steps_per_look;
+       ++round) {
+    last_user_ = registry_.accounts().next_user(last_user_);
+    if (!last_user_) last_user_ = registry_.accounts().next_user(std::nullopt);
     steps += use_time_slice(*last_user_, positions_[*last_user_]);
   }
 }

@@ -128,8 +128,8 @@ class Writer {
   void write_users() {
     for (const auto& [uid, user] : facts_.users) owners_[uid] = user;
     for (const auto& [uid, user] : owners_) {
-      const Usage usage = registry_.usage_of(uid);
-      const Places places = registry_.most_places_of(uid);
+      const Usage usage = registry_.accounts().usage_of(uid);
+      const Places places = registry_.accounts().most_places_of(uid);
       wire::DumpUser body{};
       body.uid = uid;
       body.connections = user.connections;

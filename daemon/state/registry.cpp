@@ -46,11 +46,6 @@ bool counts_as_endpoint(EndpointState state) noexcept {
 
 using journal::DeathReason;
 using journal::LeaveCause;
-
-constexpr std::uint64_t Usage::*usage_fields[] = {
-    &Usage::clients, &Usage::publishers, &Usage::subscriptions, &Usage::wait_sets,
-    &Usage::windows, &Usage::heap_bytes, &Usage::held_messages, &Usage::topics};
-static_assert(sizeof(Usage) == std::size(usage_fields) * sizeof(std::uint64_t));
 }  // namespace
 
 std::string topic_key(std::uint64_t domain, std::string_view name) {
@@ -86,22 +81,11 @@ void Registry::rebuild() {
 
 // --- derived
 
-Usage& Usage::operator+=(const Usage& more) noexcept {
-  for (const auto field : usage_fields) this->*field += more.*field;
-  return *this;
-}
-
-Usage& Usage::operator-=(const Usage& less) noexcept {
-  for (const auto field : usage_fields) this->*field -= less.*field;
-  return *this;
-}
-
 // Replaces the previous count, so open() may call it again when it completes a change.
 void Registry::count_client(ClientIndex index) {
   const ClientRecord& record = client(index);
   View& view = views_[index];
-  accounts_[view.uid].usage -= view.own;
-  if (accounts_[view.uid].usage == Usage()) accounts_.erase(view.uid);
+  accounts_.subtract(view.uid, view.own);
   view.uid = record.uid;
   view.own = Usage();
   if (record.state == ClientState::free) return;
@@ -111,26 +95,18 @@ void Registry::count_client(ClientIndex index) {
   view.own.windows = std::min<std::uint64_t>(record.window_count, abi::window_count_max);
   for (std::uint64_t w = 0; w < view.own.windows; ++w)
     view.own.heap_bytes += record.window[w].bytes;
-  accounts_[view.uid].usage += view.own;
+  accounts_.add(view.uid, view.own);
 }
 
 void Registry::count_endpoint(const EndpointRef& ref, bool is_there) {
-  Usage one;
-  ++(ref.kind == Kind::publisher ? one.publishers : one.subscriptions);
-  if (ref.kind == Kind::subscription) one.held_messages = subscription(ref.topic, ref.index).quota;
+  const std::uint64_t held =
+      ref.kind == Kind::subscription ? subscription(ref.topic, ref.index).quota : 0;
   const std::uint32_t uid = views_[owner_of(ref)].uid;
-  Account& account = accounts_[uid];
-  Places& places = account.topics[number(ref.topic)];
-  std::uint64_t& count = ref.kind == Kind::publisher ? places.publishers : places.subscriptions;
   if (is_there) {
-    account.usage += one;
-    ++count;
+    accounts_.add_endpoint(uid, ref.kind, ref.topic, held);
   } else {
-    account.usage -= one;
-    --count;
-    if (places.publishers + places.subscriptions == 0) account.topics.erase(number(ref.topic));
+    accounts_.remove_endpoint(uid, ref.kind, ref.topic, held);
   }
-  account.usage.topics = account.topics.size();
 }
 
 void Registry::track(const EndpointRef& ref) {
@@ -224,50 +200,6 @@ Result<ClientIndex> Registry::add_client(const NewClient& wanted) {
 std::uint64_t Registry::used_bytes_of(ClientIndex index) const {
   const auto& extents = views_[index].extents;
   return extents.empty() ? abi::page_bytes : extents.rbegin()->first + extents.rbegin()->second;
-}
-
-Usage Registry::usage_of(std::uint32_t uid) const {
-  const auto found = accounts_.find(uid);
-  return found == accounts_.end() ? Usage() : found->second.usage;
-}
-
-bool Registry::takes_part(std::uint32_t uid, TopicIndex topic) const {
-  const auto found = accounts_.find(uid);
-  return found != accounts_.end() && found->second.topics.count(number(topic)) != 0;
-}
-
-std::optional<std::uint32_t> Registry::next_user(std::optional<std::uint32_t> after) const {
-  const auto next = after ? accounts_.upper_bound(*after) : accounts_.begin();
-  if (next == accounts_.end()) return std::nullopt;
-  return next->first;
-}
-
-std::optional<TopicIndex> Registry::next_topic_of(std::uint32_t uid,
-                                                  std::optional<TopicIndex> after) const {
-  const auto account = accounts_.find(uid);
-  if (account == accounts_.end()) return std::nullopt;
-  const auto& topics = account->second.topics;
-  const auto next = after ? topics.upper_bound(number(*after)) : topics.begin();
-  if (next == topics.end()) return std::nullopt;
-  return TopicIndex{next->first};
-}
-
-Places Registry::user_places(std::uint32_t uid, TopicIndex topic) const {
-  const auto found = accounts_.find(uid);
-  if (found == accounts_.end()) return {};
-  const auto places = found->second.topics.find(number(topic));
-  return places == found->second.topics.end() ? Places() : places->second;
-}
-
-Places Registry::most_places_of(std::uint32_t uid) const {
-  Places most;
-  const auto found = accounts_.find(uid);
-  if (found == accounts_.end()) return most;
-  for (const auto& [topic, places] : found->second.topics) {
-    most.publishers = std::max(most.publishers, places.publishers);
-    most.subscriptions = std::max(most.subscriptions, places.subscriptions);
-  }
-  return most;
 }
 
 void Registry::open_window(ClientIndex index, const WindowRecord& window) {

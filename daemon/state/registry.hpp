@@ -17,6 +17,7 @@
 
 #include <agnocast/abi/words.hpp>
 #include <agnocast/result.hpp>
+#include <daemon/state/accounts.hpp>
 #include <daemon/state/hold_pool.hpp>
 #include <daemon/state/per_client.hpp>
 #include <daemon/state/tables.hpp>
@@ -34,8 +35,6 @@
 #include <vector>
 
 namespace agnocast::daemon {
-
-using Kind = abi::wire::Kind;
 
 /// A place for an endpoint; together with the generation it identifies one endpoint.
 struct EndpointRef {
@@ -112,28 +111,6 @@ struct Capacity {
   std::uint32_t depth_max = abi::depth_max;
 };
 
-/// What one user has in use. A dead process counts while others map its memory.
-struct Usage {
-  std::uint64_t clients = 0;
-  std::uint64_t publishers = 0;
-  std::uint64_t subscriptions = 0;
-  std::uint64_t wait_sets = 0;
-  std::uint64_t windows = 0;
-  std::uint64_t heap_bytes = 0;
-  std::uint64_t held_messages = 0;  // total that its subscriptions may hold
-  std::uint64_t topics = 0;         // topics in which it has endpoints
-
-  Usage& operator+=(const Usage& more) noexcept;
-  Usage& operator-=(const Usage& less) noexcept;
-  friend bool operator==(const Usage&, const Usage&) = default;
-};
-
-/// Places of one user in one topic, including gone publishers that are not yet read to their end.
-struct Places {
-  std::uint64_t publishers = 0;
-  std::uint64_t subscriptions = 0;
-};
-
 /// What a daemon that starts after a death found and did.
 struct Recovered {
   std::uint32_t pid = 0;               // of the new daemon
@@ -194,19 +171,8 @@ class Registry {
   std::uint64_t used_bytes_of(ClientIndex index) const;
   /// Returns the offset in the process's region for an endpoint of `bytes`; nothing: no room.
   std::optional<std::uint64_t> lowest_extent(ClientIndex client, std::uint64_t bytes) const;
-  /// Returns what a user has in use; maintained, because every creation asks for it.
-  Usage usage_of(std::uint32_t uid) const;
-  /// Returns whether a process of this user has an endpoint in the topic.
-  bool takes_part(std::uint32_t uid, TopicIndex topic) const;
-  /// Iterate over users that have something, and over the topics in which one has endpoints:
-  /// return the first one after `after`, or the very first.
-  std::optional<std::uint32_t> next_user(std::optional<std::uint32_t> after) const;
-  std::optional<TopicIndex> next_topic_of(std::uint32_t uid, std::optional<TopicIndex> after) const;
-  std::size_t user_count() const noexcept { return accounts_.size(); }
-  bool has_user(std::uint32_t uid) const { return accounts_.count(uid) != 0; }
-  Places user_places(std::uint32_t uid, TopicIndex topic) const;
-  /// Returns the user's places in the topic where it has most, for each kind on its own.
-  Places most_places_of(std::uint32_t uid) const;
+  /// What users have in use; maintained, because every creation asks for it.
+  const Accounts& accounts() const noexcept { return accounts_; }
   void open_window(ClientIndex index, const WindowRecord& window);
   void open_wait_set(ClientIndex index, std::uint32_t wait_set);
   /// Sets who may read what the process publishes (access.hpp, readers_of), for its whole life.
@@ -353,12 +319,6 @@ class Registry {
     std::uint32_t uid = 0;
     Usage own;
   };
-  /// Derived: a user that has something.
-  struct Account {
-    Usage usage;
-    std::map<std::uint32_t, Places> topics;  // by number
-  };
-
   void change(Type type, std::initializer_list<std::uint64_t> arguments);
   void apply(const Record& record);
   void apply_to_client(const Record& record);
@@ -422,7 +382,7 @@ class Registry {
   std::uint64_t redone_lsn_ = 0;
   PerClient<View> views_;
   std::unordered_map<std::string, TopicIndex> topics_;
-  std::map<std::uint32_t, Account> accounts_;  // by uid
+  Accounts accounts_;
 };
 
 /// Returns the board's state for an endpoint in this state.

@@ -121,7 +121,7 @@ void damage(std::byte* at, std::uint64_t bytes, FuzzedDataProvider& input) {
 
 /// Asks everything that a daemon asks.
 void ask(const Registry& registry) {
-  for (std::uint32_t uid = 0; uid < 3; ++uid) static_cast<void>(registry.usage_of(uid));
+  for (std::uint32_t uid = 0; uid < 3; ++uid) static_cast<void>(registry.accounts().usage_of(uid));
   DumpFacts facts;
   facts.process_of = [](ClientIndex) { return DumpFacts::Process{}; };
   static_cast<void>(make_dump(registry, facts, abi::wire::Dump{}));

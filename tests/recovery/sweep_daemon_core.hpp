@@ -336,7 +336,7 @@ inline std::string Core::state(Generations generations) const {
     }
     text << '\n';
   }
-  const Usage usage = registry.usage_of(1000);
+  const Usage usage = registry.accounts().usage_of(1000);
   text << "user " << usage.clients << ' ' << usage.publishers << ' ' << usage.subscriptions << ' '
        << usage.wait_sets << ' ' << usage.heap_bytes << ' ' << usage.held_messages << '\n';
   for (std::uint32_t t = 0; t < registry.topic_high(); ++t) {

@@ -121,14 +121,15 @@ TEST_F(RegistryTest, KeepsTheUsageEqualToACount) {
       ASSERT_TRUE(life->open());
     }
     for (const std::uint32_t uid : {0U, 1U, 2U, 3U}) {
-      ASSERT_TRUE(life->usage_of(uid) == counted(*life, uid)) << "step " << step << " user " << uid;
+      ASSERT_TRUE(life->accounts().usage_of(uid) == counted(*life, uid))
+          << "step " << step << " user " << uid;
       for (const TopicIndex topic : topics) {
         bool takes_part = false;
         for (const ClientIndex c : clients) {
           for (const EndpointRef& ref : life->endpoints_of(c))
             takes_part = takes_part || (ref.topic == topic && life->client(c).uid == uid);
         }
-        ASSERT_EQ(life->takes_part(uid, topic), takes_part) << "step " << step;
+        ASSERT_EQ(life->accounts().takes_part(uid, topic), takes_part) << "step " << step;
         std::uint64_t publishers = 0, subscriptions = 0;
         for (const ClientIndex c : clients) {
           if (life->client(c).uid != uid) continue;
@@ -136,8 +137,10 @@ TEST_F(RegistryTest, KeepsTheUsageEqualToACount) {
             if (ref.topic == topic) ++(ref.kind == Kind::publisher ? publishers : subscriptions);
           }
         }
-        ASSERT_EQ(life->user_places(uid, topic).publishers, publishers) << "step " << step;
-        ASSERT_EQ(life->user_places(uid, topic).subscriptions, subscriptions) << "step " << step;
+        ASSERT_EQ(life->accounts().user_places(uid, topic).publishers, publishers)
+            << "step " << step;
+        ASSERT_EQ(life->accounts().user_places(uid, topic).subscriptions, subscriptions)
+            << "step " << step;
       }
     }
   }

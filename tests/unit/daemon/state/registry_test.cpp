@@ -95,7 +95,7 @@ TEST_F(RegistryTest, CountsPerUser) {
   registry.open_window(a, {0x1000, 4096, 0});
   registry.open_wait_set(b, 0);
   registry.open_wait_set(b, 5);
-  const Usage usage = registry.usage_of(1);
+  const Usage usage = registry.accounts().usage_of(1);
   EXPECT_EQ(usage.clients, 2u);
   EXPECT_EQ(usage.publishers, 1u);
   EXPECT_EQ(usage.subscriptions, 1u);
@@ -104,7 +104,7 @@ TEST_F(RegistryTest, CountsPerUser) {
   EXPECT_EQ(usage.heap_bytes, 4096u);
   EXPECT_EQ(usage.held_messages, 7u);
   EXPECT_EQ(usage.topics, 1u);
-  EXPECT_EQ(registry.usage_of(3).clients, 0u);
+  EXPECT_EQ(registry.accounts().usage_of(3).clients, 0u);
 }
 
 TEST_F(RegistryTest, EndsAProcessOnlyWhenNoOtherProcessKnowsPartOfIt) {
