@@ -72,8 +72,11 @@ Result<std::shared_ptr<UntypedPublisher>> UntypedPublisher::create(const Endpoin
                                                                    const PublisherOptions& options,
                                                                    const MessageCode& code) {
   if (Result<void> depth = check_depth(qos); !depth) return tl::unexpected<Failure>(depth.error());
+  // Best available: reliable, which matches every subscription.
+  QoS offered = qos;
+  if (qos.is_best_available()) offered.reliable();
   std::shared_ptr<UntypedPublisher> publisher(
-      new UntypedPublisher(std::move(type), name.topic, qos));
+      new UntypedPublisher(std::move(type), name.topic, offered));
   const Result<bool> off = is_switched_off();
   if (!off) return tl::unexpected<Failure>(off.error());
   if (*off) return publisher;
@@ -87,7 +90,7 @@ Result<std::shared_ptr<UntypedPublisher>> UntypedPublisher::create(const Endpoin
   request.node = name.node;
   request.type = publisher->type_.name();
   request.layout_hash = publisher->type_.layout_hash();
-  request.qos = to_abi(qos);
+  request.qos = to_abi(offered);
   request.uses_shared_allocator = code.uses_shared_allocator;
   request.persistent_id = name.persistent_id;
   request.announces_persistent_id_later = name.announces_persistent_id_later;
@@ -173,17 +176,23 @@ std::size_t UntypedPublisher::subscription_count() const noexcept {
 
 bool UntypedPublisher::wait_for_all_acked(Patience patience) const noexcept {
   if (endpoint_ == nullptr) return true;
-  // After a loss of the daemon's store, the messages are those of the present endpoint.
-  std::shared_ptr<PublisherEndpoint> awaited;
-  std::uint64_t last = 0;
-  do {
-    if (state() != Errc::ok) return false;
-    std::shared_ptr<PublisherEndpoint> present = endpoint_->present(endpoint_);
-    if (present != awaited) last = present->head_sequence();
-    awaited = std::move(present);
-    if (awaited->is_taken(last)) return true;
-  } while (patience.wait());
-  return false;
+  if (state() != Errc::ok) return false;
+  // What was published before is in the present endpoint, up to its head, and in those that have
+  // moved, whose heads stay.
+  const std::shared_ptr<PublisherEndpoint> newest = endpoint_->present(endpoint_);
+  const std::uint64_t last = newest->head_sequence();
+  std::shared_ptr<PublisherEndpoint> awaited = endpoint_;
+  for (;;) {
+    const bool is_newest = awaited == newest;
+    if (awaited->is_taken(is_newest ? last : awaited->head_sequence())) {
+      if (is_newest) return true;
+      awaited = awaited->successor();
+    } else if (!patience.wait()) {
+      return false;
+    } else if (state() != Errc::ok) {
+      return false;
+    }
+  }
 }
 
 std::uint64_t UntypedPublisher::persistent_id() const noexcept {

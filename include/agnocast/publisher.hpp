@@ -189,7 +189,8 @@ class PublisherBase {
   /// Waits until each matched reliable subscription has taken what was published before this call,
   /// or can no longer take it; a negative timeout means without limit. Returns false if time ran
   /// out, or nothing can be taken any more: the session was revoked, or this is a forked child.
-  /// Looks at the subscriptions every millisecond; a stopped process holds it up.
+  /// Looks at the subscriptions every millisecond. A stopped process holds it up, and while
+  /// agnocastd is away a subscription that has ended as well.
   template <class Rep = std::int64_t, class Period = std::milli>
   bool wait_for_all_acked(
       std::chrono::duration<Rep, Period> timeout = std::chrono::milliseconds(-1)) const noexcept {

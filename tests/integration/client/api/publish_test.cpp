@@ -309,6 +309,7 @@ TEST_F(Publishing, WaitsUntilEachReliableReaderHasTakenAll) {
   EXPECT_TRUE(publisher->wait_for_all_acked()) << "nobody has to receive it";
   auto slow = create_subscription<Moody>(node, "acked", QoS(2));
   auto lossy = create_subscription<Moody>(node, "acked", QoS(10).best_effort());
+  ASSERT_TRUE(test::eventually([&] { return publisher->get_subscription_count() == 2; }));
   publish(3);
   EXPECT_FALSE(publisher->wait_for_all_acked(seconds(0)));
   ASSERT_TRUE(take_soon(slow));

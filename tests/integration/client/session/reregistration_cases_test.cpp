@@ -347,6 +347,8 @@ TEST_F(ReregistrationCases, ACallbackThreadThatHoldsAllItMayUsesNoProcessor) {
   lose();
   const auto newcomer = talker.create_subscription<Number>("/kept", 10);
   ASSERT_TRUE(eventually([&] { return publisher->get_subscription_count() == 2; }));
+  EXPECT_FALSE(publisher->wait_for_all_acked(std::chrono::seconds(0)))
+      << "three messages are unread in the queue from before";
   for (std::uint64_t value = 6; value <= 8; ++value) publish(*publisher, value);
   const auto used_ms = [&] {
     timespec used{};
@@ -365,6 +367,9 @@ TEST_F(ReregistrationCases, ACallbackThreadThatHoldsAllItMayUsesNoProcessor) {
     }
     EXPECT_TRUE(eventually([&] { return count() > done; })) << done;
   }
+  EXPECT_FALSE(publisher->wait_for_all_acked(std::chrono::seconds(0)));
+  for (int i = 0; i < 3; ++i) EXPECT_TRUE(newcomer->take());
+  EXPECT_TRUE(publisher->wait_for_all_acked());
   const std::lock_guard lock(kept.mutex);
   EXPECT_EQ(kept.values, range(1, 8));
   kept.held.clear();
