@@ -51,9 +51,9 @@ void EndpointEvents::heap_collision(const char* text) noexcept {
   changed();
 }
 
-void EndpointEvents::held_back() noexcept {
+void EndpointEvents::quota_reached() noexcept {
   const std::lock_guard lock(mutex_);
-  ++now_.held_back;
+  ++now_.quota_reached;
   changed();
 }
 
@@ -95,9 +95,10 @@ HeapCollisionInfo EndpointEvents::collisions_since(Counts& notified) const noexc
   return info;
 }
 
-HoldQuotaInfo EndpointEvents::held_back_since(Counts& notified) const noexcept {
-  const std::uint64_t change = now_.held_back - std::exchange(notified.held_back, now_.held_back);
-  return {static_cast<std::int32_t>(now_.held_back), static_cast<std::int32_t>(change)};
+HoldQuotaInfo EndpointEvents::quota_reached_since(Counts& notified) const noexcept {
+  const std::uint64_t change =
+      now_.quota_reached - std::exchange(notified.quota_reached, now_.quota_reached);
+  return {static_cast<std::int32_t>(now_.quota_reached), static_cast<std::int32_t>(change)};
 }
 
 MatchedInfo EndpointEvents::matched_status() noexcept {
@@ -127,7 +128,7 @@ HeapCollisionInfo EndpointEvents::heap_collision_status() noexcept {
 HoldQuotaInfo EndpointEvents::hold_quota_status() noexcept {
   if (is_forked_child()) return {};
   const std::lock_guard lock(mutex_);
-  return held_back_since(notified_by_status_);
+  return quota_reached_since(notified_by_status_);
 }
 
 void EndpointEvents::wake_for(const detail::EventCallbacks& callbacks,
@@ -155,7 +156,7 @@ bool EndpointEvents::look_for_pending() const noexcept {
          (wanted_.types && now_.types != notified_by_callback_.types) ||
          (wanted_.connections && now_.connections != notified_by_callback_.connections) ||
          (wanted_.collisions && now_.collisions != notified_by_callback_.collisions) ||
-         (wanted_.held_back && now_.held_back != notified_by_callback_.held_back) ||
+         (wanted_.quota_reached && now_.quota_reached != notified_by_callback_.quota_reached) ||
          (wanted_.drained && now_.drained != notified_by_callback_.drained);
 }
 
@@ -186,8 +187,8 @@ bool EndpointEvents::run_one(const detail::EventCallbacks& callbacks) {
   }
   if (wanted_.collisions && now_.collisions != notified_by_callback_.collisions)
     return run(callbacks.heap_collision, collisions_since(notified_by_callback_));
-  if (wanted_.held_back && now_.held_back != notified_by_callback_.held_back)
-    return run(callbacks.hold_quota, held_back_since(notified_by_callback_));
+  if (wanted_.quota_reached && now_.quota_reached != notified_by_callback_.quota_reached)
+    return run(callbacks.hold_quota, quota_reached_since(notified_by_callback_));
   if (wanted_.drained && now_.drained != notified_by_callback_.drained) {
     notified_by_callback_.drained = now_.drained;
     return run([&](bool) { callbacks.drained(); }, true);

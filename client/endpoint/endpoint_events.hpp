@@ -3,11 +3,11 @@
 // EndpointEvents: what happened to one endpoint besides messages: matched, incompatible QoS,
 // incompatible type, the state of the process's connection, heap collision, hold quota.
 //
-// The control thread counts. Status getters read in any thread; the node's executor runs the
-// callbacks. Counts are cumulative, so an event is not missed if it comes before anyone waits for
-// it (the daemon reports incompatibilities to a new endpoint at once). Getters and callbacks each
-// remember which counts they have reported. The callbacks themselves are kept elsewhere: an
-// endpoint may end in the control thread, which must not destroy user code.
+// The control thread counts, and takes count what they find. Status getters read in any thread; the
+// node's executor runs the callbacks. Counts are cumulative, so an event is not missed if it comes
+// before anyone waits for it (the daemon reports incompatibilities to a new endpoint at once).
+// Getters and callbacks each remember which counts they have reported. The callbacks themselves are
+// kept elsewhere: an endpoint may end in the control thread, which must not destroy user code.
 #pragma once
 
 #include <agnocast/events.hpp>
@@ -36,7 +36,7 @@ class EndpointEvents {
   void connection(const ConnectionInfo& info) noexcept;
   void heap_collision(const char* text) noexcept;
   /// Notes that messages wait because of the hold quota. Any thread.
-  void held_back() noexcept;
+  void quota_reached() noexcept;
   /// Notes that unread messages of a gone publisher were lost: a take found nothing to deliver. Any
   /// thread.
   void drained() noexcept;
@@ -70,14 +70,14 @@ class EndpointEvents {
     std::uint64_t types = 0;
     std::uint64_t connections = 0;
     std::uint64_t collisions = 0;
-    std::uint64_t held_back = 0;
+    std::uint64_t quota_reached = 0;
     std::uint64_t drained = 0;
   };
   MatchedInfo matched_since(Counts& notified) const noexcept;
   IncompatibleQosInfo qos_since(Counts& notified) const noexcept;
   IncompatibleTypeInfo types_since(Counts& notified) const noexcept;
   HeapCollisionInfo collisions_since(Counts& notified) const noexcept;
-  HoldQuotaInfo held_back_since(Counts& notified) const noexcept;
+  HoldQuotaInfo quota_reached_since(Counts& notified) const noexcept;
   void changed() noexcept;
   bool matched_changed() const noexcept {
     return now_.matched != notified_by_callback_.matched ||
@@ -93,7 +93,7 @@ class EndpointEvents {
   std::atomic<bool> pending_{false};
   struct {
     bool matched = false, qos = false, types = false, connections = false, collisions = false,
-         held_back = false, drained = false;
+         quota_reached = false, drained = false;
   } wanted_;
   std::shared_ptr<WaitSet> wait_set_;
   std::shared_ptr<Watch> watch_;

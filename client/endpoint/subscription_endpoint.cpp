@@ -218,7 +218,7 @@ inline bool SubscriptionEndpoint::may_take() const noexcept {
 /// would only spin.
 bool SubscriptionEndpoint::can_take(Link& link) const noexcept {
   if (link.held_count() >= link.quota()) [[unlikely]] {
-    if (!std::exchange(link.is_held_back_, true)) events_->held_back();
+    if (!std::exchange(link.is_quota_reported_, true)) events_->quota_reached();
     return false;
   }
   return (!link.core_.is_awaiting_window() || link.is_orphaned_ || is_alone_ ||
@@ -300,7 +300,7 @@ SubscriptionEndpoint::Attempt SubscriptionEndpoint::take_from(const std::shared_
       return attempt;
     }
     link->held_.fetch_add(1, std::memory_order_relaxed);
-    link->is_held_back_ = false;
+    link->is_quota_reported_ = false;
     // The last message of a gone publisher: the control thread waits for its release.
     if (link->core_.drained()) link->closing_.store(true, std::memory_order_release);
     place->taken = *taken;
@@ -482,7 +482,7 @@ bool SubscriptionEndpoint::has_news_in_order() const noexcept {
     for (std::size_t age = successors_.size() + 1; age-- > 0;) {
       const SubscriptionEndpoint& of = in_age(age);
       if (of.may_take() && std::any_of(of.links_.begin(), of.links_.end(), [&](const auto& link) {
-            return of.can_take(*link) && link->core_.has_news() && !is_held_back(*link, age);
+            return link->core_.has_news() && !is_held_back(*link, age) && of.can_take(*link);
           }))
         return true;
     }

@@ -137,9 +137,9 @@ class Link {
   std::optional<std::uint64_t> next_stamp_;  // of the next message to take
   std::atomic<detail::Block*> kept_{nullptr};
   detail::Block* spares_ = nullptr;
-  bool is_held_back_ = false;  // counted by held_back(), and nothing taken since
-  bool ceased_ = false;        // the publisher adds no more
-  bool continues_ = false;     // it had an earlier queue of the same publisher
+  bool is_quota_reported_ = false;  // and nothing was taken since
+  bool ceased_ = false;             // the publisher adds no more
+  bool continues_ = false;          // it had an earlier queue of the same publisher
   // Set by the daemon's packet, after it has announced every window that the publisher had by then.
   bool is_orphaned_ = false;
 };

@@ -62,9 +62,8 @@ struct HeapCollisionInfo {
   char last_text[256] = "";
 };
 
-/// How often messages began to wait because this process held as many of their publisher as its
-/// subscription may hold (SubscriptionOptions::hold_quota). They are counted once until the next
-/// one is taken.
+/// How often messages of a publisher began to wait because the subscription held as many of them as
+/// it may (SubscriptionOptions::hold_quota). Counted once until the next one is taken.
 struct HoldQuotaInfo {
   std::int32_t total_count = 0;
   std::int32_t total_count_change = 0;
