@@ -62,15 +62,16 @@ agnocast::SubscriptionOptions translate(const SubscriptionOptions& options,
           "collecting topic statistics", topic, logger);
   if (options.ros.ignore_local_publications) translated.ignore_local_publications();
   if (options.own.events().hold_quota == nullptr && options.ros.use_default_callbacks) {
-    translated.hold_quota_callback(
-        [topic, logger, has_warned = false](agnocast::HoldQuotaInfo&) mutable {
-          if (std::exchange(has_warned, true)) return;
-          RCLCPP_WARN(logger,
-                      "The subscription of topic '%s' keeps as many messages of a publisher as it "
-                      "may, and gets no further one until it releases one. "
-                      "agnocast::SubscriptionOptions().hold_quota(n) lets it keep more",
-                      topic.c_str());
-        });
+    translated.hold_quota_callback([topic, logger,
+                                    has_warned = false](agnocast::HoldQuotaInfo&) mutable {
+      if (std::exchange(has_warned, true)) return;
+      RCLCPP_WARN(logger,
+                  "The subscription of topic '%s' keeps as many messages of a publisher as it "
+                  "may, and gets no further one until it releases one. "
+                  "agnocast::SubscriptionOptions().hold_quota(n) lets it keep more of publishers "
+                  "of its own user",
+                  topic.c_str());
+    });
   }
   if (options.own.events().incompatible_qos != nullptr) return translated;
   if (events.incompatible_qos_callback) {

@@ -106,11 +106,12 @@ TEST_F(EndpointsTest, QosIsReportedAndTakenMessagesAreAcknowledged) {
   const auto ignore = [](const String&) {};
   check(node_->create_publisher<String>("of_ros", offer),
         node_->create_subscription<String>("of_ros", rclcpp::SensorDataQoS(), ignore));
-  const auto publisher = agnocast::create_publisher<String>(node_, "ours", offer);
-  check(publisher,
+  check(agnocast::create_publisher<String>(node_, "ours", offer),
         agnocast::create_subscription<String>(node_, "ours", rclcpp::SensorDataQoS(), ignore));
 
-  const auto reliable = agnocast::create_subscription<String>(node_, "ours", 10, ignore);
+  const auto publisher = agnocast::create_publisher<String>(node_, "reliable", 10);
+  const auto reliable = agnocast::create_subscription<String>(node_, "reliable", 10, ignore);
+  ASSERT_TRUE(spin_until([&] { return publisher->get_subscription_count() == 1; }));
   (void)publisher->publish(String());
   EXPECT_FALSE(publisher->wait_for_all_acked(10ms));
   EXPECT_TRUE(spin_until([&] { return publisher->wait_for_all_acked(0s); }));
