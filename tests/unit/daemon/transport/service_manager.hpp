@@ -6,6 +6,7 @@
 #include <fcntl.h>
 #include <gtest/gtest.h>
 #include <sys/socket.h>
+#include <sys/time.h>
 #include <sys/un.h>
 
 #include <array>
@@ -36,6 +37,8 @@ class ServiceManager {
     EXPECT_EQ(::bind(socket_.get(), reinterpret_cast<sockaddr*>(&address), bytes), 0);
     bytes = sizeof address;
     ::getsockname(socket_.get(), reinterpret_cast<sockaddr*>(&address), &bytes);
+    const timeval patience{300, 0};
+    ::setsockopt(socket_.get(), SOL_SOCKET, SO_RCVTIMEO, &patience, sizeof patience);
     address.sun_path[0] = '@';
     const std::string name(address.sun_path, bytes - offsetof(sockaddr_un, sun_path));
     ::setenv("NOTIFY_SOCKET", name.c_str(), 1);
@@ -45,7 +48,7 @@ class ServiceManager {
     ::unsetenv("NOTIFY_SOCKET");
     ::unsetenv("FDSTORE");
   }
-  /// Waits for the next datagram.
+  /// Waits for the next datagram, for minutes at most; without one the text is empty.
   Received receive() const {
     Received received;
     std::array<char, 512> text{};
