@@ -218,7 +218,8 @@ inline bool SubscriptionEndpoint::may_take() const noexcept {
 /// would only spin.
 bool SubscriptionEndpoint::can_take(Link& link) const noexcept {
   if (link.held_count() >= link.quota()) [[unlikely]] {
-    if (!std::exchange(link.is_quota_reported_, true)) events_->quota_reached();
+    if (!link.is_quota_reported_.exchange(true, std::memory_order_relaxed))
+      events_->quota_reached();
     return false;
   }
   return (!link.core_.is_awaiting_window() || link.is_orphaned_ || is_alone_ ||
@@ -300,7 +301,6 @@ SubscriptionEndpoint::Attempt SubscriptionEndpoint::take_from(const std::shared_
       return attempt;
     }
     link->held_.fetch_add(1, std::memory_order_relaxed);
-    link->is_quota_reported_ = false;
     // The last message of a gone publisher: the control thread waits for its release.
     if (link->core_.drained()) link->closing_.store(true, std::memory_order_release);
     place->taken = *taken;

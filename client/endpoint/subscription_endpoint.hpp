@@ -75,7 +75,7 @@ class Link {
   bool release(std::uint64_t slot) noexcept {
     core_.release(slot);
     const std::uint64_t before = held_.fetch_sub(1, std::memory_order_acq_rel);
-    if (before == quota_) wait_set_->wake();  // it may take again: unread messages ring no doorbell
+    if (before == quota_) end_wait();
     return before == 1 && closing_.load(std::memory_order_acquire);
   }
   /// For callers of release() that got true. Any thread.
@@ -107,6 +107,11 @@ class Link {
 
  private:
   friend class SubscriptionEndpoint;
+  /// It may take again: unread messages ring no doorbell.
+  void end_wait() noexcept {
+    is_quota_reported_.store(false, std::memory_order_relaxed);
+    wait_set_->wake();
+  }
   /// One publisher's queues in several sessions have one persistent endpoint id, and one heap,
   /// which the publisher brings along and no other process has.
   struct Origin {
@@ -137,9 +142,9 @@ class Link {
   std::optional<std::uint64_t> next_stamp_;  // of the next message to take
   std::atomic<detail::Block*> kept_{nullptr};
   detail::Block* spares_ = nullptr;
-  bool is_quota_reported_ = false;  // and nothing was taken since
-  bool ceased_ = false;             // the publisher adds no more
-  bool continues_ = false;          // it had an earlier queue of the same publisher
+  std::atomic<bool> is_quota_reported_{false};  // and nothing was released since
+  bool ceased_ = false;                         // the publisher adds no more
+  bool continues_ = false;                      // it had an earlier queue of the same publisher
   // Set by the daemon's packet, after it has announced every window that the publisher had by then.
   bool is_orphaned_ = false;
 };

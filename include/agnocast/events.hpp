@@ -63,7 +63,7 @@ struct HeapCollisionInfo {
 };
 
 /// How often messages of a publisher began to wait because the subscription held as many of them as
-/// it may (SubscriptionOptions::hold_quota). Counted once until the next one is taken.
+/// it may (SubscriptionOptions::hold_quota). Counted once until it releases one.
 struct HoldQuotaInfo {
   std::int32_t total_count = 0;
   std::int32_t total_count_change = 0;
