@@ -13,7 +13,7 @@
 namespace agnocast_rclcpp {
 namespace {
 
-rcl_wait_set_t* address_of(rcl_wait_set_t* wait_set) noexcept { return wait_set; }
+[[maybe_unused]] rcl_wait_set_t* address_of(rcl_wait_set_t* wait_set) noexcept { return wait_set; }
 [[maybe_unused]] rcl_wait_set_t* address_of(rcl_wait_set_t& wait_set) noexcept { return &wait_set; }
 
 }  // namespace

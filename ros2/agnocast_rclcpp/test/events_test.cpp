@@ -6,6 +6,8 @@
 
 #include "test_node.hpp"
 
+#include <rclcpp/version.h>
+
 #include <condition_variable>
 #include <deque>
 #include <mutex>
@@ -64,7 +66,11 @@ class EventsExecutor {
         waitable = events_.front();
         events_.pop_front();
       }
+#if RCLCPP_VERSION_MAJOR < 28
       std::shared_ptr<void> data = waitable->take_data();
+#else
+      const std::shared_ptr<void> data = waitable->take_data();
+#endif
       waitable->execute(data);
     }
   }

@@ -107,15 +107,18 @@ TYPED_TEST(Executors, AreCancelledInsideACallback) {
 
 TYPED_TEST(Executors, RemoveNodes) {
   const auto node = std::make_shared<agnocast::Node>("node");
-  TypeParam executor;
-  executor.add_node(node);
+  auto executor = std::make_unique<TypeParam>();
+  executor->add_node(node);
   Both both(*node);
   {
-    const Spinning spinning(executor);
+    const Spinning spinning(*executor);
     EXPECT_TRUE(both.hears());
-    executor.remove_node(node);
+    executor->remove_node(node);
   }
-  EXPECT_TRUE(executor.get_all_callback_groups().empty());
+  EXPECT_TRUE(executor->get_all_callback_groups().empty());
+  // Jazzy's executors drop the entities of a removed node when they wait again, or end; until
+  // then another one throws: "subscription already associated with a wait set".
+  executor.reset();
   TypeParam other;
   other.add_node(node);
   const Spinning spinning(other);

@@ -31,7 +31,7 @@ class Node : public rclcpp::Node {
   RCLCPP_SMART_PTR_DEFINITIONS(Node)
   using ParameterValue = rclcpp::ParameterValue;
   using OnSetParametersCallbackHandle = rclcpp::node_interfaces::OnSetParametersCallbackHandle;
-  using OnSetParametersCallbackType = rclcpp::Node::OnParametersSetCallbackType;
+  using OnSetParametersCallbackType = decltype(OnSetParametersCallbackHandle::callback);
 
   /// As those of rclcpp::Node. init() comes first.
   explicit Node(const std::string& node_name,
