@@ -63,9 +63,8 @@ class PublisherCore {
     std::uint64_t first_sequence;  // the queue is empty while head has this value
     abi::Qos qos;
     std::uint64_t slot_count;
-    std::uint64_t
-        deferred_limit;        // consecutive publishes that may omit the look at links; 0 = none
-    std::uint64_t client = 0;  // index of its process
+    std::uint64_t deferred_limit;  // consecutive publishes that may omit the look; 0 = none
+    std::uint64_t client = 0;      // index of its process
   };
 
   explicit PublisherCore(const Identity& identity) noexcept
@@ -238,7 +237,6 @@ class PublisherCore {
       const region::LinkWords<M> link{endpoint.region, endpoint.extent, self_.index};
       for (std::size_t word = 0; word < slots_.words_in_use(); ++word)
         kept[word] |= link.hold(word).load(std::memory_order_relaxed) & slots_.allocated(word);
-      // `low` is as seen by the last scan.
       if (abi::state_of(endpoint.word) == abi::BoardState::active)
         unread_from = std::min(
             unread_from,
@@ -254,8 +252,7 @@ class PublisherCore {
     return sum;
   }
 
-  /// Returns whether the last scan saw no reliable subscription that can still take a message up to
-  /// `sequence`.
+  /// Returns whether no reliable subscription can take one up to `sequence`, as of the last scan.
   bool is_taken(std::uint64_t sequence) const noexcept {
     for (std::uint64_t i = 0; i < (over_ != 0 ? 0 : endpoint_high_); ++i) {
       const Endpoint& endpoint = endpoints_[i];
@@ -299,8 +296,7 @@ class PublisherCore {
     std::uint64_t word = 0;
     std::uint64_t since = 0;   // lower bound of its start while it is not linked
     std::uint64_t window = 0;  // newest messages that it can still ask for
-    std::uint64_t bound =
-        0;  // unread messages beyond which a keep-all publisher waits; 0 = no limit
+    std::uint64_t bound = 0;   // unread ones beyond which a keep-all publisher waits; 0 = none
     std::uint64_t attached_generation = 0;  // 0 = not mapped
     std::uint64_t extent = 0;
     std::uint64_t armed_offset = 0;
