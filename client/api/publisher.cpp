@@ -177,22 +177,13 @@ std::size_t UntypedPublisher::subscription_count() const noexcept {
 bool UntypedPublisher::wait_for_all_acked(Patience patience) const noexcept {
   if (endpoint_ == nullptr) return true;
   if (state() != Errc::ok) return false;
-  // What was published before is in the present endpoint, up to its head, and in those that have
-  // moved, whose heads stay.
+  // What was published before is in the present endpoint, and in the first one if that has moved.
   const std::shared_ptr<PublisherEndpoint> newest = endpoint_->present(endpoint_);
-  const std::uint64_t last = newest->head_sequence();
-  std::shared_ptr<PublisherEndpoint> awaited = endpoint_;
-  for (;;) {
-    const bool is_newest = awaited == newest;
-    if (awaited->is_taken(is_newest ? last : awaited->head_sequence())) {
-      if (is_newest) return true;
-      awaited = awaited->successor();
-    } else if (!patience.wait()) {
-      return false;
-    } else if (state() != Errc::ok) {
-      return false;
-    }
+  const std::uint64_t first_head = endpoint_->head_sequence(), head = newest->head_sequence();
+  while (!endpoint_->is_taken(first_head) || !newest->is_taken(head)) {
+    if (!patience.wait() || state() != Errc::ok) return false;
   }
+  return true;
 }
 
 std::uint64_t UntypedPublisher::persistent_id() const noexcept {

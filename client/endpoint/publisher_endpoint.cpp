@@ -407,15 +407,14 @@ void PublisherEndpoint::redirect_to(const std::shared_ptr<PublisherEndpoint>& su
   if (moved_ && successor.get() != this) successor_ = successor;
 }
 
-std::shared_ptr<PublisherEndpoint> PublisherEndpoint::successor() const noexcept {
-  const std::lock_guard lock(mutex_);
-  return successor_;
-}
-
 std::shared_ptr<PublisherEndpoint> PublisherEndpoint::present(
     const std::shared_ptr<PublisherEndpoint>& self) const {
-  const std::shared_ptr<PublisherEndpoint> next = successor();
-  return next != nullptr ? next->present(next) : self;
+  std::shared_ptr<PublisherEndpoint> successor;
+  {
+    const std::lock_guard lock(mutex_);
+    successor = successor_;
+  }
+  return successor != nullptr ? successor->present(successor) : self;
 }
 
 void PublisherEndpoint::abandon() noexcept {

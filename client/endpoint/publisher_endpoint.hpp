@@ -111,8 +111,6 @@ class PublisherEndpoint {
   std::uint64_t head_sequence() const noexcept;
   /// Scans, and returns whether no reliable subscription can still take a message up to `sequence`.
   bool is_taken(std::uint64_t sequence) noexcept;
-  /// Returns the next endpoint of this publisher, to which this one has moved; null: there is none.
-  std::shared_ptr<PublisherEndpoint> successor() const noexcept;
   /// A publish found the heap full: the next make_room() then makes room for all publishers.
   void lacked_room() noexcept;
   /// Call before the first message, if the identity says that the id is announced later. Successors

@@ -190,7 +190,8 @@ class PublisherBase {
   /// or can no longer take it; a negative timeout means without limit. Returns false if time ran
   /// out, or nothing can be taken any more: the session was revoked, or this is a forked child.
   /// Looks at the subscriptions every millisecond. A stopped process holds it up, and while
-  /// agnocastd is away a subscription that has ended as well.
+  /// agnocastd is away a subscription that has ended as well. After agnocastd has lost its store
+  /// more than once, queues in between the first and the present one are not waited for.
   template <class Rep = std::int64_t, class Period = std::milli>
   bool wait_for_all_acked(
       std::chrono::duration<Rep, Period> timeout = std::chrono::milliseconds(-1)) const noexcept {
