@@ -270,7 +270,7 @@ bool DdsWriters::write(OpenDdsWriter& dds_writer, const GenericMessage& message)
       [&](std::span<std::byte> room) -> std::size_t {
         return write_cdr(type, message.get(), room, &within).value_or(0);
       },
-      static_cast<std::int64_t>(message.info().source_timestamp()));
+      dds_writer.source_times.next(static_cast<std::int64_t>(message.info().source_timestamp())));
   if (written && *written == WriteOutcome::sent) {
     dds_writer.traffic.count(bytes);
     return true;

@@ -26,6 +26,7 @@
 #include <bridge/common/traffic.hpp>
 #include <bridge/common/worker.hpp>
 #include <bridge/dds/participant.hpp>
+#include <bridge/outward/source_times.hpp>
 #include <bridge/plan/routes.hpp>
 
 #include <atomic>
@@ -49,7 +50,8 @@ struct OpenDdsWriter {
   // Messages from before it was open, or blocked by keep-all: written before all others. The hold
   // quota of the local reader bounds them, and beyond it the publisher is blocked.
   std::deque<GenericMessage> waited;
-  bool has_begun = true;  // only messages of the own local reader count
+  SourceTimes source_times;  // for the thread that writes
+  bool has_begun = true;     // only messages of the own local reader count
   // The last message passed on. One that is older by both came before, through another local
   // reader; one older by the sequence number alone is from a publisher of a previous agnocastd.
   std::uint64_t newest = 0;

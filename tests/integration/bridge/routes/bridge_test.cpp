@@ -75,10 +75,13 @@ TEST_F(BridgeTest, ForwardsMessagesToDdsInTheirOrder) {
     loan->data = "message " + std::to_string(i);
     ASSERT_TRUE(publisher->publish(std::move(loan)));
   }
+  std::int64_t newest_ns = 0;
   for (int i = 0; i < 50; ++i) {
     const auto got = other_.take<String>(reader);
     ASSERT_NE(got, nullptr) << i;
     EXPECT_EQ(got->data, "message " + std::to_string(i));
+    EXPECT_GT(other_.last().source_time_ns, newest_ns) << "Fast DDS would give it before others";
+    newest_ns = other_.last().source_time_ns;
   }
   EXPECT_EQ(other_.take<String>(reader, 200ms), nullptr) << "once each";
 }
