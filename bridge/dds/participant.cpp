@@ -488,6 +488,8 @@ std::vector<RemoteChange> DdsParticipant::discovered() {
   return std::exchange(state_->changes, {});
 }
 
+bool DdsParticipant::has_changes() const noexcept { return !state_->changes.empty(); }
+
 const DdsParticipant::Remotes& DdsParticipant::remotes() const noexcept { return state_->remotes; }
 std::uint64_t DdsParticipant::remotes_version() const noexcept { return state_->remotes_version; }
 Limits& DdsParticipant::limits() const noexcept { return state_->shared->limits; }

@@ -230,6 +230,9 @@ class DdsParticipant {
   /// Returns the changes since the last call, in order for each entity, without our own entities.
   /// An entity of another participant is gone when it says so, or when its lease ends.
   std::vector<RemoteChange> discovered();
+  /// Returns whether discovered() has changes that were found on the way, such as the writer of a
+  /// sample that was taken.
+  bool has_changes() const noexcept;
   using Remotes = std::unordered_map<Guid, Remote, GuidHash>;
   /// Returns all entities that discovered() has reported as present.
   const Remotes& remotes() const noexcept;

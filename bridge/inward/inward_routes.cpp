@@ -36,9 +36,8 @@ void InwardRoutes::end_changed(const Plan& plan) {
     return wanted != plan.dds_readers.end() &&
            wanted->second.requested != dds_reader.plan.requested && ended.insert(key).second;
   });
-  const Time end = std::chrono::steady_clock::now() + linger;
   for (auto& [writer, remote_publisher] : remote_publishers_.all())
-    remote_publisher.handover.end_dds_readers(ended, end);
+    remote_publisher.handover.end_dds_readers(ended);
 }
 
 void InwardRoutes::end_all() {
@@ -171,14 +170,16 @@ void InwardRoutes::publish_former(const ReaderKey& dds_reader, std::span<const D
     const ReaderHandover& handover = remote_publisher->second.handover;
     if (handover.former() && handover.dds_reader() == dds_reader) left.insert(*handover.former());
   }
-  for (const ReaderKey& former : left) {
-    const auto open = dds_readers_.find(former);
-    if (open == dds_readers_.end()) continue;
-    for (std::size_t i = 0; i < former_takes_max; ++i) {
-      auto sample = open->second.reader->take();
-      if (!sample) break;
-      publish_one(former, std::move(*sample));
-    }
+  for (const ReaderKey& former : left) publish_all_of(former);
+}
+
+void InwardRoutes::publish_all_of(const ReaderKey& dds_reader) {
+  const auto open = dds_readers_.find(dds_reader);
+  if (open == dds_readers_.end()) return;
+  for (std::size_t i = 0; i < former_takes_max; ++i) {
+    auto sample = open->second.reader->take();
+    if (!sample) break;
+    publish_one(dds_reader, std::move(*sample));
   }
 }
 
@@ -191,12 +192,14 @@ void InwardRoutes::publish_one(const ReaderKey& dds_reader, DdsSample sample) {
   if (sample.state != DdsSample::State::valid) return;
   const auto remote_publisher = remote_publishers_.all().find(sample.writer);
   if (remote_publisher != remote_publishers_.all().end()) {
-    if (remote_publisher->second.handover.takes(dds_reader, sample.source_time_ns))
+    if (remote_publisher->second.handover.takes(dds_reader, sample.source_time_ns,
+                                                std::chrono::steady_clock::now()))
       remote_publishers_.publish(sample.writer, remote_publisher->second,
                                  *static_cast<Received*>(sample.object.get()));
     return;
   }
-  if (pace_.is_owed()) {
+  // A plan is pending, or will be: this sample may be the first sign of its writer.
+  if (pace_.is_owed() || participant_.has_changes()) {
     if (unplaced_.size() < most_of(Limit::unplaced_messages))
       return void(unplaced_.emplace_back(dds_reader, std::move(sample)));
     participant_.limits().refuse(Limit::unplaced_messages);
@@ -211,7 +214,22 @@ std::optional<Time> InwardRoutes::tidy(Time now) {
   return earliest(next_room, settle_at_);
 }
 
+// This thread may have been starved for longer than what it ends here stays.
+void InwardRoutes::publish_last(Time now) {
+  std::set<ReaderKey> due;
+  for (const auto& [writer, remote_publisher] : remote_publishers_.all()) {
+    const ReaderHandover& handover = remote_publisher.handover;
+    if (handover.is_former_due(now)) due.insert(*handover.former());
+    if (remote_publisher.end && *remote_publisher.end <= now) due.insert(handover.dds_reader());
+  }
+  for (const ReaderKey& dds_reader : due) publish_all_of(dds_reader);
+  for (auto& [writer, remote_publisher] : remote_publishers_.all()) {
+    if (remote_publisher.handover.is_former_due(now)) remote_publisher.handover.end_former();
+  }
+}
+
 std::optional<Time> InwardRoutes::settle(Time now) {
+  publish_last(now);
   const std::optional<Time> next = remote_publishers_.tidy(now);
   std::set<ReaderKey> needed;
   for (const auto& [writer, remote_publisher] : remote_publishers_.all()) {

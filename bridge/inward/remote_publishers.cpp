@@ -158,8 +158,7 @@ std::optional<Time> RemotePublishers::tidy(Time now) {
       at = open_.erase(at);
       continue;
     }
-    // A message that both DDS readers received may still be taken from the other one.
-    next = earliest(next, remote_publisher.handover.tidy(now));
+    next = earliest(next, remote_publisher.handover.next());
     if (remote_publisher.end) next = earliest(next, is_late ? now + linger : *remote_publisher.end);
     ++at;
   }
