@@ -16,7 +16,7 @@
 namespace agnocast {
 
 /// Makes the pages of [at, at + bytes) present for writing; keeps their content. `at` is the
-/// beginning of a page of a shared, writable mapping, and the file reaches as far. Errors:
+/// beginning of a page of a writable mapping, and its file, if any, reaches as far. Errors:
 /// os_failure (no memory, or the file is shorter), where a store would have raised SIGBUS.
 [[nodiscard]] Result<void> populate(std::byte* at, std::uint64_t bytes) noexcept;
 /// The same with means of every kernel; populate() uses it before Linux 5.14.

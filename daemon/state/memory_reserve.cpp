@@ -3,10 +3,13 @@
 #include <daemon/state/memory_reserve.hpp>
 
 #include <base/check.hpp>
+#include <base/memory/populate.hpp>
+
+#include <unistd.h>
 
 #include <array>
+#include <cstddef>
 #include <cstdlib>
-#include <cstring>
 #include <new>
 
 namespace agnocast::daemon {
@@ -31,10 +34,14 @@ void MemoryReserve::install() noexcept {
 bool MemoryReserve::refill() noexcept {
   if (!is_installed_) return true;
   while (kept < piece_count) {
-    void* const piece = std::malloc(piece_bytes);
+    static const auto page_bytes = static_cast<std::size_t>(::sysconf(_SC_PAGESIZE));
+    void* const piece = std::aligned_alloc(page_bytes, piece_bytes);
     if (piece == nullptr) return false;
-    // Touches the pages: addresses without memory are no reserve.
-    std::memset(piece, 1, piece_bytes);
+    // Addresses without memory are no reserve.
+    if (!populate(static_cast<std::byte*>(piece), piece_bytes)) {
+      std::free(piece);
+      return false;
+    }
     pieces[kept++] = piece;
   }
   return true;
