@@ -14,9 +14,11 @@
 namespace agnocast::bridge {
 namespace {
 
-// Bounds for one take from a reader before others get their turn; a reader that is being left
-// gives all, bounded in case it keeps all and gets more meanwhile.
-constexpr std::size_t takes_max = 64, former_takes_max = 10'000;
+// Bounds for one take from a reader before others get their turn; one that is being left gives all,
+// bounded in case it keeps all and gets more meanwhile.
+constexpr std::size_t takes_max = 64, all_takes_max = 10'000;
+// When to go on with one that has more than that.
+constexpr std::chrono::milliseconds rest_interval{1};
 
 }  // namespace
 
@@ -36,8 +38,9 @@ void InwardRoutes::end_changed(const Plan& plan) {
     return wanted != plan.dds_readers.end() &&
            wanted->second.requested != dds_reader.plan.requested && ended.insert(key).second;
   });
+  const Time now = std::chrono::steady_clock::now();
   for (auto& [writer, remote_publisher] : remote_publishers_.all())
-    remote_publisher.handover.end_dds_readers(ended);
+    remote_publisher.handover.end_dds_readers(ended, now);
 }
 
 void InwardRoutes::end_all() {
@@ -68,7 +71,8 @@ InwardRoutes::Applied InwardRoutes::apply(const Plan& plan) {
 
 // A writer's last messages may come after its end is known, so its remote publisher lingers.
 void InwardRoutes::open_remote_publishers(const Plan& plan, Applied& applied) {
-  const Time end = std::chrono::steady_clock::now() + linger;
+  const Time now = std::chrono::steady_clock::now();
+  const Time end = now + linger;
   std::map<TopicKey, std::size_t> counts;
   for (auto& [writer, remote_publisher] : remote_publishers_.all()) {
     ++counts[remote_publisher.plan.key];
@@ -83,7 +87,7 @@ void InwardRoutes::open_remote_publishers(const Plan& plan, Applied& applied) {
       old->second.end.reset();
       old->second.plan = remote_publisher;
       if (old->second.handover.dds_reader() != dds_reader)
-        old->second.handover.go_over(dds_reader, end);
+        old->second.handover.go_over(dds_reader, now);
       continue;
     }
     // Lingering ones still count.
@@ -109,7 +113,7 @@ void InwardRoutes::open_remote_publishers(const Plan& plan, Applied& applied) {
     const auto looks_out = dds_readers_.lower_bound({dds_reader.of, 0, false});
     if (!remote_publisher.dds_reader.transient_local && !dds_readers_.contains(dds_reader) &&
         looks_out != dds_readers_.end() && looks_out->first.of == dds_reader.of)
-      handover.begin_with(looks_out->first, end);
+      handover.begin_with(looks_out->first, now);
   }
 }
 
@@ -170,17 +174,18 @@ void InwardRoutes::publish_former(const ReaderKey& dds_reader, std::span<const D
     const ReaderHandover& handover = remote_publisher->second.handover;
     if (handover.former() && handover.dds_reader() == dds_reader) left.insert(*handover.former());
   }
-  for (const ReaderKey& former : left) publish_all_of(former);
+  for (const ReaderKey& former : left) (void)publish_all_of(former);
 }
 
-void InwardRoutes::publish_all_of(const ReaderKey& dds_reader) {
+bool InwardRoutes::publish_all_of(const ReaderKey& dds_reader) {
   const auto open = dds_readers_.find(dds_reader);
-  if (open == dds_readers_.end()) return;
-  for (std::size_t i = 0; i < former_takes_max; ++i) {
+  if (open == dds_readers_.end()) return true;
+  for (std::size_t i = 0; i < all_takes_max; ++i) {
     auto sample = open->second.reader->take();
-    if (!sample) break;
+    if (!sample) return true;
     publish_one(dds_reader, std::move(*sample));
   }
+  return false;
 }
 
 void InwardRoutes::publish_unplaced() {
@@ -192,8 +197,7 @@ void InwardRoutes::publish_one(const ReaderKey& dds_reader, DdsSample sample) {
   if (sample.state != DdsSample::State::valid) return;
   const auto remote_publisher = remote_publishers_.all().find(sample.writer);
   if (remote_publisher != remote_publishers_.all().end()) {
-    if (remote_publisher->second.handover.takes(dds_reader, sample.source_time_ns,
-                                                std::chrono::steady_clock::now()))
+    if (remote_publisher->second.handover.takes(dds_reader, sample.source_time_ns))
       remote_publishers_.publish(sample.writer, remote_publisher->second,
                                  *static_cast<Received*>(sample.object.get()));
     return;
@@ -214,17 +218,33 @@ std::optional<Time> InwardRoutes::tidy(Time now) {
   return earliest(next_room, settle_at_);
 }
 
-// This thread may have been starved for longer than what it ends here stays.
+// This thread may have been starved for longer than what it ends here stays. Former DDS readers
+// first: their messages came before.
 void InwardRoutes::publish_last(Time now) {
-  std::set<ReaderKey> due;
+  const auto is_ending = [now](const OpenRemotePublisher& remote_publisher) {
+    return remote_publisher.end && *remote_publisher.end <= now;
+  };
+  bool is_any_due = false;
+  std::set<ReaderKey> formers, due, has_rest;
   for (const auto& [writer, remote_publisher] : remote_publishers_.all()) {
     const ReaderHandover& handover = remote_publisher.handover;
-    if (handover.is_former_due(now)) due.insert(*handover.former());
-    if (remote_publisher.end && *remote_publisher.end <= now) due.insert(handover.dds_reader());
+    if (handover.former()) formers.insert(*handover.former());
+    if (is_ending(remote_publisher) || handover.is_rejecting_due(now))
+      due.insert(handover.dds_reader());
+    is_any_due |= handover.is_former_due(now);
   }
-  for (const ReaderKey& dds_reader : due) publish_all_of(dds_reader);
+  if (!is_any_due && due.empty()) return;
+  for (const std::set<ReaderKey>* const readers : {&formers, &due}) {
+    for (const ReaderKey& dds_reader : *readers)
+      if (!publish_all_of(dds_reader)) has_rest.insert(dds_reader);
+  }
   for (auto& [writer, remote_publisher] : remote_publishers_.all()) {
-    if (remote_publisher.handover.is_former_due(now)) remote_publisher.handover.end_former();
+    ReaderHandover& handover = remote_publisher.handover;
+    if (!has_rest.contains(handover.dds_reader()) &&
+        !(handover.former() && has_rest.contains(*handover.former())))
+      handover.end_due(now);
+    else if (is_ending(remote_publisher))
+      remote_publisher.end = now + rest_interval;
   }
 }
 

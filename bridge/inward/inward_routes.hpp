@@ -95,10 +95,10 @@ class InwardRoutes {
   void open_dds_readers(const Plan& plan);
   void publish_one(const ReaderKey& dds_reader, DdsSample sample);
   void publish_former(const ReaderKey& dds_reader, std::span<const DdsSample> taken);
-  /// Publishes what this DDS reader has received.
-  void publish_all_of(const ReaderKey& dds_reader);
-  /// Publishes the last messages of gone writers and of former DDS readers whose time is over, and
-  /// ends those handovers.
+  /// Publishes what this DDS reader has received. Returns false if it has more.
+  bool publish_all_of(const ReaderKey& dds_reader);
+  /// Publishes what DDS readers have received, before it ends what is due of handovers, and before
+  /// publishers of gone writers end.
   void publish_last(Time now);
   /// Ends DDS readers that no remote publisher needs. Returns when to call it again.
   std::optional<Time> settle(Time now);

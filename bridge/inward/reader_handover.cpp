@@ -4,41 +4,65 @@
 
 namespace agnocast::bridge {
 
-void ReaderHandover::begin_with(const ReaderKey& former, Time end) {
+void ReaderHandover::reject(Time now) noexcept {
   has_begun_ = false;
+  rejecting_end_ = now + rejecting_max;
+}
+
+void ReaderHandover::begin_with(const ReaderKey& former, Time now) {
   former_ = former;
-  former_end_ = end;
+  former_has_begun_ = true;
+  former_end_ = now + linger;
+  reject(now);
 }
 
-void ReaderHandover::go_over(const ReaderKey& dds_reader, Time end) {
-  if (has_begun_) former_ = dds_reader_;  // else former_ stays the one before
+void ReaderHandover::go_over(const ReaderKey& dds_reader, Time now) {
+  if (former_ == dds_reader) {  // back again
+    has_begun_ = former_has_begun_;
+    former_.reset();
+    dds_reader_ = dds_reader;
+    return;
+  }
+  if (has_begun_ || !former_) {  // else the former one stays
+    former_ = dds_reader_;
+    former_has_begun_ = has_begun_;
+  }
+  former_end_ = now + linger;
   dds_reader_ = dds_reader;
-  has_begun_ = former_ == dds_reader;
-  if (has_begun_) former_.reset();
-  former_end_ = end;
-  rejecting_since_.reset();
+  reject(now);
 }
 
-void ReaderHandover::end_dds_readers(const std::set<ReaderKey>& ended) {
+void ReaderHandover::end_dds_readers(const std::set<ReaderKey>& ended, Time now) {
   if (former_ && ended.contains(*former_)) former_.reset();
-  if (!ended.contains(dds_reader_)) return;
-  has_begun_ = false;
-  rejecting_since_.reset();
+  if (ended.contains(dds_reader_)) reject(now);
 }
 
-bool ReaderHandover::takes(const ReaderKey& by, std::int64_t source_time_ns, Time now) {
+bool ReaderHandover::takes(const ReaderKey& by, std::int64_t source_time_ns) {
   const bool is_own = dds_reader_ == by;
   if (!is_own && former_ != by) return false;  // the other DDS reader has it too
-  if (is_own && !has_begun_) {
-    const bool is_older = source_time_ns < newest_ns_;
-    if (is_older && !rejecting_since_) rejecting_since_ = now;
-    if (is_older && now < *rejecting_since_ + rejecting_max) return false;
-    has_begun_ = true;
-    former_.reset();
+  bool& has_begun = is_own ? has_begun_ : former_has_begun_;
+  if (!has_begun) {
+    if (source_time_ns < newest_ns_) return false;
+    has_begun = true;
+    if (is_own) former_.reset();
     if (source_time_ns == newest_ns_) return false;
   }
   newest_ns_ = source_time_ns;
   return true;
+}
+
+void ReaderHandover::end_due(Time now) noexcept {
+  if (is_former_due(now)) former_.reset();
+  if (!is_rejecting_due(now)) return;
+  has_begun_ = true;
+  former_.reset();
+}
+
+std::optional<Time> ReaderHandover::next() const {
+  std::optional<Time> next;
+  if (former_) next = former_end_;
+  if (!has_begun_) next = earliest(next, rejecting_end_);
+  return next;
 }
 
 }  // namespace agnocast::bridge

@@ -3,8 +3,9 @@
 // ReaderHandover: the DDS reader through which the messages of one remote writer come. When
 // subscriptions or rules change, a writer goes over to another DDS reader; both then get its
 // messages, the new one perhaps later. Messages come through the former one until the new one gives
-// one that is not older, or for a limited time, so each comes once and in order. However late the
-// new one gives its first messages, those that came already are rejected. Pure.
+// one that is not older, or for a limited time, so each comes once and in order. Older ones from
+// the new one are rejected by their source time, also for a limited time: the clock of the writer
+// may be set back. What these times end was received before, or is late. Pure.
 #pragma once
 
 #include <bridge/common/linger.hpp>
@@ -18,8 +19,8 @@
 
 namespace agnocast::bridge {
 
-/// How long older messages of the new DDS reader are rejected from the first one on. A history
-/// comes in less time; and if the writer's clock was set back meanwhile, this much is lost.
+/// How long older messages of a new DDS reader are rejected. A history that comes later comes
+/// twice.
 inline constexpr std::chrono::seconds rejecting_max{10};
 
 class ReaderHandover {
@@ -32,30 +33,33 @@ class ReaderHandover {
   const std::optional<ReaderKey>& former() const noexcept { return former_; }
 
   /// Another DDS reader was there before the writer, so it may have messages that this one missed.
-  void begin_with(const ReaderKey& former, Time end);
-  void go_over(const ReaderKey& dds_reader, Time end);
+  void begin_with(const ReaderKey& former, Time now);
+  void go_over(const ReaderKey& dds_reader, Time now);
   /// These DDS readers have ended. A reader that replaces them may get history that was passed on
   /// already.
-  void end_dds_readers(const std::set<ReaderKey>& ended);
+  void end_dds_readers(const std::set<ReaderKey>& ended, Time now);
   /// Returns whether to pass on a message from this DDS reader; older ones are then rejected.
-  bool takes(const ReaderKey& by, std::int64_t source_time_ns, Time now);
-  /// Returns whether the time of the former DDS reader is over: take its last messages, then call
-  /// end_former().
+  bool takes(const ReaderKey& by, std::int64_t source_time_ns);
+
+  /// Return whether the time of the former DDS reader, or that of rejecting, is over. Take all that
+  /// the former one, and this one, have received, then call end_due() with the same `now`.
   bool is_former_due(Time now) const noexcept { return former_ && former_end_ <= now; }
-  void end_former() noexcept { former_.reset(); }
-  /// Returns when is_former_due() becomes true.
-  std::optional<Time> next() const {
-    if (!former_) return std::nullopt;
-    return former_end_;
-  }
+  bool is_rejecting_due(Time now) const noexcept { return !has_begun_ && rejecting_end_ <= now; }
+  void end_due(Time now) noexcept;
+  /// Returns when something becomes due.
+  std::optional<Time> next() const;
 
  private:
+  void reject(Time now) noexcept;
+
   ReaderKey dds_reader_;
   // False from a change of the DDS reader until the new one gives a message that is not older than
-  // the last one. Until then, or until its time is over, messages come through the former one.
+  // the last one, or the time of rejecting is over.
   bool has_begun_ = true;
-  std::optional<Time> rejecting_since_;
+  Time rejecting_end_;
+  // Messages come through this one until has_begun_, or until its time is over.
   std::optional<ReaderKey> former_;
+  bool former_has_begun_ = true;
   Time former_end_;
   std::int64_t newest_ns_ = 0;  // source time
 };

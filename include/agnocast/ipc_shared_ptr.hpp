@@ -24,7 +24,7 @@ struct MessageInfo {
   std::uint64_t publish_time_ns = 0;  ///< CLOCK_MONOTONIC when it was published
   std::uint64_t object_bytes = 0;     ///< sizeof the message object
   /// Returns publish_time_ns in CLOCK_REALTIME nanoseconds, by the offset of the two clocks, which
-  /// each call reads anew, so it is microseconds off. Costs three clock reads.
+  /// each call reads anew: some microseconds off. Three clock reads, more if the thread is put off.
   AGNOCAST_PUBLIC std::uint64_t source_timestamp() const noexcept;
 };
 

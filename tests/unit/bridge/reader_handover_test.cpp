@@ -17,93 +17,110 @@ ReaderKey dds_reader(std::size_t depth) {
 
 TEST(ReaderHandover, TakesMessagesOnlyFromItsDdsReader) {
   ReaderHandover handover(dds_reader(1));
-  EXPECT_TRUE(handover.takes(dds_reader(1), 10, begin));
-  EXPECT_TRUE(handover.takes(dds_reader(1), 10, begin)) << "two messages may have the same time";
-  EXPECT_FALSE(handover.takes(dds_reader(2), 20, begin));
+  EXPECT_TRUE(handover.takes(dds_reader(1), 10));
+  EXPECT_TRUE(handover.takes(dds_reader(1), 10)) << "two messages may have the same time";
+  EXPECT_FALSE(handover.takes(dds_reader(2), 20));
   EXPECT_FALSE(handover.next()) << "no DDS reader is to be ended";
 }
 
 TEST(ReaderHandover, SwitchesReadersWithoutDuplicatesOrReordering) {
   ReaderHandover handover(dds_reader(1));
-  ASSERT_TRUE(handover.takes(dds_reader(1), 10, begin));
-  handover.go_over(dds_reader(5), begin + 1s);
+  ASSERT_TRUE(handover.takes(dds_reader(1), 10));
+  handover.go_over(dds_reader(5), begin);
   ASSERT_EQ(handover.former(), dds_reader(1));
   // The new DDS reader repeats a history, while the former one continues.
-  EXPECT_FALSE(handover.takes(dds_reader(5), 5, begin));
-  EXPECT_TRUE(handover.takes(dds_reader(1), 20, begin));
-  EXPECT_FALSE(handover.takes(dds_reader(5), 10, begin));
-  EXPECT_FALSE(handover.takes(dds_reader(5), 20, begin))
-      << "the former reader already delivered it";
+  EXPECT_FALSE(handover.takes(dds_reader(5), 5));
+  EXPECT_TRUE(handover.takes(dds_reader(1), 20));
+  EXPECT_FALSE(handover.takes(dds_reader(5), 10));
+  EXPECT_FALSE(handover.takes(dds_reader(5), 20)) << "the former reader already delivered it";
   EXPECT_FALSE(handover.former()) << "the new reader has caught up";
-  EXPECT_FALSE(handover.takes(dds_reader(1), 30, begin));
-  EXPECT_TRUE(handover.takes(dds_reader(5), 30, begin));
+  EXPECT_FALSE(handover.takes(dds_reader(1), 30));
+  EXPECT_TRUE(handover.takes(dds_reader(5), 30));
 }
 
 TEST(ReaderHandover, UsesTheFormerDdsReaderOnlyForAWhile) {
   ReaderHandover handover(dds_reader(1));
-  ASSERT_TRUE(handover.takes(dds_reader(1), 10, begin));
-  handover.go_over(dds_reader(5), begin + 1s);
-  EXPECT_EQ(handover.next(), begin + 1s);
-  EXPECT_FALSE(handover.is_former_due(begin));
-  ASSERT_TRUE(handover.is_former_due(begin + 1s));
-  EXPECT_TRUE(handover.takes(dds_reader(1), 20, begin + 1s)) << "one of its last messages";
-  handover.end_former();
+  ASSERT_TRUE(handover.takes(dds_reader(1), 10));
+  handover.go_over(dds_reader(5), begin);
+  EXPECT_EQ(handover.next(), begin + linger);
+  EXPECT_FALSE(handover.is_former_due(begin + linger - 1ns));
+  ASSERT_TRUE(handover.is_former_due(begin + linger));
+  EXPECT_TRUE(handover.takes(dds_reader(1), 20)) << "one of its last messages";
+  handover.end_due(begin + linger);
+  EXPECT_FALSE(handover.takes(dds_reader(1), 30));
+  EXPECT_FALSE(handover.takes(dds_reader(5), 15)) << "still older than the last message taken";
+  EXPECT_TRUE(handover.takes(dds_reader(5), 30));
   EXPECT_FALSE(handover.next());
-  EXPECT_FALSE(handover.takes(dds_reader(1), 30, begin + 1s));
-  EXPECT_TRUE(handover.takes(dds_reader(5), 30, begin + 1s));
-}
-
-TEST(ReaderHandover, RejectsWhatCameAlreadyHoweverLateTheNewDdsReaderGivesIt) {
-  constexpr Time late = begin + 24h;
-  ReaderHandover handover(dds_reader(1));
-  ASSERT_TRUE(handover.takes(dds_reader(1), 10, begin));
-  handover.go_over(dds_reader(5), begin + 1s);
-  handover.end_former();
-  EXPECT_FALSE(handover.takes(dds_reader(5), 5, late));
-  EXPECT_FALSE(handover.takes(dds_reader(5), 10, late));
-  EXPECT_TRUE(handover.takes(dds_reader(5), 20, late));
-  EXPECT_TRUE(handover.takes(dds_reader(5), 15, late)) << "its clock was set back afterwards";
 }
 
 TEST(ReaderHandover, RejectsOlderMessagesOnlyForAWhile) {
   ReaderHandover handover(dds_reader(1));
-  ASSERT_TRUE(handover.takes(dds_reader(1), 10, begin));
-  handover.go_over(dds_reader(5), begin + 1s);
-  EXPECT_FALSE(handover.takes(dds_reader(5), 5, begin + 1s));
-  EXPECT_FALSE(handover.takes(dds_reader(5), 6, begin + 1s + rejecting_max - 1ns));
-  EXPECT_TRUE(handover.takes(dds_reader(5), 7, begin + 1s + rejecting_max))
-      << "the writer's clock was set back";
-  EXPECT_TRUE(handover.takes(dds_reader(5), 8, begin + 1s + rejecting_max));
+  ASSERT_TRUE(handover.takes(dds_reader(1), 10));
+  handover.go_over(dds_reader(5), begin);
+  handover.end_due(begin + linger);
+  EXPECT_EQ(handover.next(), begin + rejecting_max);
+  EXPECT_FALSE(handover.is_rejecting_due(begin + rejecting_max - 1ns));
+  ASSERT_TRUE(handover.is_rejecting_due(begin + rejecting_max));
+  EXPECT_FALSE(handover.takes(dds_reader(5), 5)) << "it was there before";
+  handover.end_due(begin + rejecting_max);
+  EXPECT_TRUE(handover.takes(dds_reader(5), 5)) << "the writer's clock was set back";
+  EXPECT_FALSE(handover.next());
+}
+
+TEST(ReaderHandover, TakesWhatAQuietReaderHasWhenItGoesOverAgain) {
+  for (const Time later : {begin + linger, begin + rejecting_max}) {
+    ReaderHandover handover(dds_reader(1));
+    ASSERT_TRUE(handover.takes(dds_reader(1), 10));
+    handover.go_over(dds_reader(5), begin);
+    handover.end_due(later);
+    handover.go_over(dds_reader(9), later);
+    ASSERT_EQ(handover.former(), dds_reader(5));
+    EXPECT_EQ(handover.takes(dds_reader(5), 5), later == begin + rejecting_max) << "a history";
+    EXPECT_TRUE(handover.takes(dds_reader(5), 20));
+    EXPECT_FALSE(handover.takes(dds_reader(9), 20));
+    EXPECT_TRUE(handover.takes(dds_reader(9), 30));
+  }
+}
+
+TEST(ReaderHandover, KeepsTheFormerReaderUntilALaterOneHasBegun) {
+  ReaderHandover handover(dds_reader(1));
+  ASSERT_TRUE(handover.takes(dds_reader(1), 10));
+  handover.go_over(dds_reader(5), begin);
+  handover.go_over(dds_reader(9), begin);
+  ASSERT_EQ(handover.former(), dds_reader(1));
+  EXPECT_FALSE(handover.takes(dds_reader(5), 20));
+  EXPECT_TRUE(handover.takes(dds_reader(1), 20));
+  EXPECT_TRUE(handover.takes(dds_reader(9), 30));
 }
 
 TEST(ReaderHandover, CanSwitchBackToTheFormerDdsReader) {
   ReaderHandover handover(dds_reader(1));
-  ASSERT_TRUE(handover.takes(dds_reader(1), 10, begin));
-  handover.go_over(dds_reader(5), begin + 1s);
-  handover.go_over(dds_reader(1), begin + 1s);
+  ASSERT_TRUE(handover.takes(dds_reader(1), 10));
+  handover.go_over(dds_reader(5), begin);
+  handover.go_over(dds_reader(1), begin);
   EXPECT_FALSE(handover.former());
-  EXPECT_TRUE(handover.takes(dds_reader(1), 20, begin));
-  EXPECT_FALSE(handover.takes(dds_reader(5), 30, begin));
+  EXPECT_TRUE(handover.takes(dds_reader(1), 20));
+  EXPECT_FALSE(handover.takes(dds_reader(5), 30));
 }
 
 TEST(ReaderHandover, SkipsRepeatedHistoryWhenItsDdsReaderIsRecreated) {
   ReaderHandover handover(dds_reader(1));
-  ASSERT_TRUE(handover.takes(dds_reader(1), 10, begin));
-  handover.end_dds_readers({dds_reader(2)});
-  EXPECT_TRUE(handover.takes(dds_reader(1), 10, begin)) << "another reader ended";
-  handover.end_dds_readers({dds_reader(1)});
-  EXPECT_FALSE(handover.takes(dds_reader(1), 5, begin)) << "the new reader repeats the history";
-  EXPECT_FALSE(handover.takes(dds_reader(1), 10, begin));
-  EXPECT_TRUE(handover.takes(dds_reader(1), 20, begin));
+  ASSERT_TRUE(handover.takes(dds_reader(1), 10));
+  handover.end_dds_readers({dds_reader(2)}, begin);
+  EXPECT_TRUE(handover.takes(dds_reader(1), 10)) << "another reader ended";
+  handover.end_dds_readers({dds_reader(1)}, begin);
+  EXPECT_FALSE(handover.takes(dds_reader(1), 5)) << "the new reader repeats the history";
+  EXPECT_FALSE(handover.takes(dds_reader(1), 10));
+  EXPECT_TRUE(handover.takes(dds_reader(1), 20));
 }
 
 TEST(ReaderHandover, CanBeginWithMessagesOfAnotherDdsReader) {
   ReaderHandover handover(dds_reader(5));
-  handover.begin_with(dds_reader(1), begin + 1s);
-  EXPECT_TRUE(handover.takes(dds_reader(1), 10, begin));
-  EXPECT_FALSE(handover.takes(dds_reader(5), 10, begin));
-  EXPECT_TRUE(handover.takes(dds_reader(5), 20, begin));
-  EXPECT_FALSE(handover.takes(dds_reader(1), 20, begin));
+  handover.begin_with(dds_reader(1), begin);
+  EXPECT_TRUE(handover.takes(dds_reader(1), 10));
+  EXPECT_FALSE(handover.takes(dds_reader(5), 10));
+  EXPECT_TRUE(handover.takes(dds_reader(5), 20));
+  EXPECT_FALSE(handover.takes(dds_reader(1), 20));
 }
 
 }  // namespace

@@ -15,6 +15,7 @@
 
 #include <set>
 #include <string>
+#include <thread>
 #include <utility>
 #include <vector>
 
@@ -242,6 +243,55 @@ TEST_F(Depths, OfDdsReadersGrowWithoutALossForExistingReaders) {
     } while (!is_read_anew());
   }
   EXPECT_TRUE(has_come_but(0));
+}
+
+// It is held up for longer than a former DDS reader stays, while both readers receive.
+TEST_F(Depths, OfDdsReadersGrowWithoutALossWhileTheBridgeWaitsForAgnocastd) {
+  auto early = create_subscription<String>(PlainNode(), topic(), 100);
+  auto other = create_subscription<String>(PlainNode(), topic() + "_other", 1);
+  const auto has_reader = [&](const std::string& name, std::int32_t depth) {
+    return other_.eventually([&] {
+      for (const auto& [guid, remote] : other_.participant().remotes()) {
+        if (remote.topic == name && remote.kind == Remote::Kind::reader &&
+            remote.qos.depth >= depth)
+          return true;
+      }
+      return false;
+    });
+  };
+  ASSERT_TRUE(has_reader(dds_topic() + "_other", 1));
+  DdsWriter& writer = other_.writes(dds_topic(), dds_type_name<String>(), keep_last(100));
+  std::int64_t time_ns = 0;
+  const auto write = [&](const std::string& data) {
+    String message;
+    message.data = data;
+    EXPECT_TRUE(Other::write(writer, message, ++time_ns));
+  };
+  ASSERT_TRUE(other_.eventually([&] {
+    write("hello");
+    return early->take() != nullptr;
+  }));
+  auto late = create_subscription<String>(PlainNode(), topic(), 150);
+  ASSERT_TRUE(has_reader(dds_topic(), 150));
+  // The plan for this writer waits.
+  const pid_t waits_for = daemon->kill_worker(SIGSTOP);
+  other_.writes(dds_topic() + "_other", dds_type_name<String>(), {});
+  for (int i = 0; i < 20; ++i) {
+    write(std::to_string(i));
+    other_.look(10ms);
+  }
+  std::this_thread::sleep_for(1200ms);
+  ASSERT_EQ(::kill(waits_for, SIGCONT), 0);
+  std::vector<std::string> got, expected;
+  for (int i = 0; i < 20; ++i) expected.push_back(std::to_string(i));
+  (void)other_.eventually([&] {
+    while (const auto message = early->take())
+      if (message->data != "hello") got.push_back(message->data);
+    return got.size() >= expected.size();
+  });
+  other_.look(200ms);
+  while (const auto message = early->take()) got.push_back(message->data);
+  EXPECT_EQ(got, expected) << "lost, twice or out of order";
 }
 
 }  // namespace
