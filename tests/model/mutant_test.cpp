@@ -120,7 +120,7 @@ TEST(ModelMutants, EveryStatementFenceAndDecisionOfTheProtocolIsNeeded) {
   unsigned survived = 0;
   const test::Rotation rotation;
   for (std::size_t i = 0; i < mutants.size(); ++i) {
-    if (!rotation.takes(i)) continue;
+    if (!rotation.takes(i, mutants.size())) continue;
     const Mutation& mutation = mutants[i];
     std::string noticed;
     const char* plan_name = "";

@@ -30,7 +30,7 @@ std::vector<QueuePlan> proof_plans_of_this_run() {
   const test::Rotation rotation;
   std::vector<QueuePlan> chosen;
   for (std::size_t i = 0; i < std::size(proof_plans); ++i)
-    if (rotation.takes(i)) chosen.push_back(proof_plans[i]);
+    if (rotation.takes(i, std::size(proof_plans))) chosen.push_back(proof_plans[i]);
   std::printf("%zu large plans, %s\n", std::size(proof_plans), rotation.text().c_str());
   return chosen;
 }

@@ -189,7 +189,7 @@ TEST(ClientSweep, DelaysOfAnyProcessChangeNoResult) {
     Performance performance(stage, scripts[i]);
     ASSERT_EQ(performance.rehearse(), "") << scripts[i].name;
     for (std::uint64_t run = 0; run < runs; ++run) {
-      if (!rotation.takes(run)) continue;
+      if (!rotation.takes(run, runs)) continue;
       const std::uint64_t seed = 1 + 10 * (number_of("AGNOCAST_SEED", 0) + run);
       ASSERT_EQ(performance.perform_slowly(seed, points_per_million), "")
           << scripts[i].name << ", run " << run << "\nagnocastd wrote:\n"

@@ -280,7 +280,7 @@ TEST_F(CoreSweep, AfterADeathAtAnyStoreTheNextDaemonContinues) {
   }
   std::uint64_t repairs = 0;
   for (const First& first : firsts) {
-    if (!with_pairs || !rotation.takes(first.n)) continue;
+    if (!with_pairs || !rotation.takes(first.n, firsts.size())) continue;
     const bool whole = repairing.count(first.at) != 0 && repairs++ % 4 == 0;
     KeptMemory left;
     ASSERT_TRUE(first_life(left, first.n).died) << where(first);

@@ -23,7 +23,12 @@ class Rotation {
   }
   std::size_t part() const noexcept { return part_; }
   std::size_t parts() const noexcept { return parts_; }
-  bool takes(std::size_t index) const noexcept { return index % parts_ == part_; }
+  /// Returns whether this run covers item `index` of `count`. It covers one at least: a list that
+  /// is shorter than the rotation has as many parts as items.
+  bool takes(std::size_t index, std::size_t count) const noexcept {
+    const std::size_t parts = count < parts_ ? count : parts_;
+    return index % parts == part_ % parts;
+  }
   std::string text() const {
     if (parts_ == 1) return "all";
     return "part " + std::to_string(part_ + 1) + " of " + std::to_string(parts_) +

@@ -230,7 +230,8 @@ TEST(Generic, ATypeThatWasNotFoundIsSearchedAgain) {
   }
   const Answer answer = find({}, "--then '" + links + "' sensor_msgs/msg/PointCloud2" + paths);
   EXPECT_EQ(answer.status, 0);
-  EXPECT_THAT(answer.text, AllOf(HasSubstr("nor where the loader searches\n"), EndsWith(found)));
+  // The list of directories is cut where the environment has many.
+  EXPECT_THAT(answer.text, AllOf(HasSubstr("there is no support"), EndsWith(found)));
 }
 
 TEST(Generic, ALibraryThatCouldNotBeLoadedIsTriedAgain) {
