@@ -10,7 +10,6 @@
 //
 // Every request that the windows cannot serve goes to libc, also invalid ones, so return values
 // and errno are libc's own. The hook adds no failures of its own.
-// errno are its own. Nothing here can fail in a way of its own.
 #pragma once
 
 #include "libc_heap.hpp"
