@@ -33,11 +33,14 @@ void InwardRoutes::erase_dds_readers_if(Condition condition) {
 
 void InwardRoutes::end_changed(const Plan& plan) {
   std::set<ReaderKey> ended;
-  erase_dds_readers_if([&](const ReaderKey& key, const OpenDdsReader& dds_reader) {
+  for (const auto& [key, dds_reader] : dds_readers_) {
     const auto wanted = plan.dds_readers.find(key.of);
-    return wanted != plan.dds_readers.end() &&
-           wanted->second.requested != dds_reader.plan.requested && ended.insert(key).second;
-  });
+    if (wanted != plan.dds_readers.end() && wanted->second.requested != dds_reader.plan.requested)
+      ended.insert(key);
+  }
+  for (const ReaderKey& key : ended) (void)publish_all_of(key);
+  erase_dds_readers_if(
+      [&](const ReaderKey& key, const OpenDdsReader&) { return ended.contains(key); });
   const Time now = std::chrono::steady_clock::now();
   for (auto& [writer, remote_publisher] : remote_publishers_.all())
     remote_publisher.handover.end_dds_readers(ended, now);
