@@ -14,11 +14,10 @@
 namespace agnocast::bridge {
 namespace {
 
-// Bounds for one take from a reader before others get their turn; one that is being left gives all,
-// bounded in case it keeps all and gets more meanwhile.
-constexpr std::size_t takes_max = 64, all_takes_max = 10'000;
-// When to go on with one that has more than that.
-constexpr std::chrono::milliseconds rest_interval{1};
+// Bound for one take from a reader before others get their turn.
+constexpr std::size_t takes_max = 64;
+// One that is being left gives all, unless it receives more than this thread publishes.
+constexpr std::chrono::seconds takes_all_max{1};
 
 }  // namespace
 
@@ -38,7 +37,7 @@ void InwardRoutes::end_changed(const Plan& plan) {
     if (wanted != plan.dds_readers.end() && wanted->second.requested != dds_reader.plan.requested)
       ended.insert(key);
   }
-  for (const ReaderKey& key : ended) (void)publish_all_of(key);
+  publish_all_of(ended);
   erase_dds_readers_if(
       [&](const ReaderKey& key, const OpenDdsReader&) { return ended.contains(key); });
   const Time now = std::chrono::steady_clock::now();
@@ -90,7 +89,8 @@ void InwardRoutes::open_remote_publishers(const Plan& plan, Applied& applied) {
       old->second.end.reset();
       old->second.plan = remote_publisher;
       if (old->second.handover.dds_reader() != dds_reader)
-        old->second.handover.go_over(dds_reader, now);
+        old->second.handover.go_over(dds_reader,
+                                     dds_readers_.contains(old->second.handover.dds_reader()), now);
       continue;
     }
     // Lingering ones still count.
@@ -177,18 +177,34 @@ void InwardRoutes::publish_former(const ReaderKey& dds_reader, std::span<const D
     const ReaderHandover& handover = remote_publisher->second.handover;
     if (handover.former() && handover.dds_reader() == dds_reader) left.insert(*handover.former());
   }
-  for (const ReaderKey& former : left) (void)publish_all_of(former);
+  // Those that were taken already are next.
+  std::set<ReaderKey> done{dds_reader};
+  for (const ReaderKey& former : left) publish_all_of(former, done);
 }
 
-bool InwardRoutes::publish_all_of(const ReaderKey& dds_reader) {
-  const auto open = dds_readers_.find(dds_reader);
-  if (open == dds_readers_.end()) return true;
-  for (std::size_t i = 0; i < all_takes_max; ++i) {
-    auto sample = open->second.reader->take();
-    if (!sample) return true;
-    publish_one(dds_reader, std::move(*sample));
+void InwardRoutes::publish_all_of(const std::set<ReaderKey>& dds_readers) {
+  std::set<ReaderKey> done;
+  for (const ReaderKey& dds_reader : dds_readers) publish_all_of(dds_reader, done);
+}
+
+// Recursive: as deep as writers have gone over from one DDS reader to the next within a second.
+void InwardRoutes::publish_all_of(const ReaderKey& dds_reader, std::set<ReaderKey>& done) {
+  if (!done.insert(dds_reader).second) return;
+  std::set<ReaderKey> formers;
+  for (const auto& [writer, remote_publisher] : remote_publishers_.all()) {
+    const ReaderHandover& handover = remote_publisher.handover;
+    if (handover.former() && handover.dds_reader() == dds_reader)
+      formers.insert(*handover.former());
   }
-  return false;
+  for (const ReaderKey& former : formers) publish_all_of(former, done);
+  const auto open = dds_readers_.find(dds_reader);
+  if (open == dds_readers_.end()) return;
+  const Time end = std::chrono::steady_clock::now() + takes_all_max;
+  do {
+    auto sample = open->second.reader->take();
+    if (!sample) return;
+    publish_one(dds_reader, std::move(*sample));
+  } while (std::chrono::steady_clock::now() < end);
 }
 
 void InwardRoutes::publish_unplaced() {
@@ -221,34 +237,18 @@ std::optional<Time> InwardRoutes::tidy(Time now) {
   return earliest(next_room, settle_at_);
 }
 
-// This thread may have been starved for longer than what it ends here stays. Former DDS readers
-// first: their messages came before.
+// This thread may have been starved for longer than what it ends here stays.
 void InwardRoutes::publish_last(Time now) {
-  const auto is_ending = [now](const OpenRemotePublisher& remote_publisher) {
-    return remote_publisher.end && *remote_publisher.end <= now;
-  };
-  bool is_any_due = false;
-  std::set<ReaderKey> formers, due, has_rest;
+  std::set<ReaderKey> due;
   for (const auto& [writer, remote_publisher] : remote_publishers_.all()) {
     const ReaderHandover& handover = remote_publisher.handover;
-    if (handover.former()) formers.insert(*handover.former());
-    if (is_ending(remote_publisher) || handover.is_rejecting_due(now))
+    if (handover.is_former_due(now)) due.insert(*handover.former());
+    if (handover.is_rejecting_due(now) || (remote_publisher.end && *remote_publisher.end <= now))
       due.insert(handover.dds_reader());
-    is_any_due |= handover.is_former_due(now);
   }
-  if (!is_any_due && due.empty()) return;
-  for (const std::set<ReaderKey>* const readers : {&formers, &due}) {
-    for (const ReaderKey& dds_reader : *readers)
-      if (!publish_all_of(dds_reader)) has_rest.insert(dds_reader);
-  }
-  for (auto& [writer, remote_publisher] : remote_publishers_.all()) {
-    ReaderHandover& handover = remote_publisher.handover;
-    if (!has_rest.contains(handover.dds_reader()) &&
-        !(handover.former() && has_rest.contains(*handover.former())))
-      handover.end_due(now);
-    else if (is_ending(remote_publisher))
-      remote_publisher.end = now + rest_interval;
-  }
+  publish_all_of(due);
+  for (auto& [writer, remote_publisher] : remote_publishers_.all())
+    remote_publisher.handover.end_due(now);
 }
 
 std::optional<Time> InwardRoutes::settle(Time now) {

@@ -95,8 +95,11 @@ class InwardRoutes {
   void open_dds_readers(const Plan& plan);
   void publish_one(const ReaderKey& dds_reader, DdsSample sample);
   void publish_former(const ReaderKey& dds_reader, std::span<const DdsSample> taken);
-  /// Publishes what this DDS reader has received. Returns false if it has more.
-  bool publish_all_of(const ReaderKey& dds_reader);
+  /// Publishes what these DDS readers have received, after what those have that their writers
+  /// left: it came before.
+  void publish_all_of(const std::set<ReaderKey>& dds_readers);
+  /// The same of one that is not `done` yet.
+  void publish_all_of(const ReaderKey& dds_reader, std::set<ReaderKey>& done);
   /// Publishes what DDS readers have received, before it ends what is due of handovers, and before
   /// publishers of gone writers end.
   void publish_last(Time now);

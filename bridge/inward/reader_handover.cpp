@@ -16,14 +16,14 @@ void ReaderHandover::begin_with(const ReaderKey& former, Time now) {
   reject(now);
 }
 
-void ReaderHandover::go_over(const ReaderKey& dds_reader, Time now) {
+void ReaderHandover::go_over(const ReaderKey& dds_reader, bool is_open, Time now) {
   if (former_ == dds_reader) {  // back again
     has_begun_ = former_has_begun_;
     former_.reset();
     dds_reader_ = dds_reader;
     return;
   }
-  if (has_begun_ || !former_) {  // else the former one stays
+  if (is_open && (has_begun_ || !former_)) {  // else the former one stays
     former_ = dds_reader_;
     former_has_begun_ = has_begun_;
   }

@@ -3,9 +3,9 @@
 // ReaderHandover: the DDS reader through which the messages of one remote writer come. When
 // subscriptions or rules change, a writer goes over to another DDS reader; both then get its
 // messages, the new one perhaps later. Messages come through the former one until the new one gives
-// one that is not older, or for a limited time, so each comes once and in order. Older ones from
-// the new one are rejected by their source time, also for a limited time: the clock of the writer
-// may be set back. What these times end was received before, or is late. Pure.
+// one that is not older, or for a limited time. Older ones from the new one are rejected by their
+// source time, also for a limited time, because the clock of the writer may be set back. So each
+// message that both have received within these times comes once and in order. Pure.
 #pragma once
 
 #include <bridge/common/linger.hpp>
@@ -34,7 +34,8 @@ class ReaderHandover {
 
   /// Another DDS reader was there before the writer, so it may have messages that this one missed.
   void begin_with(const ReaderKey& former, Time now);
-  void go_over(const ReaderKey& dds_reader, Time now);
+  /// `is_open`: the present DDS reader exists, so it may have messages.
+  void go_over(const ReaderKey& dds_reader, bool is_open, Time now);
   /// These DDS readers have ended. A reader that replaces them may get history that was passed on
   /// already.
   void end_dds_readers(const std::set<ReaderKey>& ended, Time now);
@@ -42,7 +43,8 @@ class ReaderHandover {
   bool takes(const ReaderKey& by, std::int64_t source_time_ns);
 
   /// Return whether the time of the former DDS reader, or that of rejecting, is over. Take all that
-  /// the former one, and this one, have received, then call end_due() with the same `now`.
+  /// the former one or, in the second case, both have received, then call end_due() with the same
+  /// `now`.
   bool is_former_due(Time now) const noexcept { return former_ && former_end_ <= now; }
   bool is_rejecting_due(Time now) const noexcept { return !has_begun_ && rejecting_end_ <= now; }
   void end_due(Time now) noexcept;

@@ -26,7 +26,7 @@ TEST(ReaderHandover, TakesMessagesOnlyFromItsDdsReader) {
 TEST(ReaderHandover, SwitchesReadersWithoutDuplicatesOrReordering) {
   ReaderHandover handover(dds_reader(1));
   ASSERT_TRUE(handover.takes(dds_reader(1), 10));
-  handover.go_over(dds_reader(5), begin);
+  handover.go_over(dds_reader(5), true, begin);
   ASSERT_EQ(handover.former(), dds_reader(1));
   // The new DDS reader repeats a history, while the former one continues.
   EXPECT_FALSE(handover.takes(dds_reader(5), 5));
@@ -41,7 +41,7 @@ TEST(ReaderHandover, SwitchesReadersWithoutDuplicatesOrReordering) {
 TEST(ReaderHandover, UsesTheFormerDdsReaderOnlyForAWhile) {
   ReaderHandover handover(dds_reader(1));
   ASSERT_TRUE(handover.takes(dds_reader(1), 10));
-  handover.go_over(dds_reader(5), begin);
+  handover.go_over(dds_reader(5), true, begin);
   EXPECT_EQ(handover.next(), begin + linger);
   EXPECT_FALSE(handover.is_former_due(begin + linger - 1ns));
   ASSERT_TRUE(handover.is_former_due(begin + linger));
@@ -56,7 +56,7 @@ TEST(ReaderHandover, UsesTheFormerDdsReaderOnlyForAWhile) {
 TEST(ReaderHandover, RejectsOlderMessagesOnlyForAWhile) {
   ReaderHandover handover(dds_reader(1));
   ASSERT_TRUE(handover.takes(dds_reader(1), 10));
-  handover.go_over(dds_reader(5), begin);
+  handover.go_over(dds_reader(5), true, begin);
   handover.end_due(begin + linger);
   EXPECT_EQ(handover.next(), begin + rejecting_max);
   EXPECT_FALSE(handover.is_rejecting_due(begin + rejecting_max - 1ns));
@@ -71,9 +71,9 @@ TEST(ReaderHandover, TakesWhatAQuietReaderHasWhenItGoesOverAgain) {
   for (const Time later : {begin + linger, begin + rejecting_max}) {
     ReaderHandover handover(dds_reader(1));
     ASSERT_TRUE(handover.takes(dds_reader(1), 10));
-    handover.go_over(dds_reader(5), begin);
+    handover.go_over(dds_reader(5), true, begin);
     handover.end_due(later);
-    handover.go_over(dds_reader(9), later);
+    handover.go_over(dds_reader(9), true, later);
     ASSERT_EQ(handover.former(), dds_reader(5));
     EXPECT_EQ(handover.takes(dds_reader(5), 5), later == begin + rejecting_max) << "a history";
     EXPECT_TRUE(handover.takes(dds_reader(5), 20));
@@ -85,19 +85,32 @@ TEST(ReaderHandover, TakesWhatAQuietReaderHasWhenItGoesOverAgain) {
 TEST(ReaderHandover, KeepsTheFormerReaderUntilALaterOneHasBegun) {
   ReaderHandover handover(dds_reader(1));
   ASSERT_TRUE(handover.takes(dds_reader(1), 10));
-  handover.go_over(dds_reader(5), begin);
-  handover.go_over(dds_reader(9), begin);
+  handover.go_over(dds_reader(5), true, begin);
+  handover.go_over(dds_reader(9), true, begin);
   ASSERT_EQ(handover.former(), dds_reader(1));
   EXPECT_FALSE(handover.takes(dds_reader(5), 20));
   EXPECT_TRUE(handover.takes(dds_reader(1), 20));
   EXPECT_TRUE(handover.takes(dds_reader(9), 30));
 }
 
+TEST(ReaderHandover, NeverReturnsToAnEndedReader) {
+  ReaderHandover handover(dds_reader(1));
+  ASSERT_TRUE(handover.takes(dds_reader(1), 10));
+  handover.end_dds_readers({dds_reader(1)}, begin);
+  handover.go_over(dds_reader(5), false, begin);
+  EXPECT_FALSE(handover.former());
+  handover.go_over(dds_reader(9), true, begin);
+  EXPECT_EQ(handover.former(), dds_reader(5));
+  EXPECT_FALSE(handover.takes(dds_reader(5), 5)) << "a history";
+  EXPECT_TRUE(handover.takes(dds_reader(5), 20));
+  EXPECT_TRUE(handover.takes(dds_reader(9), 30));
+}
+
 TEST(ReaderHandover, CanSwitchBackToTheFormerDdsReader) {
   ReaderHandover handover(dds_reader(1));
   ASSERT_TRUE(handover.takes(dds_reader(1), 10));
-  handover.go_over(dds_reader(5), begin);
-  handover.go_over(dds_reader(1), begin);
+  handover.go_over(dds_reader(5), true, begin);
+  handover.go_over(dds_reader(1), true, begin);
   EXPECT_FALSE(handover.former());
   EXPECT_TRUE(handover.takes(dds_reader(1), 20));
   EXPECT_FALSE(handover.takes(dds_reader(5), 30));
