@@ -61,6 +61,7 @@ std::string full_name_of(const EndpointInfo& endpoint);
 /// Returns the reason for a verdict, for people.
 std::string reason_of(const Verdict& verdict);
 
+// clang-tidy 14 takes the zero behind <=> for a pointer. NOLINTBEGIN(modernize-use-nullptr)
 struct QosClass {
   bool reliable = true;
   bool transient_local = false;
@@ -89,6 +90,8 @@ struct ReaderKey {
 
   auto operator<=>(const ReaderKey&) const = default;
 };
+// NOLINTEND(modernize-use-nullptr)
+
 struct DdsWriterPlan {
   ReaderKey local_reader;  ///< with the publisher's QoS
   bool keep_all = false;
