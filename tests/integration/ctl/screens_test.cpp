@@ -26,12 +26,13 @@ constexpr std::uint64_t second_ns = 1'000'000'000;
 constexpr const char* cloud = "sensor_msgs/msg/PointCloud2";
 constexpr const char* image = "sensor_msgs/msg/Image";
 
-/// Removes the parts that vary: numbers with their units, and the widths of columns.
+/// Removes the parts that vary: numbers, the units of times and rates, and the widths of columns.
 std::string shape_of(std::string text) {
   for (const auto& [pattern, with] :
        {std::pair("([0-9a-f]{2}\\.){15}[0-9a-f]{2}", "GID"), std::pair("0x[0-9a-f]+", "#"),
         std::pair("[0-9]+(\\.[0-9]+)?", "#"), std::pair("# (ns|us|ms|s|min|h)\\b", "# t"),
-        std::pair("under # t", "# t"), std::pair(" +", " "), std::pair(" +\n", "\n")})
+        std::pair("under # t", "# t"), std::pair("# [KMG]?i?B/s", "# B/s"), std::pair(" +", " "),
+        std::pair(" +\n", "\n")})
     text = std::regex_replace(text, std::regex(pattern), with);
   return text;
 }
