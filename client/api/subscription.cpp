@@ -4,6 +4,7 @@
 
 #include <agnocast/message_windows.hpp>
 #include <agnocast/subscription.hpp>
+#include <base/clock.hpp>
 #include <client/api/qos_words.hpp>
 #include <client/executors/callback_groups.hpp>
 #include <client/heap/address_users.hpp>
@@ -19,9 +20,9 @@
 namespace agnocast {
 namespace {
 
-std::uint64_t now_ns(clockid_t clock) noexcept {
+std::uint64_t realtime_ns() noexcept {
   timespec now{};
-  ::clock_gettime(clock, &now);
+  ::clock_gettime(CLOCK_REALTIME, &now);
   return static_cast<std::uint64_t>(now.tv_sec) * 1'000'000'000 +
          static_cast<std::uint64_t>(now.tv_nsec);
 }
@@ -34,9 +35,9 @@ std::uint64_t MessageInfo::source_timestamp() const noexcept {
   constexpr int tries_max = 8;
   std::uint64_t offset = 0, apart = UINT64_MAX;
   for (int i = 0; i < tries_max && apart > apart_max_ns; ++i) {
-    const std::uint64_t before = now_ns(CLOCK_MONOTONIC);
-    const std::uint64_t real = now_ns(CLOCK_REALTIME);
-    const std::uint64_t took = now_ns(CLOCK_MONOTONIC) - before;
+    const std::uint64_t before = monotonic_ns();
+    const std::uint64_t real = realtime_ns();
+    const std::uint64_t took = monotonic_ns() - before;
     if (took >= apart) continue;
     apart = took;
     offset = real - before - took / 2;
