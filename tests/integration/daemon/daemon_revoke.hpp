@@ -7,6 +7,7 @@
 #include <agnocast/abi/observe.hpp>
 #include <tests/recovery/stage.hpp>
 #include <tests/support/processes/daemon_process.hpp>
+#include <tests/support/soon.hpp>
 #include <tests/support/wire/wire_dump.hpp>
 #include <tests/support/wire/wire_node.hpp>
 
@@ -75,7 +76,7 @@ inline char execute_common(WireNode& node, const std::string& socket, char what)
     return answer(again.rejoin(node.welcome()).refused_code() == Errc::revoked);
   }
   std::optional<Incoming> said;
-  if (!eventually([&] { return (said = greet(socket)).has_value(); })) return '-';
+  if (!soon([&] { return (said = greet(socket)).has_value(); })) return '-';
   if (what == 'H') return answer(said->refused_code() == Errc::revoked);
   return what == 'A' ? answer(said->opcode() == wire::Opcode::welcome) : '?';
 }

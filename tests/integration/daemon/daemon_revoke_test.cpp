@@ -8,6 +8,7 @@
 // the daemon, whose supervisor starts the next one.
 
 #include <tests/integration/daemon/daemon_revoke.hpp>
+#include <tests/support/soon.hpp>
 
 namespace agnocast::test {
 namespace {
@@ -200,10 +201,10 @@ TEST(DaemonRevoke, IsNotReportedWithoutTimeToLookAtTheProcess) {
   for (const auto& [client, process] : observer.processes())
     ASSERT_EQ(observer.revoke(client, process.generation).opcode(), wire::Opcode::done);
   // The look at the slow process takes all the available time for a while.
-  ASSERT_TRUE(eventually([&] { return slow.command('h') == 'r'; }));
+  ASSERT_TRUE(soon([&] { return slow.command('h') == 'r'; }));
   ASSERT_EQ(other.command('d'), '+');
   std::optional<char> answer;
-  ASSERT_TRUE(eventually([&] {
+  ASSERT_TRUE(soon([&] {
     answer = other.command('h');
     return answer != 'e';
   }));
