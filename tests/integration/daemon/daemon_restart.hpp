@@ -85,7 +85,7 @@ class Absence {
     ::kill(daemon.supervisor_pid(), SIGSTOP);
     daemon.kill_worker();
     pollfd entry{worker->fd(), POLLIN, 0};
-    EXPECT_EQ(::poll(&entry, 1, 10'000), 1);
+    EXPECT_EQ(::poll(&entry, 1, WireClient::patience_ms), 1);
   }
   ~Absence() {
     ::kill(daemon_.supervisor_pid(), SIGCONT);

@@ -195,7 +195,8 @@ TEST(DaemonRestart, TheNextDaemonRingsForAPredecessorThatDiedBeforeItsRing) {
   publisher.end();
   ASSERT_TRUE(daemon.wait_for_next(former)) << daemon.log();
   ASSERT_TRUE(control.died_at(steps::B_ring));
-  EXPECT_EQ(::poll(&rung, 1, 10'000), 1) << "the daemon does not ring\n" << daemon.log();
+  EXPECT_EQ(::poll(&rung, 1, WireClient::patience_ms), 1) << "the daemon does not ring\n"
+                                                          << daemon.log();
 }
 
 }  // namespace

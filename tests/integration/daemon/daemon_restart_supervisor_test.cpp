@@ -95,7 +95,7 @@ TEST(DaemonRestart, DoesNotOutliveItsSupervisorWithFileCapabilitiesEither) {
   ASSERT_TRUE(worker);
   ::kill(daemon.supervisor_pid(), SIGKILL);
   pollfd entry{worker->fd(), POLLIN, 0};
-  EXPECT_EQ(::poll(&entry, 1, 10'000), 1);
+  EXPECT_EQ(::poll(&entry, 1, WireClient::patience_ms), 1);
 }
 
 TEST(DaemonRestart, StartsAReplacedProgramAndGoesOnWithoutOne) {

@@ -142,7 +142,7 @@ TEST(DaemonRestart, RepairsProcessesThatEndedMeanwhileAndDeliversTheirCommittedM
   EXPECT_EQ(subscriber.take(), 2u);
   EXPECT_EQ(subscriber.take(), std::nullopt);
   pollfd doorbell{subscriber.doorbells().datagram_fd(), POLLIN, 0};
-  EXPECT_EQ(::poll(&doorbell, 1, 10'000), 1) << "the daemon did not ring it";
+  EXPECT_EQ(::poll(&doorbell, 1, WireClient::patience_ms), 1) << "the daemon did not ring it";
   // The subscriber's region, pidfd and eventfd; the publisher's region and window, which the
   // daemon may have to announce again to its peers; nothing of the bystander.
   EXPECT_TRUE(eventually([&] { return daemon.kept_count() == kept + 5; }))

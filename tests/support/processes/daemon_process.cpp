@@ -42,7 +42,7 @@
 namespace agnocast::test {
 namespace {
 
-constexpr int patience_ms = 10'000;
+constexpr int patience_ms = 60'000;  // only what fails takes it
 constexpr unsigned pause_us = 2'000;
 
 const char* const default_config =

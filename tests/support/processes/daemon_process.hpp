@@ -79,13 +79,13 @@ class DaemonProcess {
   void kill();
   /// Kills only the daemon (or sends `signal`). Returns its pid; does not wait for the next one.
   pid_t kill_worker(int signal = 9);
-  /// Waits until another daemon than `old` serves; false after ten seconds.
+  /// Waits until another daemon than `old` serves; false after a minute.
   [[nodiscard]] bool wait_for_next(pid_t old) const;
   bool is_running();
 
   /// Returns what it has written to stderr so far.
   std::string log() const;
-  /// Waits until the log contains `text`; false after ten seconds.
+  /// Waits until the log contains `text`; false after a minute.
   [[nodiscard]] bool wait_for_log(const std::string& text) const;
   /// Returns the number of entries of /proc/PID/fd.
   std::size_t descriptor_count() const;
@@ -107,7 +107,7 @@ class DaemonProcess {
 
 /// Runs agnocastd with these arguments until it ends: for runs that end at once.
 struct Ended {
-  int status = -1;  // exit status; -1: ended by a signal, or still running after ten seconds
+  int status = -1;  // exit status; -1: ended by a signal, or still running after a minute
   std::string out;
   std::string err;
 };
@@ -119,7 +119,7 @@ Ended run_daemon(const std::vector<std::string>& arguments, std::optional<uid_t>
 std::string make_directory();
 void remove_directory(const std::string& path);
 
-/// Runs `condition` repeatedly until it holds; false after ten seconds. Only for conditions that
+/// Runs `condition` repeatedly until it holds; false after a minute. Only for conditions that
 /// the test cannot wait for otherwise (states of other processes).
 template <class Condition>
 [[nodiscard]] bool eventually(Condition condition);

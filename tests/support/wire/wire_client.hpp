@@ -66,7 +66,7 @@ inline wire::Name wire_name(std::string_view text) {
 
 class WireClient {
  public:
-  static constexpr int patience_ms = 10'000;
+  static constexpr int patience_ms = 60'000;
 
   explicit WireClient(const std::string& path) {
     auto socket = PacketSocket::connect(path);

@@ -226,7 +226,7 @@ class WireNode {
   void pump() {
     while (auto packet = wire_.poll()) handle(std::move(*packet));
   }
-  /// Handles packets until the condition holds; false if none comes for ten seconds.
+  /// Handles packets until the condition holds; false if none comes for a minute.
   template <class Condition>
   [[nodiscard]] bool wait_for(Condition condition) {
     while (!condition()) {

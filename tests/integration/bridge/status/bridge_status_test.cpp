@@ -62,7 +62,7 @@ TEST_F(BridgeCtl, AClientThatNeverReadsGivesUpItsPlaceToOneThatDoes) {
     ASSERT_EQ(::connect(silent.back().get(), unix_address(path)->get(), UnixAddress::size()), 0);
   }
   EXPECT_EQ(status_of(path).size(), text.size());
-  EXPECT_LT(Clock::now() - began, 60s);
+  EXPECT_LT(Clock::now() - began, 100s);
 }
 
 TEST_F(BridgeCtl, ALackOfMemoryCostsOneStatusAndTheNextIsAnswered) {
