@@ -84,7 +84,7 @@ std::uint64_t frontier(std::uint32_t window) {
 std::uint32_t first_window() { return shared_heap::first_window(); }
 
 void usage(struct agnocast_heaphook_usage* usage) { shared_heap::usage(*usage); }
-int window_wanted() { return shared_heap::wants_window() ? 1 : 0; }
+int window_wanted() { return windows::wants_another() ? 1 : 0; }
 
 constexpr struct agnocast_heaphook_table table = {
     .abi_version = AGNOCAST_HEAPHOOK_ABI_VERSION,

@@ -69,7 +69,6 @@ void count_block(std::size_t before, std::size_t after) {
   }
 }
 
-constinit std::atomic<std::uint64_t> refused_count{0};
 constinit std::atomic<std::uint64_t> internal_error_count{0};
 
 constexpr int no_cache = 1 << 8;  // MALLOCX_TCACHE_NONE
@@ -212,14 +211,7 @@ void* or_refused(void* block, std::size_t size) {
   // Idle memory is unavailable while purge() returns it, and available again afterwards: the heap
   // is not full, and needs no further window.
   if (purging.load(std::memory_order_relaxed) != 0) return nullptr;
-  // Nor is it full if the request is larger than a window.
-  const std::uint32_t window_count = windows::count.load(std::memory_order_acquire);
-  if (window_count != 0 && size <= windows::table[window_count - 1].length)
-    refused_count.fetch_add(1, std::memory_order_relaxed);
-  auto& refused_max = windows::counters.refused_bytes_max;
-  std::uint64_t seen = refused_max.load(std::memory_order_relaxed);
-  while (size > seen && !refused_max.compare_exchange_weak(seen, size, std::memory_order_relaxed)) {
-  }
+  windows::count_refused(size);
   return nullptr;
 }
 
@@ -481,32 +473,10 @@ enum agnocast_heaphook_status add_window(const struct agnocast_heaphook_window& 
   return AGNOCAST_HEAPHOOK_OK;
 }
 
-bool wants_window() {
-  const std::uint32_t window_count = windows::count.load(std::memory_order_acquire);
-  if (window_count == 0 || window_count == AGNOCAST_HEAPHOOK_WINDOWS_MAX) return false;
-  const windows::Window& last = windows::table[window_count - 1];
-  return last.used.load(std::memory_order_relaxed) >= last.length / 4 * 3 ||
-         windows::counters.refused_bytes_max.load(std::memory_order_relaxed) > 0;
-}
-
 void usage(struct agnocast_heaphook_usage& usage) {
   memset(&usage, 0, sizeof usage);
-  const std::uint32_t window_count = windows::count.load(std::memory_order_acquire);
-  usage.window_count = window_count;
-  for (std::uint32_t i = 0; i < window_count; ++i) {
-    const windows::Window& window = windows::table[i];
-    usage.length_bytes += window.length;
-    usage.used_bytes += window.used.load(std::memory_order_relaxed);
-    usage.frontier_bytes += window.frontier.load(std::memory_order_relaxed);
-  }
-  usage.refused_bytes_max = windows::counters.refused_bytes_max.load(std::memory_order_relaxed);
-  usage.refused_count = refused_count.load(std::memory_order_relaxed);
-  usage.mapping_refused_count =
-      windows::counters.mapping_refused_count.load(std::memory_order_relaxed);
-  usage.punch_count = windows::counters.punch_count.load(std::memory_order_relaxed);
-  usage.punched_bytes = windows::counters.punched_bytes.load(std::memory_order_relaxed);
+  windows::add_usage(usage);
   usage.internal_error_count = internal_error_count.load(std::memory_order_relaxed);
-  usage.next_window_wanted = wants_window();
   if (windows::is_owner()) {
     const LibcOnly inside;
     usage.live_bytes = live_bytes();

@@ -49,7 +49,6 @@ enum agnocast_heaphook_status add_window(const struct agnocast_heaphook_window& 
 // Returns the number of the oldest window that blocks come from.
 std::uint32_t first_window();
 void usage(struct agnocast_heaphook_usage& usage);
-bool wants_window();
 std::uint64_t purge();
 std::uint64_t idle();
 

@@ -358,6 +358,49 @@ bool shut(void* address, std::size_t length) {
   return true;
 }
 
+std::uint64_t closed_bytes() {
+  std::uint64_t bytes = 0;
+  lock_growth();
+  for (std::uint32_t i = 0; i < count.load(std::memory_order_relaxed); ++i)
+    bytes += table[i].closed_bytes;
+  unlock_growth();
+  return bytes;
+}
+
+void count_refused(std::size_t size) {
+  // The windows are not full if the request is larger than one.
+  const std::uint32_t window_count = count.load(std::memory_order_acquire);
+  if (window_count != 0 && size <= table[window_count - 1].length)
+    counters.refused_count.fetch_add(1, std::memory_order_relaxed);
+  auto& most = counters.refused_bytes_max;
+  std::uint64_t seen = most.load(std::memory_order_relaxed);
+  while (size > seen && !most.compare_exchange_weak(seen, size, std::memory_order_relaxed)) {
+  }
+}
+
+bool wants_another() {
+  const std::uint32_t window_count = count.load(std::memory_order_acquire);
+  if (window_count == 0 || window_count == AGNOCAST_HEAPHOOK_WINDOWS_MAX) return false;
+  const Window& last = table[window_count - 1];
+  return last.used.load(std::memory_order_relaxed) >= last.length / 4 * 3 ||
+         counters.refused_bytes_max.load(std::memory_order_relaxed) > 0;
+}
+
+void add_usage(struct agnocast_heaphook_usage& usage) {
+  usage.window_count = count.load(std::memory_order_acquire);
+  for (std::uint32_t i = 0; i < usage.window_count; ++i) {
+    usage.length_bytes += table[i].length;
+    usage.used_bytes += table[i].used.load(std::memory_order_relaxed);
+    usage.frontier_bytes += table[i].frontier.load(std::memory_order_relaxed);
+  }
+  usage.refused_bytes_max = counters.refused_bytes_max.load(std::memory_order_relaxed);
+  usage.refused_count = counters.refused_count.load(std::memory_order_relaxed);
+  usage.mapping_refused_count = counters.mapping_refused_count.load(std::memory_order_relaxed);
+  usage.punch_count = counters.punch_count.load(std::memory_order_relaxed);
+  usage.punched_bytes = counters.punched_bytes.load(std::memory_order_relaxed);
+  usage.next_window_wanted = wants_another();
+}
+
 std::uint64_t grown_back() {
   std::uint64_t bytes = 0;
   lock_growth();

@@ -1,7 +1,8 @@
 // SPDX-License-Identifier: Apache-2.0
 //
 // Windows: the shared memory itself. Records its addresses, its mapped part, and the process that
-// may write it.
+// may write it. The allocator over them is the hook's (shared_heap.hpp) or, in a process without
+// the hook, that of libagnocast (client/heap/block_heap.hpp).
 //
 //      base                          used          frontier                          base + length
 //       |  opened for the shared arena |  mapped     |  not mapped: nothing, or the caller's PROT_NONE  |
@@ -99,8 +100,19 @@ std::uint64_t grown_back();
 // Punches all unused memory up to the frontier, if such pages have appeared.
 void punch_unused();
 
+// Returns how many bytes of the part in use are closed.
+std::uint64_t closed_bytes();
+
+// Counts a request that found no room.
+void count_refused(std::size_t size);
+// Returns whether another window is allowed, and needed soon.
+bool wants_another();
+// Fills in what is known of the windows, and leaves the rest.
+void add_usage(struct agnocast_heaphook_usage& usage);
+
 // Counters of agnocast_heaphook_usage that belong to the windows.
 struct Counters {
+  std::atomic<std::uint64_t> refused_count;
   std::atomic<std::uint64_t> refused_bytes_max;
   std::atomic<std::uint64_t> mapping_refused_count;
   std::atomic<std::uint64_t> punch_count;
