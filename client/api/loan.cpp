@@ -19,7 +19,7 @@ Result<void> set_heap_scope(HeapScope scope) noexcept {
 
 bool LoanScope::open() noexcept {
   const Heap* const heap = Context::instance().heap();
-  if (heap == nullptr) return false;  // switched off
+  if (heap == nullptr || heap->copies()) return false;  // switched off, or without the hook
   heap->enter();
   return true;
 }
@@ -74,7 +74,7 @@ void BorrowScope::open() noexcept {
     }
   };
   const Heap* const heap = Context::instance().heap();
-  if (heap == nullptr) return;  // switched off
+  if (heap == nullptr || heap->copies()) return;  // switched off, or without the hook
   Home*& mine = current();
   if (mine == nullptr) {
     mine = new (std::nothrow) Home;

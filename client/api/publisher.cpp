@@ -3,8 +3,10 @@
 // The untyped half of Publisher, called by its template.
 
 #include <agnocast/publisher.hpp>
+#include <client/api/message_copy.hpp>
 #include <client/api/qos_words.hpp>
 #include <client/executors/callback_groups.hpp>
+#include <client/heap/block_heap.hpp>
 #include <client/process/forked_child.hpp>
 #include <client/process/steps.hpp>
 #include <client/session/context.hpp>
@@ -49,6 +51,10 @@ std::uint64_t leave_of_former(void* session) noexcept {
   return strays + (has_further ? 1 : 0);
 }
 
+HeapUse heap_use_of(const MessageType& type, const MessageCode& code, bool may_copy) {
+  return {code.uses_shared_allocator, may_copy && is_copied_into_block(type)};
+}
+
 class PublisherSource final : public CallbackSource {
  public:
   PublisherSource(std::shared_ptr<PublisherEndpoint> endpoint, EventCallbacks events) noexcept
@@ -91,12 +97,13 @@ Result<std::shared_ptr<UntypedPublisher>> UntypedPublisher::create(const Endpoin
   request.type = publisher->type_.name();
   request.layout_hash = publisher->type_.layout_hash();
   request.qos = to_abi(offered);
-  request.uses_shared_allocator = code.uses_shared_allocator;
+  request.heap_use = heap_use_of(publisher->type_, code, options.may_copy());
   request.persistent_id = name.persistent_id;
   request.announces_persistent_id_later = name.announces_persistent_id_later;
   auto endpoint = Context::instance().create_publisher(request, code.end);
   if (!endpoint) return tl::unexpected<Failure>(endpoint.error());
   publisher->endpoint_ = std::move(*endpoint);
+  publisher->copies_ = Context::instance().heap()->copies();
   pin_object_of(code.end.code);
   if (options.events()) {
     GroupCallbacks& callbacks = *publisher->group_->state().callbacks;
@@ -105,6 +112,14 @@ Result<std::shared_ptr<UntypedPublisher>> UntypedPublisher::create(const Endpoin
     callbacks.add(publisher->source_);
   }
   return publisher;
+}
+
+Result<void> prepare_to_publish(const MessageType& type, const MessageCode& code) {
+  return Context::instance().prepare_to_publish(heap_use_of(type, code, true));
+}
+
+BlockCopy::~BlockCopy() {
+  if (start_ != nullptr) (void)block_heap().deallocate(start_);
 }
 
 UntypedPublisher::~UntypedPublisher() {
@@ -156,6 +171,37 @@ void UntypedPublisher::count_adoption(const Result<Adoption>& adopted) noexcept 
   } else if (adopted.error().code != Errc::user_code_threw) {
     endpoint_->count_heap_exhausted();
   }
+}
+
+BlockCopy UntypedPublisher::copy(const void* message) noexcept {
+  if (const Errc state = this->state(); state != Errc::ok) return BlockCopy(state);
+  make_room();
+  const MessageCopy copy(type_, message);
+  const agnocast_heaphook_table& blocks = block_heap();
+  void* block = blocks.allocate(copy.alignment(), copy.block_bytes());
+  if (block == nullptr && has_more_room())
+    block = blocks.allocate(copy.alignment(), copy.block_bytes());
+  const SharedHeap heap = this->heap();
+  BlockCopy made(block, 0);
+  if (block != nullptr && copy.write(block)) {
+    const Residency found = check_residency(
+        type_, static_cast<std::byte*>(block) + type_.header_bytes(), heap.windows(heap.context));
+    if (found.is_resident()) {
+      made.set_bytes(found.message_bytes);
+      count_adoption(Adoption{found.message_bytes, found.message_bytes});
+      return made;
+    }
+  }
+  count_adoption(tl::unexpected<Failure>(heap.full()));
+  return BlockCopy(heap.full().code);
+}
+
+PublishResult UntypedPublisher::publish(BlockCopy& copy) noexcept {
+  if (copy.start() == nullptr) return {copy.code(), 0};
+  if (const Errc state = this->state(); state != Errc::ok) return {state, copy.bytes()};
+  const Errc outcome = publish(copy.start(), type_.message_bytes(), copy.bytes());
+  if (outcome == Errc::ok) copy.release();
+  return {outcome, copy.bytes()};
 }
 
 SharedHeap UntypedPublisher::heap() const noexcept {

@@ -3,6 +3,7 @@
 #include <base/memory/mapping.hpp>
 #include <base/text/text.hpp>
 #include <client/heap/address_users.hpp>
+#include <client/heap/block_heap.hpp>
 #include <client/heap/heap.hpp>
 #include <client/process/steps.hpp>
 #include <dataplane/frontier.hpp>
@@ -120,14 +121,6 @@ tl::unexpected<Failure> ineffective(const char* name, const char* symbol,
                        : std::string(name) + " comes from " + owner + ", not from " + ours);
 }
 
-tl::unexpected<Failure> no_hook() {
-  const char* const preload = std::getenv("LD_PRELOAD");
-  return fail_with(Errc::hook_missing,
-                   preload == nullptr || *preload == '\0'
-                       ? std::string("LD_PRELOAD is not set")
-                       : "LD_PRELOAD is " + in_quotes(preload, 512) + ", which did not load it");
-}
-
 void describe_window(std::byte* client_region, std::uint64_t window, std::uint64_t base,
                      std::uint64_t length) noexcept {
   auto& entry = reinterpret_cast<abi::ClientRegionHeader*>(client_region)->window[window];
@@ -200,10 +193,18 @@ Errc why_full(void*) noexcept {
 
 }  // namespace
 
+tl::unexpected<Failure> Heap::missing_hook() {
+  const char* const preload = std::getenv("LD_PRELOAD");
+  return fail_with(Errc::hook_missing,
+                   preload == nullptr || *preload == '\0'
+                       ? std::string("LD_PRELOAD is not set")
+                       : "LD_PRELOAD is " + in_quotes(preload, 512) + ", which did not load it");
+}
+
 Result<Heap> Heap::find() {
   using Find = const agnocast_heaphook_table* (*)();
   const auto find_hook = reinterpret_cast<Find>(::dlsym(RTLD_DEFAULT, "agnocast_heaphook"));
-  if (find_hook == nullptr) return no_hook();
+  if (find_hook == nullptr) return Heap(&block_heap());
   const agnocast_heaphook_table* const hook = find_hook();
   if (hook->abi_version != AGNOCAST_HEAPHOOK_ABI_VERSION || hook->size_bytes != sizeof *hook) {
     return fail_with(Errc::hook_missing,
@@ -238,6 +239,7 @@ Result<void> Heap::attach(std::byte* client_region, std::uint64_t base, std::uin
     attached.count.store(1, std::memory_order_release);
   }
 
+  if (copies()) return {};
   // Find out who provides malloc and new. The compiler must not optimise these calls away.
   hook_->enter();
   void* volatile by_malloc = std::malloc(64);
@@ -250,6 +252,8 @@ Result<void> Heap::attach(std::byte* client_region, std::uint64_t base, std::uin
   open_hook.store(hook_, std::memory_order_release);
   return {};
 }
+
+bool Heap::copies() const noexcept { return hook_ == &block_heap(); }
 
 Result<void> Heap::check_interposition() const {
   if (!attached.malloc_is_ours) return ineffective("malloc", "malloc", hook_);

@@ -1,7 +1,7 @@
 // SPDX-License-Identifier: Apache-2.0
 //
-// Heap: this process's shared heap, through the heap hook, which is found by name at run time: a
-// process without the hook can subscribe, but not publish.
+// Heap: this process's shared heap, through the heap hook, which is found by name at run time. A
+// process without the hook has a heap of blocks (block_heap.hpp), into which messages are copied.
 #pragma once
 
 #include <agnocast/abi/heaphook.h>
@@ -17,8 +17,11 @@ namespace agnocast {
 
 class Heap {
  public:
-  /// Looks for the hook. Errors: hook_missing (none in this process, or one of another version).
+  /// Looks for the hook; without one it is a heap of blocks. Errors: hook_missing (a hook of
+  /// another version).
   [[nodiscard]] static Result<Heap> find();
+  /// Returns why this process has no hook: hook_missing.
+  [[nodiscard]] static tl::unexpected<Failure> missing_hook();
 
   /// Opens the first window. `client_region`: where the frontier is stored; `grown`: called after
   /// the store, outside the library's locks; it must not allocate. Errors: hook_missing,
@@ -26,6 +29,8 @@ class Heap {
   [[nodiscard]] Result<void> attach(std::byte* client_region, std::uint64_t base,
                                     std::uint64_t length, UniqueFd write_fd, int read_fd,
                                     HeapScope scope, void (*grown)() noexcept);
+  /// Returns whether this is a heap of blocks: nothing is allocated there but copies of messages.
+  bool copies() const noexcept;
   /// Checks that ordinary allocations in a scope come from this heap, which attach has found out.
   /// Errors: hook_ineffective (another library provides malloc or new).
   [[nodiscard]] Result<void> check_interposition() const;

@@ -311,8 +311,7 @@ Result<std::shared_ptr<UntypedService>> UntypedService::create(
   const Result<bool> off = is_switched_off();
   if (!off) return tl::unexpected<Failure>(off.error());
   if (!*off) {
-    if (Result<void> ready = Context::instance().prepare_to_publish(response.uses_shared_allocator);
-        !ready)
+    if (Result<void> ready = prepare_to_publish(types.response, response); !ready)
       return tl::unexpected<Failure>(ready.error());
   }
   auto core = std::make_shared<ServiceCore>(service, types.response, *keeps_all, response,

@@ -6,6 +6,7 @@
 
 #include <client/session/context.hpp>
 
+#include <client/heap/block_heap.hpp>
 #include <client/process/forked_child.hpp>
 #include <client/process/steps.hpp>
 #include <client/session/reregistration.hpp>
@@ -19,6 +20,14 @@
 #include <vector>
 
 namespace agnocast {
+
+namespace {
+
+// Frees a message that was copied into a heap of blocks.
+constexpr detail::MessageEnd end_of_block{
+    [](const void*, void* block) noexcept { (void)block_heap().deallocate(block); }, nullptr};
+
+}  // namespace
 
 Result<bool> is_switched_off() noexcept {
   const char* const text = ::secure_getenv("AGNOCAST");
@@ -134,25 +143,28 @@ Result<std::shared_ptr<WaitSet>> Context::idle_wait_set() {
   return idle->wait_set;
 }
 
-Result<void> Context::open_heap_for(bool uses_shared_allocator) {
+Result<void> Context::open_heap_for(HeapUse use) {
   if (Result<void> connected = connect(); !connected) return connected;
-  Result<void> opened = heap_.open(registration_.connection(), registration_.region_base(),
-                                   []() noexcept { Context::instance().wake_control(); });
-  if (!opened || uses_shared_allocator) return opened;
-  return heap_.opened().check_interposition();
+  Result<void> opened = heap_.open(
+      registration_.connection(), registration_.region_base(),
+      []() noexcept { Context::instance().wake_control(); }, use.by_copy);
+  if (!opened) return opened;
+  const Heap& heap = heap_.opened();
+  if (heap.copies()) return use.by_copy ? opened : Heap::missing_hook();
+  return use.by_allocator ? opened : heap.check_interposition();
 }
 
-Result<void> Context::prepare_to_publish(bool uses_shared_allocator) {
-  return in_present([&](Context& present) { return present.open_heap_for(uses_shared_allocator); });
+Result<void> Context::prepare_to_publish(HeapUse use) {
+  return in_present([&](Context& present) { return present.open_heap_for(use); });
 }
 
 Result<std::shared_ptr<PublisherEndpoint>> Context::make_publisher(
     const EndpointRequest& request, const detail::MessageEnd& end_message,
     const Continued& continued) {
-  if (Result<void> heap = open_heap_for(request.uses_shared_allocator); !heap)
+  if (Result<void> heap = open_heap_for(request.heap_use); !heap)
     return tl::unexpected<Failure>(heap.error());
-  return creations_.make_publisher(request, end_message, continued,
-                                   []() noexcept { return instance().has_more_room(); });
+  return creations_.make_publisher(request, heap_.opened().copies() ? end_of_block : end_message,
+                                   continued, []() noexcept { return instance().has_more_room(); });
 }
 
 Result<std::shared_ptr<SubscriptionEndpoint>> Context::make_subscription(

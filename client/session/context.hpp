@@ -81,7 +81,7 @@ class Context {
       const EndpointRequest& request, std::shared_ptr<WaitSet> wait_set);
   /// Connects and opens the heap, for a caller that lends messages before it creates its publisher.
   /// Errors also: hook_missing, hook_ineffective.
-  [[nodiscard]] Result<void> prepare_to_publish(bool uses_shared_allocator);
+  [[nodiscard]] Result<void> prepare_to_publish(HeapUse use);
   /// Creates a wait set. At most wait_set_count_max at a time; an unused one is given out again.
   [[nodiscard]] Result<std::shared_ptr<WaitSet>> create_wait_set();
   /// Returns the process's wait set for polled subscriptions. It never arms, so no publisher rings
@@ -133,7 +133,7 @@ class Context {
   static auto in_present(Work work) -> decltype(work(instance()));
   template <class Endpoint, class... More>
   void in_all_sessions(const std::shared_ptr<Endpoint>& endpoint, const More&... more);
-  Result<void> open_heap_for(bool uses_shared_allocator);
+  Result<void> open_heap_for(HeapUse use);
   Result<std::shared_ptr<PublisherEndpoint>> make_publisher(const EndpointRequest& request,
                                                             const detail::MessageEnd& end_message,
                                                             const Continued& continued);

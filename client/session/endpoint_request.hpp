@@ -15,6 +15,12 @@
 namespace agnocast {
 
 /// The parameters of an endpoint. Names are fully qualified.
+/// How a publisher's messages come into the shared heap.
+struct HeapUse {
+  bool by_allocator = false;  // they allocate there themselves, whichever library provides malloc
+  bool by_copy = false;       // they may be copied there, so no hook is needed
+};
+
 struct EndpointRequest {
   std::string_view topic;
   std::string_view type;
@@ -24,10 +30,8 @@ struct EndpointRequest {
   std::uint64_t quota = 0;           // subscriptions: messages held at once, per publisher
   bool quota_or_less = false;        // for publishers of other users a smaller number is accepted
   bool depth_per_publisher = false;  // subscriptions
-  // Publishers: messages allocate from the shared heap themselves, whichever library provides
-  // malloc.
-  bool uses_shared_allocator = false;
-  std::uint64_t message_bytes = 0;  // sizeof the message object; 0 = any
+  HeapUse heap_use;                  // publishers
+  std::uint64_t message_bytes = 0;   // sizeof the message object; 0 = any
   std::uint64_t message_alignment = 1;
   std::uint64_t persistent_id = 0;             // 0: a new one
   bool announces_persistent_id_later = false;  // publishers: see EndpointName

@@ -40,11 +40,12 @@ Result<void> OwnHeap::set_scope(HeapScope scope) noexcept {
 }
 
 Result<void> OwnHeap::open(Connection& connection, std::byte* client_region,
-                           void (*grown)() noexcept) {
+                           void (*grown)() noexcept, bool by_copy) {
   const std::lock_guard lock(opening_);
   if (is_open_.load(std::memory_order_relaxed)) return {};
   Result<Heap> found = Heap::find();
   if (!found) return tl::unexpected<Failure>(found.error());
+  if (found->copies() && !by_copy) return Heap::missing_hook();
   const Result<HeapScope> scope = scope_from_environment(scope_);
   if (!scope) return tl::unexpected<Failure>(scope.error());
   const auto idle_time = HeapReturn::idle_time();

@@ -35,9 +35,10 @@ class OwnHeap {
   [[nodiscard]] Result<void> set_scope(HeapScope scope) noexcept;
   /// Opens the heap with its first window, unless it is open. `client_region`: where the frontier
   /// is stored. `grown`: called after that store, without locks of this library; must not allocate.
-  /// Errors: hook_missing, invalid_argument, the daemon's refusals, those of Heap::attach.
+  /// `by_copy`: a heap of blocks will do. Errors: hook_missing, invalid_argument, the daemon's
+  /// refusals, those of Heap::attach.
   [[nodiscard]] Result<void> open(Connection& connection, std::byte* client_region,
-                                  void (*grown)() noexcept);
+                                  void (*grown)() noexcept, bool by_copy);
   bool is_open() const noexcept { return is_open_.load(std::memory_order_acquire); }
   /// Returns null until it is open.
   const Heap* get() const noexcept { return is_open() ? &*heap_ : nullptr; }

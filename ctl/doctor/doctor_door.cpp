@@ -277,7 +277,7 @@ constexpr Check door_table[] = {
      "the first allocator serves malloc, so no publisher can be created: hook_ineffective",
      "export LD_PRELOAD=FILES", allocator_in_front},
     {"hook-not-there", "the heap hook that LD_PRELOAD names can be read", failed, nothing,
-     "the loader leaves it out, so no publisher can be created: hook_missing",
+     "the loader leaves it out: messages are copied, and of types that cannot be copied so no publisher can be created (hook_missing)",
      "unset LD_PRELOAD  # then: agnocast-run PROGRAM", shell_preload},
     {"other-daemon", "AGNOCAST_SOCKET does not bypass the daemon of this system", warning, nothing,
      "processes of different daemons do not see each other",

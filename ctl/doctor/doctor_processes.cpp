@@ -385,7 +385,7 @@ constexpr Check process_table[] = {
      "an update has replaced the file; the process still runs the former version",
      "kill PID && COMMAND &", old_library},
     {"hook-not-loaded", "every process whose LD_PRELOAD names the heap hook has it", warning, daemon,
-     "the loader has left it out, because the file does not exist or cannot be read: the process may subscribe but cannot publish: hook_missing",
+     "the loader has left it out, because the file does not exist or cannot be read: the process copies its messages, or cannot publish (hook_missing)",
      "kill PID && agnocast-run COMMAND &", hook_not_loaded},
     {"process-switched-off", "no process that means this daemon is switched off", warning, daemon,
      "it was started with AGNOCAST=off: its endpoints neither publish nor receive",

@@ -74,7 +74,7 @@ namespace agnocast {
     "the process locks its memory (mlockall), and RLIMIT_MEMLOCK has no room for what the shared heap uses",                                   \
     "set LimitMEMLOCK=infinity in a drop-in of the unit (systemctl edit) or raise ulimit -l")                                                  \
   X(hook_missing, "the heap hook is not loaded in this process",                                                                               \
-    "the process was started without LD_PRELOAD of libagnocast_heaphook.so, or with that of another version",                                  \
+    "without libagnocast_heaphook.so only ROS messages and trivially copyable ones are published, by copy; or the hook has another version",   \
     "start the process with agnocast-run, or link libagnocast_heaphook")                                                                       \
   X(hook_ineffective, "memory is not allocated by the heap hook although it is loaded",                                                        \
     "another allocator is linked or preloaded in front of the hook, and answers malloc or operator new instead of it",                         \

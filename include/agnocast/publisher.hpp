@@ -38,7 +38,19 @@ AGNOCAST_CORE_BEGIN
 /// Options of a publisher: its event callbacks (events.hpp) and their callback group
 /// (callback_group.hpp).
 class PublisherOptions : public detail::EventOptions<PublisherOptions>,
-                         public detail::CallbackGroupOption<PublisherOptions> {};
+                         public detail::CallbackGroupOption<PublisherOptions> {
+ public:
+  /// In a process without the heap hook, each message is copied once, into the shared heap. false:
+  /// the publisher is not created there (hook_missing).
+  PublisherOptions& allow_copy(bool allows) noexcept {
+    may_copy_ = allows;
+    return *this;
+  }
+  bool may_copy() const noexcept { return may_copy_; }
+
+ private:
+  bool may_copy_ = true;
+};
 
 AGNOCAST_CORE_END
 
@@ -112,6 +124,32 @@ struct MessageCode {
   bool uses_shared_allocator;
 };
 
+/// Opens the shared heap for messages of this type. Errors as of create_publisher.
+[[nodiscard]] Result<void> prepare_to_publish(const MessageType& type, const MessageCode& code);
+
+/// A message in one block of the shared heap, in a process without the hook; without a message,
+/// code() is the reason. Frees the block, unless it was published.
+class AGNOCAST_PUBLIC BlockCopy {
+ public:
+  explicit BlockCopy(Errc code) noexcept : code_(code) {}
+  BlockCopy(void* start, std::uint64_t bytes) noexcept : start_(start), bytes_(bytes) {}
+  BlockCopy(BlockCopy&& other) noexcept
+      : start_(std::exchange(other.start_, nullptr)), bytes_(other.bytes_), code_(other.code_) {}
+  BlockCopy& operator=(BlockCopy&&) = delete;
+  ~BlockCopy();
+  void* start() const noexcept { return start_; }
+  /// Returns the size of the message.
+  std::uint64_t bytes() const noexcept { return bytes_; }
+  void set_bytes(std::uint64_t bytes) noexcept { bytes_ = bytes; }
+  Errc code() const noexcept { return code_; }
+  void release() noexcept { start_ = nullptr; }
+
+ private:
+  void* start_ = nullptr;
+  std::uint64_t bytes_ = 0;
+  Errc code_ = Errc::ok;
+};
+
 class AGNOCAST_PUBLIC UntypedPublisher {
  public:
   [[nodiscard]] static Result<std::shared_ptr<UntypedPublisher>> create(
@@ -132,6 +170,12 @@ class AGNOCAST_PUBLIC UntypedPublisher {
   Errc state() const noexcept;
   /// Publishes `message_bytes` bytes; `object_bytes` of them are the message object itself.
   Errc publish(void* message, std::size_t object_bytes, std::uint64_t message_bytes) noexcept;
+  /// Returns whether this process has no hook: messages are copied into blocks, and published so.
+  bool copies() const noexcept { return copies_; }
+  /// Copies a message that no thread changes meanwhile; counts the outcome as count_adoption().
+  BlockCopy copy(const void* message) noexcept;
+  /// Publishes it; on failure `copy` is unchanged.
+  PublishResult publish(BlockCopy& copy) noexcept;
   /// Destroys old messages that publish has deferred. Call it before borrowing or adopting a
   /// message.
   void make_room() const noexcept;
@@ -168,6 +212,7 @@ class AGNOCAST_PUBLIC UntypedPublisher {
   MessageType type_;
   std::string topic_;
   QoS qos_;
+  bool copies_ = false;
   std::chrono::steady_clock::time_point end_ = std::chrono::steady_clock::time_point::max();
   std::shared_ptr<PublisherEndpoint> endpoint_;
   CallbackGroup::SharedPtr group_;  // this and the next only with event callbacks
@@ -239,6 +284,28 @@ Errc commit_resident(UntypedPublisher& publisher, const Code& code, typename Cod
   return outcome;
 }
 
+/// Commits a message with parts outside the shared heap, as check_residency() has `found`. Not
+/// inlined: publish seldom needs it, and would get longer for each message type.
+template <class Code>
+[[gnu::noinline]] PublishResult commit_foreign(UntypedPublisher& publisher, const Code& code,
+                                               typename Code::Owner& message,
+                                               const Residency& found,
+                                               const SharedHeap& heap) noexcept {
+  if (publisher.copies()) {
+    BlockCopy copy = publisher.copy(message.get());
+    const PublishResult result = publisher.publish(copy);
+    if (result) message.reset();
+    return result;
+  }
+  const Result<Adoption> adopted = adopt_by(
+      code, [&] { publisher.make_room(); }, [&] { return publisher.has_more_room(); }, message,
+      found, publisher.type(), heap);
+  publisher.count_adoption(adopted);
+  if (!adopted) return {adopted.error().code, 0};
+  return {commit_resident(publisher, code, message, adopted->message_bytes),
+          adopted->adopted_bytes};
+}
+
 /// Commits a message that was made anywhere; adopts it if parts are outside the shared heap. On
 /// failure `message` is unchanged. `Code` as for Lender.
 template <class Code>
@@ -246,13 +313,11 @@ PublishResult commit(UntypedPublisher& publisher, const Code& code,
                      typename Code::Owner&& message) noexcept {
   if (const Errc state = publisher.state(); state != Errc::ok) return {state, 0};
   if (message == nullptr) return {Errc::loan_invalid, 0};
-  const Result<Adoption> adopted = make_resident_by(
-      code, [&] { publisher.make_room(); }, [&] { return publisher.has_more_room(); }, message,
-      publisher.type(), publisher.heap());
-  if (!adopted || adopted->adopted_bytes != 0) publisher.count_adoption(adopted);
-  if (!adopted) return {adopted.error().code, 0};
-  return {commit_resident(publisher, code, message, adopted->message_bytes),
-          adopted->adopted_bytes};
+  const SharedHeap heap = publisher.heap();
+  const Residency found =
+      check_residency(publisher.type(), message.get(), heap.windows(heap.context));
+  if (!found.is_resident()) return commit_foreign(publisher, code, message, found, heap);
+  return {commit_resident(publisher, code, message, found.message_bytes), 0};
 }
 
 /// Lends messages and takes them back. `Code` makes, copies, owns and measures messages of type
@@ -382,11 +447,12 @@ class LendingPublisher : public PublisherBase, public Lender<T, Code> {
       : PublisherBase(std::move(untyped)), Lender<T, Code>(this->untyped().lender(), code) {}
   ~LendingPublisher() = default;
 
-  /// A copy in the shared heap; without a message, `code` is the reason.
+  /// A copy in the shared heap, as a message or as a block; without either, `code` is the reason.
   struct Copied {
     Owner message;
     std::uint64_t bytes = 0;
     Errc code = Errc::ok;
+    BlockCopy block{Errc::ok};
   };
   template <class Object>
   Copied copy_in(const Object& message) noexcept {
@@ -396,6 +462,7 @@ class LendingPublisher : public PublisherBase, public Lender<T, Code> {
   Copied copy_in(const CopyCode& code, const Object& message) noexcept {
     UntypedPublisher& publisher = untyped();
     if (const Errc state = publisher.state(); state != Errc::ok) return {nullptr, 0, state};
+    if (publisher.copies()) return copy_block(code, message);
     publisher.make_room();
     auto copy = copy_into_heap(
         code, message, [&] { return publisher.has_more_room(); }, publisher.type(),
@@ -407,7 +474,27 @@ class LendingPublisher : public PublisherBase, public Lender<T, Code> {
     publisher.count_adoption(Adoption{copy->message_bytes, copy->message_bytes});
     return {std::move(copy->message), copy->message_bytes};
   }
+  /// copy_in() without the hook. What `CopyCode` has to check, it copies to private memory first.
+  template <class CopyCode, class Object>
+  Copied copy_block(const CopyCode& code, const Object& message) noexcept {
+    const auto copied = [this](const void* original) noexcept -> Copied {
+      BlockCopy block = untyped().copy(original);
+      return {nullptr, block.bytes(), block.code(), std::move(block)};
+    };
+    if constexpr (std::is_same_v<CopyCode, Code>) {
+      return copied(std::addressof(message));
+    } else {
+      return guarded([&]() -> Copied { return copied(code.copy(message).get()); },
+                     []() -> Copied {
+                       return {nullptr, 0, Errc::heap_exhausted};
+                     },
+                     []() -> Copied {
+                       return {nullptr, 0, Errc::user_code_threw};
+                     });
+    }
+  }
   PublishResult publish_copy(Copied&& copy) noexcept {
+    if (copy.block.start() != nullptr) return untyped().publish(copy.block);
     if (copy.message == nullptr) return {copy.code, 0};
     if (const Errc state = untyped().state(); state != Errc::ok) return {state, copy.bytes};
     return {commit_resident(untyped(), this->code(), copy.message, copy.bytes), copy.bytes};
@@ -497,7 +584,7 @@ class Publisher : public detail::LendingPublisher<T, detail::TypedCode<T>> {
       if (windows.count() != 0) {
         bool is_whole = true;
         auto copy = this->copy_in(detail::CheckedCode<T>(windows, is_whole), message);
-        if (!is_whole) copy = {nullptr, 0, Errc::protocol_violation};
+        if (!is_whole) return decltype(copy){nullptr, 0, Errc::protocol_violation};
         return copy;
       }
     }

@@ -261,13 +261,13 @@ template <class Code, class Object, class HasMoreRoom>
   return try_copy_into_heap(code, original, type, heap);
 }
 
-/// make_resident() for any owning pointer; calls `make_room()` before it makes a copy.
+/// Replaces a message with foreign memory, as check_residency() has `found`, by a copy in the
+/// shared heap; calls `make_room()` before it makes one.
 template <class Code, class MakeRoom, class HasMoreRoom>
-Result<Adoption> make_resident_by(const Code& code, const MakeRoom& make_room,
-                                  const HasMoreRoom& has_more_room, typename Code::Owner& message,
-                                  const MessageType& type, const SharedHeap& heap) noexcept {
-  const Residency found = check_residency(type, message.get(), heap.windows(heap.context));
-  if (found.is_resident()) return Adoption{0, found.message_bytes};
+Result<Adoption> adopt_by(const Code& code, const MakeRoom& make_room,
+                          const HasMoreRoom& has_more_room, typename Code::Owner& message,
+                          const Residency& found, const MessageType& type,
+                          const SharedHeap& heap) noexcept {
   make_room();
   auto copy = copy_into_heap(code, std::as_const(*message), has_more_room, type, heap);
   if (!copy) return tl::unexpected(copy.error());
@@ -301,8 +301,10 @@ template <class T>
 [[nodiscard]] Result<Adoption> make_resident(std::unique_ptr<T>& message, const MessageType& type,
                                              const SharedHeap& heap) noexcept {
   static_assert(detail::require_message<T>());
-  return detail::make_resident_by(
-      detail::TypedCode<T>(), [] {}, [] { return false; }, message, type, heap);
+  const Residency found = check_residency(type, message.get(), heap.windows(heap.context));
+  if (found.is_resident()) return Adoption{0, found.message_bytes};
+  return detail::adopt_by(
+      detail::TypedCode<T>(), [] {}, [] { return false; }, message, found, type, heap);
 }
 
 }  // namespace agnocast
