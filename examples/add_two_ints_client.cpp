@@ -1,7 +1,7 @@
 // SPDX-License-Identifier: Apache-2.0
 //
-// Requests the sum of two numbers from /add_two_ints. Waits for the service until a signal. Needs
-// the heap hook: agnocast-run add_two_ints_client 2 3.
+// Requests the sum of two numbers from /add_two_ints. Waits for the service until a signal. With
+// agnocast-run add_two_ints_client 2 3 it copies nothing.
 
 #include <agnocast/agnocast.hpp>
 #include <examples/options.hpp>

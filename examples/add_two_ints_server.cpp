@@ -1,7 +1,7 @@
 // SPDX-License-Identifier: Apache-2.0
 //
-// Serves /add_two_ints: adds two numbers, until a signal. Needs the heap hook: agnocast-run
-// add_two_ints_server.
+// Serves /add_two_ints: adds two numbers, until a signal. With agnocast-run
+// add_two_ints_server it copies nothing.
 
 #include <agnocast/agnocast.hpp>
 #include <examples/options.hpp>

@@ -1,8 +1,8 @@
 // SPDX-License-Identifier: Apache-2.0
 //
 // Publishes PointCloud2 messages built with push_back, resize, assign and insert; or replays a
-// raw scan of 3 to 5 float32 per point (x y z intensity ring). Needs the heap hook: agnocast-run
-// cloud_publisher.
+// raw scan of 3 to 5 float32 per point (x y z intensity ring). With
+// agnocast-run cloud_publisher it copies nothing.
 
 #include <agnocast/agnocast.hpp>
 #include <examples/cloud.hpp>

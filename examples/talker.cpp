@@ -1,6 +1,6 @@
 // SPDX-License-Identifier: Apache-2.0
 //
-// Publishes "Hello World: N". Needs the heap hook: agnocast-run talker.
+// Publishes "Hello World: N". With agnocast-run talker it copies nothing.
 
 #include <agnocast/agnocast.hpp>
 #include <examples/options.hpp>

@@ -348,13 +348,28 @@ bool is_unused(const Window& window, std::size_t offset) {
 }  // namespace
 
 bool shut(void* address, std::size_t length) {
-  if (!punch(address, length)) return false;
-  lock_growth();
-  for (std::uint32_t i = 0; i < count.load(std::memory_order_relaxed); ++i) {
-    const std::size_t start = reinterpret_cast<std::uintptr_t>(address) - table[i].base;
-    if (start < table[i].length) mark(table[i], start, length, true);
+  Window* window = nullptr;
+  for (std::uint32_t i = 0; i < count.load(std::memory_order_acquire); ++i) {
+    if (reinterpret_cast<std::uintptr_t>(address) - table[i].base < table[i].length)
+      window = &table[i];
   }
-  unlock_growth();
+  if (window == nullptr) return false;
+  std::size_t at = reinterpret_cast<std::uintptr_t>(address) - window->base;
+  const std::size_t end = at + length;
+  while (at < end) {
+    lock_growth();
+    while (at < end && is_closed(*window, at / bit_bytes)) at += bit_bytes;
+    std::size_t run_end = at;
+    while (run_end < end && !is_closed(*window, run_end / bit_bytes)) run_end += bit_bytes;
+    unlock_growth();
+    if (run_end == at) break;
+    // Unlocked: the caller keeps these pages out of use.
+    if (!punch(address_in(*window, at), run_end - at)) return false;
+    lock_growth();
+    mark(*window, at, run_end - at, true);
+    unlock_growth();
+    at = run_end;
+  }
   return true;
 }
 

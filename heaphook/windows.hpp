@@ -90,8 +90,8 @@ void set_grown(agnocast_heaphook_grown grown, void* context);
 // Opens part of a window for use: maps and announces it. Returns false if the system refuses.
 bool open(void* address, std::size_t length);
 
-// Returns pages to the kernel until open() is called for them; they read as zero from now on.
-// Returns false if the kernel refuses.
+// Returns pages to the kernel until open() is called for them; they read as zero from now on. Skips
+// those that it has returned before. Returns false if the kernel refuses.
 bool shut(void* address, std::size_t length);
 
 // A reader that touches a hole through its mapping allocates a page that no message uses. Returns
@@ -120,7 +120,7 @@ struct Counters {
 };
 extern constinit Counters counters;
 
-// For fork.cpp.
+// For fork handlers.
 void lock_growth();
 void unlock_growth();
 // In the child: maps a private copy-on-write view of every window, where MADV_DONTFORK left a

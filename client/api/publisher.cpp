@@ -177,23 +177,31 @@ BlockCopy UntypedPublisher::copy(const void* message) noexcept {
   if (const Errc state = this->state(); state != Errc::ok) return BlockCopy(state);
   make_room();
   const MessageCopy copy(type_, message);
-  const agnocast_heaphook_table& blocks = block_heap();
-  void* block = blocks.allocate(copy.alignment(), copy.block_bytes());
-  if (block == nullptr && has_more_room())
-    block = blocks.allocate(copy.alignment(), copy.block_bytes());
   const SharedHeap heap = this->heap();
-  BlockCopy made(block, 0);
-  if (block != nullptr && copy.write(block)) {
-    const Residency found = check_residency(
-        type_, static_cast<std::byte*>(block) + type_.header_bytes(), heap.windows(heap.context));
-    if (found.is_resident()) {
-      made.set_bytes(found.message_bytes);
-      count_adoption(Adoption{found.message_bytes, found.message_bytes});
-      return made;
+  constexpr int attempts =
+      2;  // the second with more room, or in the window to which the heap moved
+  for (int i = 0; i < attempts; ++i) {
+    BlockCopy made(block_heap().allocate(copy.alignment(), copy.block_bytes()), 0);
+    if (made.start() != nullptr) {
+      if (!copy.write(made.start())) return BlockCopy(Errc::loan_invalid);
+      const Residency found =
+          check_residency(type_, static_cast<std::byte*>(made.start()) + type_.header_bytes(),
+                          heap.windows(heap.context));
+      if (found.is_resident()) {
+        made.set_bytes(found.message_bytes);
+        count_adoption(Adoption{found.message_bytes, found.message_bytes});
+        return made;
+      }
     }
+    if (made.start() == nullptr && !has_more_room()) break;
   }
   count_adoption(tl::unexpected<Failure>(heap.full()));
   return BlockCopy(heap.full().code);
+}
+
+bool UntypedPublisher::is_current(const BlockCopy& copy) const noexcept {
+  const SharedHeap heap = this->heap();
+  return copy.start() != nullptr && heap.windows(heap.context).contains(copy.start(), 1);
 }
 
 PublishResult UntypedPublisher::publish(BlockCopy& copy) noexcept {

@@ -4,6 +4,7 @@
 #include <client/heap/block_heap.hpp>
 #include <heaphook/windows.hpp>
 
+#include <pthread.h>
 #include <unistd.h>
 
 #include <algorithm>
@@ -38,13 +39,17 @@ void* pointer_to(std::uintptr_t address) noexcept { return reinterpret_cast<void
 class BlockHeap {
  public:
   int attach(const agnocast_heaphook_window& window, const agnocast_heaphook_options& options) {
+    if (options.grown == nullptr || (window.flags & AGNOCAST_HEAPHOOK_WINDOW_FRESH) != 0)
+      return AGNOCAST_HEAPHOOK_INVALID;
     if (heap_windows::count.load(std::memory_order_acquire) != 0)
       return heap_windows::is_owner() ? AGNOCAST_HEAPHOOK_STATE : AGNOCAST_HEAPHOOK_FORKED;
     const std::lock_guard lock(mutex_);
     heap_windows::set_grown(options.grown, options.context);
     const auto added = heap_windows::add(window);
     if (added != AGNOCAST_HEAPHOOK_OK) return added;
-    if (!heap_windows::become_owner()) {
+    // Once: handlers cannot be unregistered.
+    has_fork_handlers_ = has_fork_handlers_ || register_fork_handlers();
+    if (!has_fork_handlers_ || !heap_windows::become_owner()) {
       heap_windows::remove_first();
       return AGNOCAST_HEAPHOOK_OS;
     }
@@ -75,7 +80,8 @@ class BlockHeap {
     try {
       const std::lock_guard lock(mutex_);
       if (void* const block = take(alignment, size); block != nullptr) return block;
-    } catch (const std::bad_alloc&) {  // the bookkeeping's memory
+    } catch (const std::bad_alloc&) {
+      return nullptr;  // the bookkeeping's memory: the windows may have room
     }
     // Extents that purge() returns just now are available again afterwards.
     if (purging_.load(std::memory_order_relaxed) == 0) heap_windows::count_refused(size);
@@ -155,6 +161,7 @@ class BlockHeap {
   static constexpr std::size_t size_max = std::size_t{1} << 56;
 
   struct Place {
+    std::uint32_t window;
     std::size_t length;
     std::uintptr_t address;
     auto operator<=>(const Place&) const = default;
@@ -183,9 +190,14 @@ class BlockHeap {
     const std::uintptr_t end = round_down(extent.first + extent.second.length, page_bytes_);
     return {begin, end > begin ? end - begin : 0};
   }
+  static Place place_of(const Extents::value_type& extent) noexcept {
+    return {window_of(extent.first), extent.second.length, extent.first};
+  }
   Places& index_of(std::uintptr_t address) noexcept {
     return window_of(address) < first_.load(std::memory_order_relaxed) ? retired_ : free_;
   }
+
+  static bool register_fork_handlers() noexcept;
 
   /// Makes an extent that is in use. Throws std::bad_alloc.
   static Extents::node_type make_extent() {
@@ -204,8 +216,7 @@ class BlockHeap {
 
   /// Takes a free extent out of the index.
   void keep(Extents::iterator extent) noexcept {
-    extent->second.place =
-        index_of(extent->first).extract(Place{extent->second.length, extent->first});
+    extent->second.place = index_of(extent->first).extract(place_of(*extent));
     free_bytes_ -= pages_of(*extent).length;
   }
 
@@ -225,7 +236,7 @@ class BlockHeap {
       }
     }
     free_bytes_ += pages_of(*extent).length;
-    extent->second.place.value() = Place{extent->second.length, extent->first};
+    extent->second.place.value() = place_of(*extent);
     index_of(extent->first).insert(std::move(extent->second.place));
   }
   bool are_neighbours(Extents::iterator low, Extents::iterator high) const noexcept {
@@ -240,12 +251,17 @@ class BlockHeap {
 
   /// Throws std::bad_alloc.
   void* take(std::size_t alignment, std::size_t size) {
-    for (auto place = free_.lower_bound(Place{size, 0}); place != free_.end(); ++place) {
-      const std::uintptr_t start = round_up(place->address, alignment);
-      if (start - place->address <= place->length - size)
-        return cut(extents_.find(place->address), start, size);
+    const std::uint32_t count = heap_windows::count.load(std::memory_order_acquire);
+    for (std::uint32_t window = first_.load(std::memory_order_relaxed); window < count; ++window) {
+      for (auto place = free_.lower_bound(Place{window, size, 0});
+           place != free_.end() && place->window == window; ++place) {
+        const std::uintptr_t start = round_up(place->address, alignment);
+        if (start - place->address <= place->length - size)
+          return cut(extents_.find(place->address), start, size);
+      }
+      if (void* const block = lengthen(window, alignment, size); block != nullptr) return block;
     }
-    return lengthen(alignment, size);
+    return nullptr;
   }
 
   /// Makes [start, start + size) of a free extent a block.
@@ -274,25 +290,22 @@ class BlockHeap {
   }
 
   /// Makes a block at the end of a window's used part, and a free extent of what alignment skips.
-  void* lengthen(std::size_t alignment, std::size_t size) {
-    const std::uint32_t count = heap_windows::count.load(std::memory_order_acquire);
-    for (std::uint32_t i = first_.load(std::memory_order_relaxed); i < count; ++i) {
-      const heap_windows::Window& window = heap_windows::table[i];
-      const std::uintptr_t limit = window.base + window.length;
-      const auto last = last_free_of(window, end_[i]);
-      const std::uintptr_t begin = last != extents_.end() ? last->first : end_[i];
-      const std::uintptr_t start = round_up(begin, alignment);
-      if (start > limit || size > limit - start) continue;
-      Extents::node_type added = make_extent();
-      // The new part is a free extent first, of which the block is cut.
-      if (!open(start, size)) continue;
-      const std::uintptr_t old_end = std::exchange(end_[i], start + size);
-      const auto extent = insert(std::move(added), old_end, end_[i] - old_end);
-      give(extent);
-      const auto whole = std::prev(extents_.upper_bound(start));
-      return cut(whole, start, size);
-    }
-    return nullptr;
+  /// Returns null if there is no room. Throws std::bad_alloc.
+  void* lengthen(std::uint32_t number, std::size_t alignment, std::size_t size) {
+    const heap_windows::Window& window = heap_windows::table[number];
+    std::uintptr_t& end = end_[number];
+    const auto last = last_free_of(window, end);
+    const std::uintptr_t start = round_up(last != extents_.end() ? last->first : end, alignment);
+    const std::uintptr_t limit = window.base + window.length;
+    if (start > limit || size > limit - start) return nullptr;
+    Extents::node_type added = make_extent();
+    if (!open(start, size)) return nullptr;
+    // The new part is a free extent first, of which the block is cut.
+    const std::uintptr_t old_end = std::exchange(end, start + size);
+    const auto skipped = insert(std::move(added), old_end, end - old_end);
+    skipped->second.is_dirty = true;  // opened only in part
+    give(skipped);
+    return cut(std::prev(extents_.upper_bound(start)), start, size);
   }
   /// Returns the free extent that ends the used part of a window; end(): none.
   Extents::iterator last_free_of(const heap_windows::Window& window, std::uintptr_t end) noexcept {
@@ -308,10 +321,14 @@ class BlockHeap {
   }
 
   const std::size_t page_bytes_ = static_cast<std::size_t>(::sysconf(_SC_PAGESIZE));
-  std::mutex mutex_;
-  Extents extents_;  // each window's up to end_, without gaps
-  Places free_;      // of windows from first_ on
-  Places retired_;   // of earlier ones: never used again
+  bool has_fork_handlers_ = false;
+  // Recursive: a fork holds it, so that no thread opens memory meanwhile, while fork handlers of
+  // other libraries may allocate and free in this thread. A forked child never locks it.
+  std::recursive_mutex mutex_;
+  bool forks_ = false;  // guarded by mutex_
+  Extents extents_;     // each window's up to end_, without gaps
+  Places free_;         // of windows from first_ on
+  Places retired_;      // of earlier ones: never used again
   std::uintptr_t end_[AGNOCAST_HEAPHOOK_WINDOWS_MAX] = {};
   std::uint64_t live_bytes_ = 0;
   std::uint64_t free_bytes_ = 0;      // whole pages of free extents
@@ -323,6 +340,23 @@ class BlockHeap {
 };
 
 BlockHeap& heap() noexcept { return immortal<BlockHeap>(); }
+
+// In the child the mutex stays locked.
+bool BlockHeap::register_fork_handlers() noexcept {
+  return ::pthread_atfork(
+             [] {
+               if (!heap_windows::is_owner()) return;
+               heap().mutex_.lock();
+               heap().forks_ = true;
+             },
+             [] {
+               if (!std::exchange(heap().forks_, false)) return;
+               heap().mutex_.unlock();
+             },
+             [] {
+               if (std::exchange(heap().forks_, false)) heap_windows::map_private_view();
+             }) == 0;
+}
 
 int attach(const agnocast_heaphook_window* window, const agnocast_heaphook_options* options) {
   return heap().attach(*window, *options);

@@ -14,13 +14,13 @@
 
 namespace agnocast {
 
-/// The parameters of an endpoint. Names are fully qualified.
 /// How a publisher's messages come into the shared heap.
 struct HeapUse {
   bool by_allocator = false;  // they allocate there themselves, whichever library provides malloc
   bool by_copy = false;       // they may be copied there, so no hook is needed
 };
 
+/// The parameters of an endpoint. Names are fully qualified.
 struct EndpointRequest {
   std::string_view topic;
   std::string_view type;

@@ -409,7 +409,7 @@ constexpr Check process_table[] = {
      "the first [[access]] rule that matches the topic does not name this user",
      "sudo \"${EDITOR:-vi}\" +LINE FILE && RELOAD", permission},
     {"not-zero-copy", "no message was copied into the shared heap", warning, daemon,
-     "the program fills messages outside a loan; with the scope all, all memory that it allocates is shared",
+     "the program runs without the heap hook, or fills messages outside a loan; with the hook and the scope all, all memory that it allocates is shared",
      "kill PID && agnocast-run --scope all COMMAND &", adopted},
     {"reader-withdrawn", "every publisher serves all of its subscriptions", failed, daemon,
      "the subscription held too many messages of a publisher of another user, or that publisher could not map it; it is served again once the cause is gone",

@@ -78,7 +78,7 @@ namespace agnocast {
     "start the process with agnocast-run, or link libagnocast_heaphook")                                                                       \
   X(hook_ineffective, "memory is not allocated by the heap hook although it is loaded",                                                        \
     "another allocator is linked or preloaded in front of the hook, and answers malloc or operator new instead of it",                         \
-    "remove the other allocator that is named beside it, or load the hook before it")                                                          \
+    "remove the allocator that is named beside it, load the hook before it, or load no hook: messages are then copied")                                                          \
   X(window_exhausted, "this process has all heap windows it may have and they are full",                                                       \
     "messages that are held, unread or in the history fill all windows that one process may have",                                             \
     "release messages, or raise [heap] window_bytes or windows_per_process in agnocastd.toml")                                                 \

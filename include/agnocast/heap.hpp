@@ -12,7 +12,8 @@
 
 namespace agnocast {
 
-/// Which allocations of a process go to its shared heap once it has a publisher.
+/// Which allocations of a process go to its shared heap once it has a publisher. Without the heap
+/// hook none do, in either scope: messages are copied.
 enum class HeapScope : std::uint8_t {
   loan,  ///< Those of a thread while it has a loan open. The default.
   all,   ///< All: a message made anywhere is published without a copy. Such a process must not
@@ -48,7 +49,7 @@ class LoanScope {
     if (is_open_) close();
   }
   /// Returns false if this object has no effect: the argument is no loan (empty, published, or a
-  /// received message), or agnocast is switched off.
+  /// received message), agnocast is switched off, or the process has no heap hook.
   bool is_open() const noexcept { return is_open_; }
 
  private:
@@ -75,8 +76,8 @@ class SharedHeapScope {
   ~SharedHeapScope() {
     if (is_open_) end();
   }
-  /// Returns false if this object has no effect: the process has no shared heap yet, because it
-  /// has no publisher, or agnocast is switched off.
+  /// Returns false if this object has no effect: the process has no heap hook, or no shared heap
+  /// yet, because it has no publisher, or agnocast is switched off.
   bool is_open() const noexcept { return is_open_; }
 
  private:

@@ -135,7 +135,12 @@ class AGNOCAST_PUBLIC BlockCopy {
   BlockCopy(void* start, std::uint64_t bytes) noexcept : start_(start), bytes_(bytes) {}
   BlockCopy(BlockCopy&& other) noexcept
       : start_(std::exchange(other.start_, nullptr)), bytes_(other.bytes_), code_(other.code_) {}
-  BlockCopy& operator=(BlockCopy&&) = delete;
+  BlockCopy& operator=(BlockCopy&& other) noexcept {
+    std::swap(start_, other.start_);
+    bytes_ = other.bytes_;
+    code_ = other.code_;
+    return *this;
+  }
   ~BlockCopy();
   void* start() const noexcept { return start_; }
   /// Returns the size of the message.
@@ -172,8 +177,11 @@ class AGNOCAST_PUBLIC UntypedPublisher {
   Errc publish(void* message, std::size_t object_bytes, std::uint64_t message_bytes) noexcept;
   /// Returns whether this process has no hook: messages are copied into blocks, and published so.
   bool copies() const noexcept { return copies_; }
-  /// Copies a message that no thread changes meanwhile; counts the outcome as count_adoption().
+  /// Copies a message; counts the outcome as count_adoption(). Errors: those of publish();
+  /// loan_invalid: another thread changes the message.
   BlockCopy copy(const void* message) noexcept;
+  /// Returns whether there is a copy, in a window that messages are published from.
+  bool is_current(const BlockCopy& copy) const noexcept;
   /// Publishes it; on failure `copy` is unchanged.
   PublishResult publish(BlockCopy& copy) noexcept;
   /// Destroys old messages that publish has deferred. Call it before borrowing or adopting a
@@ -289,11 +297,15 @@ Errc commit_resident(UntypedPublisher& publisher, const Code& code, typename Cod
 template <class Code>
 [[gnu::noinline]] PublishResult commit_foreign(UntypedPublisher& publisher, const Code& code,
                                                typename Code::Owner& message,
-                                               const Residency& found,
-                                               const SharedHeap& heap) noexcept {
+                                               const Residency& found, const SharedHeap& heap,
+                                               BlockCopy* kept) noexcept {
   if (publisher.copies()) {
-    BlockCopy copy = publisher.copy(message.get());
-    const PublishResult result = publisher.publish(copy);
+    BlockCopy mine(Errc::ok);
+    BlockCopy& copy = kept != nullptr ? *kept : mine;
+    const bool is_kept = publisher.is_current(copy);
+    if (!is_kept) copy = publisher.copy(message.get());
+    PublishResult result = publisher.publish(copy);
+    if (is_kept) result.adopted_bytes = 0;
     if (result) message.reset();
     return result;
   }
@@ -307,16 +319,17 @@ template <class Code>
 }
 
 /// Commits a message that was made anywhere; adopts it if parts are outside the shared heap. On
-/// failure `message` is unchanged. `Code` as for Lender.
+/// failure `message` is unchanged. `Code` as for Lender. `kept`: where a copy in a block is kept
+/// for the next attempt with the same message; may be null.
 template <class Code>
-PublishResult commit(UntypedPublisher& publisher, const Code& code,
-                     typename Code::Owner&& message) noexcept {
+PublishResult commit(UntypedPublisher& publisher, const Code& code, typename Code::Owner&& message,
+                     BlockCopy* kept = nullptr) noexcept {
   if (const Errc state = publisher.state(); state != Errc::ok) return {state, 0};
   if (message == nullptr) return {Errc::loan_invalid, 0};
   const SharedHeap heap = publisher.heap();
   const Residency found =
       check_residency(publisher.type(), message.get(), heap.windows(heap.context));
-  if (!found.is_resident()) return commit_foreign(publisher, code, message, found, heap);
+  if (!found.is_resident()) return commit_foreign(publisher, code, message, found, heap, kept);
   return {commit_resident(publisher, code, message, found.message_bytes), 0};
 }
 
@@ -402,18 +415,16 @@ class LendingPublisher : public PublisherBase, public Lender<T, Code> {
 
   /// Commits a loan of this publisher; every copy of the handle becomes empty, also in other
   /// threads. Publishing a second copy, even at the same time, returns loan_invalid. A thread
-  /// that still writes to the message then writes to memory that subscriptions read. On failure
-  /// `message` is unchanged, though an adopted message has moved.
+  /// that still writes to the message then writes to memory that subscriptions read, or (without
+  /// the heap hook) that is freed. On failure `message` is unchanged, though an adopted message has
+  /// moved.
   PublishResult publish(ipc_shared_ptr<T>&& message) noexcept {
-    return this->take_back(std::move(message),
-                           [this](Owner&& object) { return publish(std::move(object)); });
+    return attempt(std::move(message), nullptr);
   }
 
   /// Commits a message that was made anywhere; adopts it if parts are outside the shared heap. On
   /// failure `message` is unchanged.
-  PublishResult publish(Owner&& message) noexcept {
-    return commit(untyped(), this->code(), std::move(message));
-  }
+  PublishResult publish(Owner&& message) noexcept { return attempt(std::move(message), nullptr); }
 
   /// Publishes to keep-all subscriptions: while one has not read enough (would_block), retries
   /// for at most `timeout`, at least once. Nothing wakes a publisher, so it polls: 10 µs after
@@ -425,10 +436,11 @@ class LendingPublisher : public PublisherBase, public Lender<T, Code> {
     static_assert(!std::is_lvalue_reference_v<Message>, "publish_for(std::move(message), timeout)");
     Patience patience(timeout);
     std::uint64_t adopted_bytes = 0;
+    BlockCopy kept(Errc::ok);
     for (;;) {
-      // publish() keeps it unless it succeeds.
+      // attempt() keeps it unless it succeeds.
       // NOLINTNEXTLINE(bugprone-move-forwarding-reference,bugprone-use-after-move)
-      PublishResult result = publish(std::move(message));
+      PublishResult result = attempt(std::move(message), &kept);
       result.adopted_bytes = adopted_bytes += result.adopted_bytes;
       if (result.code != Errc::would_block || !patience.wait()) return result;
     }
@@ -446,6 +458,16 @@ class LendingPublisher : public PublisherBase, public Lender<T, Code> {
   explicit LendingPublisher(std::shared_ptr<UntypedPublisher> untyped, Code code = {}) noexcept
       : PublisherBase(std::move(untyped)), Lender<T, Code>(this->untyped().lender(), code) {}
   ~LendingPublisher() = default;
+
+  /// publish(); see commit() for `kept`.
+  PublishResult attempt(ipc_shared_ptr<T>&& message, BlockCopy* kept) noexcept {
+    return this->take_back(std::move(message), [&](Owner&& object) {
+      return commit(untyped(), this->code(), std::move(object), kept);
+    });
+  }
+  PublishResult attempt(Owner&& message, BlockCopy* kept) noexcept {
+    return commit(untyped(), this->code(), std::move(message), kept);
+  }
 
   /// A copy in the shared heap, as a message or as a block; without either, `code` is the reason.
   struct Copied {
@@ -540,10 +562,10 @@ class Publisher : public detail::LendingPublisher<T, detail::TypedCode<T>> {
       : Base(std::move(untyped)) {}
 
   /// Lends a message to fill. From here to publish (or its destruction) this thread allocates
-  /// from the shared heap; it may have many loans at once, and LoanScope extends one to other
-  /// threads. If the heap is full, the memory comes from libc and publish returns heap_exhausted.
-  /// Like publish it destroys old messages: hold no lock that their destructors need. Throws what
-  /// T's constructor throws, and std::bad_alloc.
+  /// from the shared heap (with the heap hook); it may have many loans at once, and LoanScope
+  /// extends one to other threads. If the heap is full, the memory comes from libc and publish
+  /// returns heap_exhausted. Like publish it destroys old messages: hold no lock that their
+  /// destructors need. Throws what T's constructor throws, and std::bad_alloc.
   ipc_shared_ptr<T> borrow_loaned_message() {
     static_assert(std::is_default_constructible_v<T>,
                   "agnocast: this message has no default constructor, so it cannot be borrowed; "
@@ -553,10 +575,10 @@ class Publisher : public detail::LendingPublisher<T, detail::TypedCode<T>> {
 
   using Base::publish;
   /// Publishes a copy made in the shared heap: for a message that the caller keeps, or forwards
-  /// after receiving it. `adopted_bytes` is its whole size; a loan or a std::unique_ptr costs
-  /// less. Errors as of the other overloads without loan_invalid; and protocol_violation: a
-  /// received rosidl message refers to memory outside its publisher's (docs/messages.md,
-  /// Forwarding).
+  /// after receiving it. `adopted_bytes` is its whole size; with the heap hook a loan or a
+  /// std::unique_ptr costs less. Errors as of the other overloads without loan_invalid; and
+  /// protocol_violation: a received rosidl message refers to memory outside its publisher's
+  /// (docs/messages.md, Forwarding).
   PublishResult publish(const T& message) noexcept { return this->publish_copy(copy_of(message)); }
   using Base::try_publish;
   [[nodiscard]] PublishResult try_publish(const T& message) noexcept { return publish(message); }

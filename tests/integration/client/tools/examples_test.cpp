@@ -252,9 +252,7 @@ TEST(Examples, NameTheRosArgumentsThatHaveNoEffect) {
 TEST(Examples, NameTheirErrors) {
   test::DaemonProcess daemon;
   const Outcome no_hook = run(example("talker", daemon, false) + " --count 1");
-  EXPECT_EQ(no_hook.status, 1);
-  EXPECT_THAT(no_hook.text, HasSubstr("the heap hook is not loaded in this process"));
-  EXPECT_THAT(no_hook.text, HasSubstr("hint: start the process with agnocast-run"));
+  EXPECT_EQ(no_hook.status, 0) << "it copies its messages\n" << no_hook.text;
   const Outcome no_daemon =
       run("env AGNOCAST_SOCKET=/nonexistent/socket " AGNOCAST_EXAMPLES "/listener --count 1");
   EXPECT_EQ(no_daemon.status, 1);

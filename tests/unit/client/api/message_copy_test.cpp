@@ -103,9 +103,27 @@ TEST(MessageCopy, HasTextsOfEachLengthAroundWhatAStringHolds) {
       message->wide.assign(size, u'x');
       message->texts = {std::string(size, 'a'), std::string(size + 1, 'b')};
       message->texts[0].reserve(100);
-      message->flags.assign(size * 3, true);
+      message->flags.resize(size * 3);
+      for (std::size_t i = 0; i < message->flags.size(); ++i) message->flags[i] = i % 3 == 0;
       return message.release();
     });
+  }
+}
+
+TEST(MessageCopy, AlignsEachPiece) {
+  for (std::size_t size = 0; size < 8; ++size) {
+    Everything message;
+    message.text.assign(17 + size, 'x');
+    message.numbers = {1.5, 2.5};
+    message.inners.resize(2);
+    for (auto& inner : message.inners) inner.blob.assign(1 + size, 1);
+    const detail::MessageCopy copy(type_of<Everything>(), &message);
+    const Block block(copy);
+    ASSERT_TRUE(copy.write(block.start()));
+    const auto& made = *std::launder(reinterpret_cast<const Everything*>(block.start()));
+    EXPECT_EQ(made, message);
+    EXPECT_EQ(reinterpret_cast<std::uintptr_t>(made.numbers.data()) % 16, 0U);
+    EXPECT_EQ(reinterpret_cast<std::uintptr_t>(made.inners.data()) % 16, 0U);
   }
 }
 

@@ -19,10 +19,12 @@
 #include <atomic>
 #include <cstdint>
 #include <cstdio>
+#include <cstdlib>
 #include <cstring>
 #include <functional>
 #include <map>
 #include <random>
+#include <thread>
 #include <utility>
 #include <vector>
 
@@ -47,18 +49,21 @@ struct TestWindow {
   }
 };
 
-TestWindow make_window() {
+/// `count`: the addresses of so many windows are free there.
+TestWindow make_window(std::size_t count = 1) {
   TestWindow window;
   window.file = make_memfd("block_heap_test", test_window_bytes).value();
   window.reader = reopen_read_only(window.file.get()).value();
-  void* const room = ::mmap(nullptr, test_window_bytes + abi::window_granule_bytes, PROT_NONE,
-                            MAP_PRIVATE | MAP_ANONYMOUS, -1, 0);
+  const std::size_t bytes = count * test_window_bytes + abi::window_granule_bytes;
+  void* const room = ::mmap(nullptr, bytes, PROT_NONE, MAP_PRIVATE | MAP_ANONYMOUS, -1, 0);
   const auto address = reinterpret_cast<std::uintptr_t>(room);
-  ::munmap(room, test_window_bytes + abi::window_granule_bytes);
+  ::munmap(room, bytes);
   window.base = reinterpret_cast<std::byte*>((address + abi::window_granule_bytes - 1) /
                                              abi::window_granule_bytes * abi::window_granule_bytes);
   return window;
 }
+
+std::uint64_t page_bytes() { return static_cast<std::uint64_t>(::sysconf(_SC_PAGESIZE)); }
 
 const agnocast_heaphook_table& heap() { return block_heap(); }
 
@@ -68,8 +73,7 @@ agnocast_heaphook_usage usage() {
   return usage;
 }
 
-TestWindow attached() {
-  TestWindow window = make_window();
+void attach(const TestWindow& window) {
   const auto described = window.described();
   const agnocast_heaphook_options options{
       AGNOCAST_HEAPHOOK_SCOPE_LOAN, 0,
@@ -77,6 +81,11 @@ TestWindow attached() {
       nullptr};
   EXPECT_EQ(heap().attach(&described, &options), AGNOCAST_HEAPHOOK_OK);
   EXPECT_EQ(heap().attach(&described, &options), AGNOCAST_HEAPHOOK_STATE) << "once";
+}
+
+TestWindow attached() {
+  TestWindow window = make_window();
+  attach(window);
   return window;
 }
 
@@ -138,7 +147,7 @@ TEST(BlockHeap, HasAlignedDisjointBlocksInTheAnnouncedPart) {
       const std::size_t bytes = 1 + random() % (random() % 8 == 0 ? 100'000 : 3'000);
       const std::size_t alignment = std::size_t{1} << random() % 14;
       auto* const block = static_cast<std::byte*>(heap().allocate(alignment, bytes));
-      if (block == nullptr) continue;
+      ASSERT_NE(block, nullptr) << "these blocks always fit";
       EXPECT_EQ(reinterpret_cast<std::uintptr_t>(block) % alignment, 0U);
       ASSERT_TRUE(is_within(window, block, bytes, announced[0].load()));
       EXPECT_EQ(heap().owns(block), 1);
@@ -157,6 +166,8 @@ TEST(BlockHeap, HasAlignedDisjointBlocksInTheAnnouncedPart) {
     while (!live.empty() && !testing::Test::HasFailure()) free_one(live.begin());
     EXPECT_EQ(usage().live_bytes, 0U);
     EXPECT_EQ(usage().internal_error_count, 0U);
+    heap().purge();
+    EXPECT_LE(window.allocated(), page_bytes()) << "all but the page of the end";
     // Freed neighbours have joined.
     void* const all = heap().allocate(64, test_window_bytes);
     EXPECT_EQ(all, window.base);
@@ -248,7 +259,7 @@ TEST(BlockHeap, GivesBackWhatWasNotNeeded) {
     EXPECT_EQ(heap().idle(), size);
     EXPECT_GE(window.allocated(), size);
     EXPECT_EQ(heap().purge(), size);
-    EXPECT_LE(window.allocated(), 8192U);
+    EXPECT_LE(window.allocated(), 2 * page_bytes());
     EXPECT_EQ(heap().idle(), 0U);
     EXPECT_EQ(heap().purge(), 0U) << "nothing is left to return";
     EXPECT_EQ(*static_cast<std::byte*>(kept), std::byte{2});
@@ -259,21 +270,116 @@ TEST(BlockHeap, GivesBackWhatWasNotNeeded) {
   });
 }
 
+// A page that is closed and then used in part, beside pages that a reader has touched.
+TEST(BlockHeap, KeepsABlockInAPageThatWasReturned) {
+  in_child([] {
+    const TestWindow window = attached();
+    constexpr std::size_t size = 1 << 20;
+    void* const spike = heap().allocate(64, size);
+    std::memset(spike, 1, size);
+    heap().deallocate(spike);
+    EXPECT_EQ(heap().purge(), size);
+    auto* const block = static_cast<std::byte*>(heap().allocate(64, 100));
+    std::memset(block, 7, 100);
+    void* const view = ::mmap(nullptr, size, PROT_READ, MAP_SHARED, window.reader.get(), 0);
+    ASSERT_NE(view, MAP_FAILED);
+    for (std::size_t at = 0; at < size; at += 4096)
+      (void)*(static_cast<const volatile char*>(view) + at);
+    EXPECT_GT(window.allocated(), 2 * page_bytes());
+    EXPECT_GT(heap().idle(), 0U) << "pages that a reader brought back";
+    heap().purge();
+    EXPECT_LE(window.allocated(), 2 * page_bytes());
+    for (int i = 0; i < 100; ++i) ASSERT_EQ(block[i], std::byte{7});
+    ::munmap(view, size);
+  });
+}
+
+TEST(BlockHeap, JoinsNoMemoryOfTwoWindows) {
+  in_child([] {
+    TestWindow first = make_window(2);
+    attach(first);
+    TestWindow second = make_window();
+    second.base = first.base + test_window_bytes;
+    const auto described = second.described();
+    ASSERT_EQ(heap().add_window(&described), AGNOCAST_HEAPHOOK_OK);
+    void* const low = heap().allocate(64, test_window_bytes);
+    void* const high = heap().allocate(64, test_window_bytes);
+    EXPECT_EQ(low, first.base);
+    EXPECT_EQ(high, second.base);
+    heap().deallocate(low);
+    heap().deallocate(high);
+    EXPECT_EQ(heap().allocate(64, test_window_bytes + 64), nullptr);
+    EXPECT_EQ(heap().allocate(64, test_window_bytes), low);
+    EXPECT_EQ(heap().allocate(64, test_window_bytes), high);
+  });
+}
+
+TEST(BlockHeap, AsksForAWindowAfterAPurgeAsBefore) {
+  in_child([] {
+    const TestWindow window = attached();
+    heap().deallocate(heap().allocate(64, 1 << 20));
+    heap().purge();
+    EXPECT_NE(heap().allocate(64, test_window_bytes / 2), nullptr);
+    EXPECT_EQ(heap().window_wanted(), 0);
+    EXPECT_EQ(heap().allocate(64, test_window_bytes), nullptr);
+    EXPECT_EQ(heap().window_wanted(), 1);
+  });
+}
+
+TEST(BlockHeap, ServesThreadsWhileOneReturnsMemory) {
+  in_child([] {
+    const TestWindow window = attached();
+    std::atomic<bool> ends{false};
+    std::thread returning([&] {
+      while (!ends.load()) {
+        heap().idle();
+        heap().purge();
+      }
+    });
+    std::vector<std::thread> threads;
+    for (unsigned t = 1; t <= 3; ++t) {
+      threads.emplace_back([t] {
+        std::mt19937_64 random(t);
+        for (int i = 0; i < 2'000; ++i) {
+          const std::size_t bytes = 1 + random() % 20'000;
+          auto* const block = static_cast<std::byte*>(heap().allocate(64, bytes));
+          if (block == nullptr) continue;
+          std::memset(block, static_cast<int>(t), bytes);
+          if (block[0] != std::byte(t) || block[bytes - 1] != std::byte(t)) std::abort();
+          heap().deallocate(block);
+        }
+      });
+    }
+    for (auto& thread : threads) thread.join();
+    ends = true;
+    returning.join();
+    EXPECT_EQ(usage().live_bytes, 0U);
+    EXPECT_EQ(usage().internal_error_count, 0U);
+    heap().purge();
+    EXPECT_LE(window.allocated(), page_bytes());
+  });
+}
+
 TEST(BlockHeap, HasNothingForAForkedChild) {
   in_child([] {
     const TestWindow window = attached();
     void* const block = heap().allocate(64, 1000);
+    std::memset(block, 9, 1000);
     in_child([&] {
       EXPECT_EQ(heap().allocate(64, 1000), nullptr);
+      EXPECT_EQ(*static_cast<std::byte*>(block), std::byte{9}) << "a view of its own";
+      *static_cast<std::byte*>(block) = std::byte{1};
       EXPECT_EQ(heap().deallocate(block), 1);
       EXPECT_EQ(heap().purge(), 0U);
       const TestWindow other = make_window();
       const auto described = other.described();
-      const agnocast_heaphook_options options{};
+      const agnocast_heaphook_options options{AGNOCAST_HEAPHOOK_SCOPE_LOAN, 0,
+                                              [](void*, std::uint32_t, std::uint64_t) {}, nullptr};
       EXPECT_EQ(heap().attach(&described, &options), AGNOCAST_HEAPHOOK_FORKED);
       EXPECT_EQ(heap().add_window(&described), AGNOCAST_HEAPHOOK_FORKED);
     });
     EXPECT_EQ(usage().live_bytes, 1024U);
+    EXPECT_EQ(*static_cast<std::byte*>(block), std::byte{9});
     EXPECT_EQ(heap().deallocate(block), 1);
   });
 }
