@@ -267,8 +267,8 @@ void remove_first() {
   const std::size_t frontier = window.frontier.load(std::memory_order_relaxed);
   munmap(address_in(window, 0), frontier);
   if (window.reserved) {  // the addresses were reserved before us: keep them reserved
-    mmap(address_in(window, 0), frontier, PROT_NONE,
-         MAP_PRIVATE | MAP_ANONYMOUS | MAP_NORESERVE | MAP_FIXED_NOREPLACE, -1, 0);
+    (void)mmap(address_in(window, 0), frontier, PROT_NONE,
+               MAP_PRIVATE | MAP_ANONYMOUS | MAP_NORESERVE | MAP_FIXED_NOREPLACE, -1, 0);
   }
   munmap(window.closed, map_bytes(window.length));
   close_both(window);

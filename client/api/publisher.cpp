@@ -178,9 +178,8 @@ BlockCopy UntypedPublisher::copy(const void* message) noexcept {
   make_room();
   const MessageCopy copy(type_, message);
   const SharedHeap heap = this->heap();
-  constexpr int attempts =
-      2;  // the second with more room, or in the window to which the heap moved
-  for (int i = 0; i < attempts; ++i) {
+  // The second attempt has more room, or is made in the window to which the heap has moved.
+  for (int attempt = 0; attempt < 2; ++attempt) {
     BlockCopy made(block_heap().allocate(copy.alignment(), copy.block_bytes()), 0);
     if (made.start() != nullptr) {
       if (!copy.write(made.start())) return BlockCopy(Errc::loan_invalid);

@@ -164,7 +164,7 @@ class BlockHeap {
     std::uint32_t window;
     std::size_t length;
     std::uintptr_t address;
-    auto operator<=>(const Place&) const = default;
+    auto operator<=>(const Place&) const = default;  // NOLINT(modernize-use-nullptr): a false alarm
   };
   using Places = std::set<Place>;
   struct Extent {
