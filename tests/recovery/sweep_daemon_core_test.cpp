@@ -280,8 +280,8 @@ TEST_F(CoreSweep, AfterADeathAtAnyStoreTheNextDaemonContinues) {
   }
   std::uint64_t repairs = 0;
   for (const First& first : firsts) {
-    if (!with_pairs || !rotation.takes(first.n, firsts.size())) continue;
     const bool whole = repairing.count(first.at) != 0 && repairs++ % 4 == 0;
+    if (!with_pairs || !rotation.takes(first.n, firsts.size())) continue;
     KeptMemory left;
     ASSERT_TRUE(first_life(left, first.n).died) << where(first);
     for (std::uint64_t m = 1; violations < 5;) {
@@ -315,7 +315,8 @@ TEST_F(CoreSweep, AfterADeathAtAnyStoreTheNextDaemonContinues) {
   EXPECT_GT(firsts.size(), 500u);
   for (const char* name : {"D3_slot", "D3_order", "D3_intent", "D3_final_head", "R3_died"}) {
     EXPECT_GT(by_name[name], 0u) << name;
-    if (with_pairs) {
+    // A part has few of the first deaths that such a second one can follow.
+    if (with_pairs && rotation.parts() == 1) {
       EXPECT_GT(second_by_name[name], 0u) << name;
     }
   }
