@@ -75,10 +75,11 @@ class Sample {
   const std::uint64_t stride_, seed_ = number_of("AGNOCAST_SEED", 0);
 };
 
-/// Of the points of a short sequence, a part of AGNOCAST_ROTATION has every fourth, from here.
+/// Of the points of a short sequence, a part of AGNOCAST_ROTATION has every fourth, from here,
+/// where four or a multiple of that are the parts.
 struct Quarter {
   const test::Rotation rotation;
-  const std::uint64_t step = rotation.parts() == 1 ? 1 : 4, from = rotation.part() % step;
+  const std::uint64_t step = rotation.parts() % 4 == 0 ? 4 : 1, from = rotation.part() % step;
 };
 
 struct Totals {

@@ -1,16 +1,13 @@
 // SPDX-License-Identifier: Apache-2.0
 //
-// Executors whose threads, callbacks, nodes or process end at a bad moment. What ends a process
-// runs in executor_program, once for each kind of executor.
+// Executors whose threads, callbacks or nodes end at a bad moment. What ends a process is in
+// executor_program_test.cpp.
 
 #include <agnocast/executor.hpp>
 #include <agnocast/timer.hpp>
-#include <tests/support/processes/child.hpp>
 #include <tests/unit/client/executors/node.hpp>
 
 #include <gtest/gtest.h>
-
-#include <unistd.h>
 
 #include <atomic>
 #include <chrono>
@@ -25,35 +22,6 @@ namespace agnocast {
 namespace {
 
 using namespace std::chrono_literals;
-
-#ifdef AGNOCAST_EXECUTOR_PROGRAM
-
-/// Returns the exit status of the program.
-int run_program(const std::string& mode, const std::string& kind) {
-  test::Child child([&]() noexcept {
-    ::execl(AGNOCAST_EXECUTOR_PROGRAM, AGNOCAST_EXECUTOR_PROGRAM, mode.c_str(), kind.c_str(),
-            nullptr);
-    return 127;
-  });
-  return child.wait();
-}
-
-class ExecutorEndings : public testing::TestWithParam<const char*> {};
-
-TEST_P(ExecutorEndings, ExitInACallback) { EXPECT_EQ(run_program("exit", GetParam()), 7); }
-TEST_P(ExecutorEndings, AForkedChildDestroysIt) { EXPECT_EQ(run_program("fork", GetParam()), 7); }
-TEST_P(ExecutorEndings, AForkedChildReturnsFromACallback) {
-  const int status = run_program("fork_inside", GetParam());
-  // 7: the spin function threw. 0: the last thread of the child was not that of a spin function.
-  EXPECT_TRUE(status == 7 || status == 0) << status;
-}
-TEST_P(ExecutorEndings, CallbacksEndTheirThreads) {
-  EXPECT_EQ(run_program("thread_ends", GetParam()), 7);
-}
-INSTANTIATE_TEST_SUITE_P(Of, ExecutorEndings, testing::Values("multi", "isolated", "background"),
-                         [](const auto& of) { return std::string(of.param); });
-
-#endif
 
 template <class E>
 class SpinningExecutors : public testing::Test {};
