@@ -110,11 +110,11 @@ struct Totals {
   }
 };
 
-/// Runs `sweep(script, stage, worker)` for each script of the sample in as many threads as there
-/// are workers. `script` counts from 0.
-Totals sweep_scripts(
-    const char* what, const Sample& sample,
-    const std::function<Totals(std::size_t script, SweepStage&, std::uint64_t worker)>& sweep) {
+/// Runs `sweep(script, performance, worker, totals)` for each script of the sample in as many
+/// threads as there are workers, on a performance that was rehearsed. `script` counts from 0.
+using SweepOfScript =
+    std::function<void(std::size_t script, Performance&, std::uint64_t worker, Totals&)>;
+Totals sweep_scripts(const char* what, const Sample& sample, const SweepOfScript& sweep) {
   Totals sum;
   for (std::size_t i = 0; i < std::size(scripts); ++i) {
     if (!sample.takes(i)) continue;
@@ -125,7 +125,13 @@ Totals sweep_scripts(
     std::vector<Totals> parts(worker_count);
     std::vector<std::thread> workers;
     for (unsigned w = 0; w < worker_count; ++w)
-      workers.emplace_back([&, w] { parts[w] = sweep(i, *stages[w], w); });
+      workers.emplace_back([&, w] {
+        Performance performance(*stages[w], scripts[i]);
+        if (const std::string wrong = performance.rehearse(); !wrong.empty())
+          parts[w].violations.push_back(std::string(scripts[i].name) + ": " + wrong);
+        else
+          sweep(i, performance, w, parts[w]);
+      });
     for (std::thread& worker : workers) worker.join();
     Totals total;
     for (unsigned w = 0; w < worker_count; ++w) {
@@ -157,14 +163,8 @@ TEST(DaemonSweep, NoProcessNoticesADaemonKilledAtAnyPointOnceOrTwice) {
   const bool all = runs_everything();
   const Sample sample(all ? 1 : number_of("AGNOCAST_SWEEP_STRIDE", 47));
   const Totals sum = sweep_scripts(
-      "points", sample, [&](std::size_t number, SweepStage& stage, std::uint64_t worker) {
-        Totals totals;
-        const Script& script = scripts[number];
-        Performance performance(stage, script);
-        if (const std::string wrong = performance.rehearse(); !wrong.empty()) {
-          totals.violations.push_back(std::string(script.name) + ": " + wrong);
-          return totals;
-        }
+      "points", sample,
+      [&](std::size_t number, Performance& performance, std::uint64_t worker, Totals& totals) {
         totals.points = performance.daemon_points();
         for (std::uint64_t i = worker;
              sample.at(number, i) < totals.points && totals.violations.empty(); i += worker_count) {
@@ -172,11 +172,10 @@ TEST(DaemonSweep, NoProcessNoticesADaemonKilledAtAnyPointOnceOrTwice) {
           // Every second time the next daemon dies too, sooner or later.
           const bool dies_again = sample.number(number, i) / worker_count % 2 != 0;
           const std::uint64_t then = dies_again ? 1 + (n * 7 + sample.seed()) % 60 : 0;
-          totals.note(script, performance.perform_daemon(n, then),
+          totals.note(scripts[number], performance.perform_daemon(n, then),
                       "the daemon's death at point " + std::to_string(n) + ", then " +
                           std::to_string(then));
         }
-        return totals;
       });
   EXPECT_GT(sum.deaths, only_script() != 0 ? 0u : 100u / sample.parts());
 }
@@ -273,14 +272,9 @@ TEST(DaemonSweep, AProcessAndTheDaemonThatRecoversItDieTogether) {
   const bool all = runs_everything();
   const Sample sample(all ? 1 : number_of("AGNOCAST_SWEEP_PAIR_STRIDE", 1999));
   const Totals sum = sweep_scripts(
-      "pairs", sample, [&](std::size_t number, SweepStage& stage, std::uint64_t worker) {
-        Totals totals;
+      "pairs", sample,
+      [&](std::size_t number, Performance& performance, std::uint64_t worker, Totals& totals) {
         const Script& script = scripts[number];
-        Performance performance(stage, script);
-        if (const std::string wrong = performance.rehearse(); !wrong.empty()) {
-          totals.violations.push_back(std::string(script.name) + ": " + wrong);
-          return totals;
-        }
         // The length of a reap depends on what V owns by then: the longest is late, but not last.
         const Performance::Ended counted = performance.perform_pair(performance.points() / 2, 0);
         totals.note(script, counted, "a death in the middle");
@@ -294,7 +288,6 @@ TEST(DaemonSweep, AProcessAndTheDaemonThatRecoversItDieTogether) {
           totals.note(script, performance.perform_pair(n, m),
                       "deaths at points " + std::to_string(n) + " and " + std::to_string(m));
         }
-        return totals;
       });
   std::printf("pairs: in %ju of them both died\n", std::uintmax_t{sum.both});
   print_places(sum);
