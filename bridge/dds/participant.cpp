@@ -306,7 +306,13 @@ std::string DdsFailure::text() const { return std::string(what) + ": " + dds_str
 DdsResult<void> check_dds_configuration(std::uint32_t domain) {
   const char* const uri = std::getenv("CYCLONEDDS_URI");
   if (uri == nullptr || *uri == '\0') return {};
-  const dds_entity_t made = dds_create_domain(domain, uri);
+  // Without multicast each process of a domain has an index, and Cyclone DDS has few: that all are
+  // in use is no fault of the configuration. Later parts of the list override earlier ones.
+  const std::string anywhere =
+      std::string(uri) +
+      ",<CycloneDDS><Domain><Discovery><ParticipantIndex>none</ParticipantIndex>"
+      "</Discovery></Domain></CycloneDDS>";
+  const dds_entity_t made = dds_create_domain(domain, anywhere.c_str());
   if (made < 0) return refused(made, "CYCLONEDDS_URI");
   dds_delete(made);
   return {};

@@ -5,6 +5,7 @@
 // stand in for the host's settings.
 
 #include <agnocast/agnocast.hpp>
+#include <base/descriptors/unique_fd.hpp>
 #include <bridge/dds/participant.hpp>
 #include <tests/integration/bridge/dds/dds_domain.hpp>
 #include <tests/support/machine/doctored.hpp>
@@ -15,6 +16,9 @@
 #include <std_msgs/msg/string.hpp>
 
 #include <gmock/gmock.h>
+
+#include <netinet/in.h>
+#include <sys/socket.h>
 
 #include <algorithm>
 #include <cstdlib>
@@ -267,6 +271,22 @@ TEST_F(DoctorBridge, NamesSettingsThatCycloneDdsRefuses) {
                                   "<CycloneDDS><NoSuchThing/></CycloneDDS>", "file:///nowhere.xml"})
     EXPECT_THAT(with(wrong), testing::ElementsAre(StartsWith("cyclonedds-uri: CYCLONEDDS_URI: ")))
         << wrong;
+}
+
+// On an interface without multicast each process of a domain has two ports of its own.
+TEST_F(DoctorBridge, FindsNothingWrongWithSettingsWhenTheDomainIsFull) {
+  std::vector<UniqueFd> taken;
+  // RTPS 2.3, 9.6.1.1.
+  const auto first = static_cast<std::uint16_t>(7400 + 250 * domain->id() + 10);
+  constexpr int processes_max = 10;  // of Cyclone DDS, MaxAutoParticipantIndex
+  for (std::uint16_t port = 0; port < 2 * processes_max; ++port) {
+    taken.emplace_back(::socket(AF_INET, SOCK_DGRAM | SOCK_CLOEXEC, 0));
+    sockaddr_in address{};
+    address.sin_family = AF_INET;
+    address.sin_port = htons(static_cast<std::uint16_t>(first + port));
+    ASSERT_EQ(::bind(taken.back().get(), reinterpret_cast<sockaddr*>(&address), sizeof address), 0);
+  }
+  EXPECT_THAT(found(), IsEmpty());
 }
 
 TEST_F(DoctorBridge, NamesMistakesInTheConfigurationOfOneThatRuns) {
