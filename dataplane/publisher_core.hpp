@@ -372,20 +372,20 @@ class PublisherCore {
     word = self_.topic.subscription(index, offsetof(abi::SubscriptionEntry, word))
                .load(std::memory_order_acquire);
     if (abi::generation_of(word) != abi::generation_of(endpoint.word)) {
+      using Entry = abi::SubscriptionEntry;
+      const auto field = [&](std::size_t offset) {
+        return self_.topic.subscription(index, offset).load(std::memory_order_relaxed);
+      };
       const abi::Qos qos =
-          abi::unpack_qos(self_.topic.subscription(index, offsetof(abi::SubscriptionEntry, qos))
-                              .load(std::memory_order_relaxed));
-      const std::uint64_t client =
-          self_.topic.subscription(index, offsetof(abi::SubscriptionEntry, client))
-              .load(std::memory_order_relaxed);
-      if (!M::holds(steps::P7_match,
-                    abi::endpoints_match({self_.qos, self_.client}, {qos, client})))
+          abi::unpack_qos({field(offsetof(Entry, policies)), field(offsetof(Entry, deadline_ns)), 0,
+                           field(offsetof(Entry, lease_ns))});
+      if (!M::holds(steps::P7_match, abi::endpoints_match({self_.qos, self_.client},
+                                                          {qos, field(offsetof(Entry, client))})))
         word = abi::pack_board_word(abi::generation_of(word), abi::BoardState::free);
       AGNOCAST_STEP(P7_window) endpoint.window = abi::window_of(qos);
       endpoint.bound = qos.keep_all && qos.reliable ? qos.depth : 0;
       endpoint.reliable = qos.reliable;
-      endpoint.quota = self_.topic.subscription(index, offsetof(abi::SubscriptionEntry, quota))
-                           .load(std::memory_order_relaxed);
+      endpoint.quota = field(offsetof(Entry, quota));
       end_withdrawal(index);
       endpoint.since = head_sequence_ + 1;
       AGNOCAST_STEP(P7_since)

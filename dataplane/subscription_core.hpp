@@ -211,6 +211,28 @@ class LinkCore {
       return 0;  // gone: try this link first
     return self_.publisher.slot_stamp(slot).load(std::memory_order_relaxed);
   }
+  /// Skips the next message of an earlier look(), which is not lost, if its stamp is before
+  /// `limit_ns`. Returns whether it did. Stamps are hints, but the sequence is the one looked at.
+  bool pass_over_older(std::uint64_t head, std::uint64_t limit_ns) noexcept {
+    const std::uint64_t stamp = next_stamp(head).value_or(0);
+    if (stamp == 0 || stamp >= limit_ns) return false;
+    const std::uint64_t next = std::max(
+        cursor_,
+        region::minus_at_least(abi::sequence_of(head) + 1, abi::window_of(self_.requested), 0));
+    lose(next - cursor_);
+    ++cursor_;
+    store_cursor();
+    return true;
+  }
+  /// Returns the stamp of the newest message, 0 if there was none, or it cannot be told. A hint.
+  std::uint64_t newest_stamp() const noexcept {
+    const std::uint64_t head = newest();
+    const std::uint64_t slot = abi::slot_of(head);
+    if (abi::sequence_of(head) <= self_.first_sequence || slot >= M::slot_capacity ||
+        (unusual_ & is_withdrawn_here) != 0)
+      return 0;
+    return self_.publisher.slot_stamp(slot).load(std::memory_order_relaxed);
+  }
   /// Skips the next unread message and counts it as lost. Keeps a subscription's depth over
   /// several publishers.
   void skip() noexcept {

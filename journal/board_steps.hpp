@@ -42,8 +42,8 @@ class BoardSteps {
                         const SubscriptionDescriptor& descriptor) noexcept {
     using Entry = abi::SubscriptionEntry;
     AGNOCAST_STEP(J3_descriptor) {
-      topic_.subscription(index, offsetof(Entry, qos))
-          .store(abi::pack_qos(descriptor.qos), std::memory_order_relaxed);
+      topic_.subscription(index, offsetof(Entry, policies))
+          .store(abi::pack_policies(descriptor.qos), std::memory_order_relaxed);
       AGNOCAST_CRASH_POINT(B_board_field);
       topic_.subscription(index, offsetof(Entry, client))
           .store(descriptor.client, std::memory_order_relaxed);
@@ -56,6 +56,12 @@ class BoardSteps {
       AGNOCAST_CRASH_POINT(B_board_field);
       topic_.subscription(index, offsetof(Entry, wait_set))
           .store(descriptor.wait_set, std::memory_order_relaxed);
+      AGNOCAST_CRASH_POINT(B_board_field);
+      topic_.subscription(index, offsetof(Entry, deadline_ns))
+          .store(descriptor.qos.deadline_ns, std::memory_order_relaxed);
+      AGNOCAST_CRASH_POINT(B_board_field);
+      topic_.subscription(index, offsetof(Entry, lease_ns))
+          .store(descriptor.qos.lease_ns, std::memory_order_relaxed);
     }
     raise(topic_.subscription_high(), index + 1);
     AGNOCAST_STEP(J3_word)
@@ -69,8 +75,8 @@ class BoardSteps {
                      const PublisherDescriptor& descriptor) noexcept {
     using Entry = abi::PublisherEntry;
     AGNOCAST_STEP(J3_descriptor) {
-      topic_.publisher(index, offsetof(Entry, qos))
-          .store(abi::pack_qos(descriptor.qos), std::memory_order_relaxed);
+      topic_.publisher(index, offsetof(Entry, policies))
+          .store(abi::pack_policies(descriptor.qos), std::memory_order_relaxed);
       AGNOCAST_CRASH_POINT(B_board_field);
       topic_.publisher(index, offsetof(Entry, client))
           .store(descriptor.client, std::memory_order_relaxed);

@@ -20,9 +20,12 @@ namespace agnocast::journal {
 #define AGNOCAST_RECORD_TABLE(X)                                                              \
   X(none, 0, "")                                                                              \
   X(register_client, 1, "client generation uid gid pid domain registered_count")              \
-  X(add_publisher, 2, "topic index generation client qos extent slot_count creation")         \
+  X(add_publisher, 2,                                                                         \
+    "topic index generation client policies extent slot_count creation deadline_ns "          \
+    "lifespan_ns lease_ns")                                                                   \
   X(add_subscription, 3,                                                                      \
-    "topic index generation client qos extent quota wait_set creation quota_of_others")       \
+    "topic index generation client policies extent quota wait_set creation quota_of_others "  \
+    "deadline_ns lease_ns")                                                                   \
   X(announced, 4, "topic index to kind generation client to_generation")                      \
   X(unlinked, 5, "topic index by kind generation client by_generation")                       \
   X(leave_publisher, 6, "topic index final_head generation client cause intent_count")        \

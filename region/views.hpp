@@ -27,6 +27,9 @@ struct PublisherWords {
   decltype(auto) inherited() const noexcept {
     return at(offsetof(abi::PublisherEndpoint, inherited));
   }
+  decltype(auto) asserted_ns() const noexcept {
+    return at(offsetof(abi::PublisherEndpoint, asserted_ns));
+  }
   decltype(auto) intent_op() const noexcept {
     return at(offsetof(abi::PublisherEndpoint, intent_op));
   }

@@ -50,13 +50,19 @@ std::string text_of(const wire::Name& name) {
   return {name.text, ::strnlen(name.text, sizeof name.text)};
 }
 
-QoS qos_of(std::uint64_t word) noexcept {
-  const abi::Qos words = abi::unpack_qos(word);
-  QoS qos(words.depth);
-  if (words.keep_all) qos.keep_all(words.depth);
-  words.reliable ? qos.reliable() : qos.best_effort();
-  if (words.transient_local) qos.transient_local();
-  return qos;
+QoS qos_of(const abi::QosWords& words) noexcept {
+  const abi::Qos from = abi::unpack_qos(words);
+  const auto time = [](std::uint64_t ns) {
+    return std::chrono::nanoseconds(static_cast<std::int64_t>(std::min(ns, abi::qos_time_max_ns)));
+  };
+  QoS qos(from.depth);
+  if (from.keep_all) qos.keep_all(from.depth);
+  from.reliable ? qos.reliable() : qos.best_effort();
+  if (from.transient_local) qos.transient_local();
+  if (from.manual_liveliness) qos.liveliness(Liveliness::manual_by_topic);
+  return qos.deadline(time(from.deadline_ns))
+      .lifespan(time(from.lifespan_ns))
+      .liveliness_lease_duration(time(from.lease_ns));
 }
 
 tl::unexpected<Failure> nonsense() noexcept {

@@ -63,12 +63,23 @@ class PublisherSource final : public CallbackSource {
     const UserSignals as_creator(signals);
     events_ = {};
   }
-  bool has_work() const noexcept override { return endpoint_->events().has_pending(); }
-  bool run_one() override { return endpoint_->events().run_one(events_); }
+  bool has_work() const noexcept override {
+    return endpoint_->events().has_pending() || is_look_due();
+  }
+  Clock::time_point due() const noexcept override {
+    return reports_times_ ? endpoint_->events().look_due() : Clock::time_point::max();
+  }
+  bool run_one() override {
+    if (is_look_due()) endpoint_->look_at_times();
+    return endpoint_->events().run_one(events_);
+  }
 
  private:
+  bool is_look_due() const noexcept { return reports_times_ && due() <= Clock::now(); }
+
   const std::shared_ptr<PublisherEndpoint> endpoint_;
   EventCallbacks events_;
+  const bool reports_times_ = events_.deadline != nullptr || events_.liveliness_lost != nullptr;
 };
 
 }  // namespace
@@ -77,7 +88,7 @@ Result<std::shared_ptr<UntypedPublisher>> UntypedPublisher::create(const Endpoin
                                                                    MessageType type, const QoS& qos,
                                                                    const PublisherOptions& options,
                                                                    const MessageCode& code) {
-  if (Result<void> depth = check_depth(qos); !depth) return tl::unexpected<Failure>(depth.error());
+  if (Result<void> fits = check_qos(qos); !fits) return tl::unexpected<Failure>(fits.error());
   // Best available: reliable, which matches every subscription.
   QoS offered = qos;
   if (qos.is_best_available()) offered.reliable();
@@ -265,6 +276,19 @@ std::uint64_t UntypedPublisher::callback_exception_count() const noexcept {
 }
 MatchedInfo UntypedPublisher::matched_status() noexcept {
   return endpoint_ != nullptr ? endpoint_->events().matched_status() : MatchedInfo{};
+}
+DeadlineMissedInfo UntypedPublisher::deadline_missed_status() noexcept {
+  if (endpoint_ == nullptr) return {};
+  endpoint_->look_at_times();
+  return endpoint_->events().deadline_missed_status();
+}
+LivelinessLostInfo UntypedPublisher::liveliness_lost_status() noexcept {
+  if (endpoint_ == nullptr) return {};
+  endpoint_->look_at_times();
+  return endpoint_->events().liveliness_lost_status();
+}
+bool UntypedPublisher::assert_liveliness() noexcept {
+  return is_active() && endpoint_->assert_liveliness();
 }
 IncompatibleQosInfo UntypedPublisher::incompatible_qos_status() noexcept {
   return endpoint_ != nullptr ? endpoint_->events().incompatible_qos_status()

@@ -140,9 +140,14 @@ class SubscriptionSource final : public CallbackSource {
   }
 
   bool has_work() const noexcept override {
-    return endpoint_->events().has_pending() || (callback_ != nullptr && endpoint_->has_news());
+    return endpoint_->events().has_pending() || (callback_ != nullptr && endpoint_->has_news()) ||
+           is_look_due();
+  }
+  Clock::time_point due() const noexcept override {
+    return reports_times_ ? endpoint_->events().look_due() : Clock::time_point::max();
   }
   bool run_one() override {
+    if (is_look_due()) endpoint_->look_at_times();
     if (endpoint_->events().run_one(events_)) return true;
     if (callback_ == nullptr) return false;
     detail::Block* const block = take_blocks(*endpoint_, 1);
@@ -152,9 +157,12 @@ class SubscriptionSource final : public CallbackSource {
   }
 
  private:
+  bool is_look_due() const noexcept { return reports_times_ && due() <= Clock::now(); }
+
   const std::shared_ptr<SubscriptionEndpoint> endpoint_;
   detail::UntypedSubscription::Callback callback_;
   detail::EventCallbacks events_;
+  const bool reports_times_ = events_.deadline != nullptr || events_.liveliness_changed != nullptr;
 };
 
 }  // namespace
@@ -164,12 +172,13 @@ namespace detail {
 Result<std::shared_ptr<UntypedSubscription>> UntypedSubscription::create(
     const EndpointName& name, const MessageType& type, const QoS& qos,
     const SubscriptionOptions& options, Callback callback) {
-  if (Result<void> depth = check_depth(qos); !depth) return tl::unexpected<Failure>(depth.error());
+  if (Result<void> fits = check_qos(qos); !fits) return tl::unexpected<Failure>(fits.error());
   if (options.hold_quota() == 0)
     return fail(Errc::invalid_argument, "with a hold quota of 0 nothing can be taken");
   // Best available: best effort, which matches every publisher.
   QoS requested = qos;
   if (qos.is_best_available()) requested.best_effort();
+  requested.lifespan(std::chrono::nanoseconds(0));
   std::shared_ptr<UntypedSubscription> subscription(new UntypedSubscription(name.topic, requested));
   const Result<bool> off = is_switched_off();
   if (!off) return tl::unexpected<Failure>(off.error());
@@ -255,6 +264,16 @@ void UntypedSubscription::tell(std::shared_ptr<Watch> watch) noexcept {
 }
 MatchedInfo UntypedSubscription::matched_status() noexcept {
   return endpoint_ != nullptr ? endpoint_->events().matched_status() : MatchedInfo{};
+}
+DeadlineMissedInfo UntypedSubscription::deadline_missed_status() noexcept {
+  if (endpoint_ == nullptr) return {};
+  endpoint_->look_at_times();
+  return endpoint_->events().deadline_missed_status();
+}
+LivelinessChangedInfo UntypedSubscription::liveliness_changed_status() noexcept {
+  if (endpoint_ == nullptr) return {};
+  endpoint_->look_at_times();
+  return endpoint_->events().liveliness_changed_status();
 }
 IncompatibleQosInfo UntypedSubscription::incompatible_qos_status() noexcept {
   return endpoint_ != nullptr ? endpoint_->events().incompatible_qos_status()

@@ -1,6 +1,8 @@
 // SPDX-License-Identifier: Apache-2.0
 
 #include <client/endpoint/endpoint_events.hpp>
+
+#include <base/clock.hpp>
 #include <client/process/forked_child.hpp>
 
 #include <string_view>
@@ -11,13 +13,15 @@ namespace agnocast {
 void EndpointEvents::gained() noexcept {
   const std::lock_guard lock(mutex_);
   ++now_.matched;
+  ++now_.alive;
   if (watch_ != nullptr) watch_->notify();
   changed();
 }
 
-void EndpointEvents::ceased() noexcept {
+void EndpointEvents::ceased(bool was_alive) noexcept {
   const std::lock_guard lock(mutex_);
   ++now_.ceased;
+  --(was_alive ? now_.alive : now_.not_alive);
   if (watch_ != nullptr) watch_->notify();
   changed();
 }
@@ -63,6 +67,29 @@ void EndpointEvents::drained() noexcept {
   changed();
 }
 
+void EndpointEvents::begin_deadline(std::uint64_t period_ns) noexcept {
+  deadline_.begin(period_ns, monotonic_ns());
+}
+
+void EndpointEvents::look_at_deadline(std::uint64_t newest_ns) noexcept {
+  const std::lock_guard lock(mutex_);
+  now_.deadlines += deadline_.look(monotonic_ns(), newest_ns);
+  changed();
+}
+
+void EndpointEvents::liveliness_changed(bool is_alive) noexcept {
+  const std::lock_guard lock(mutex_);
+  ++(is_alive ? now_.alive : now_.not_alive);
+  --(is_alive ? now_.not_alive : now_.alive);
+  changed();
+}
+
+void EndpointEvents::liveliness_lost() noexcept {
+  const std::lock_guard lock(mutex_);
+  ++now_.liveliness_lost;
+  changed();
+}
+
 void EndpointEvents::moved() noexcept {
   const std::lock_guard lock(mutex_);
   if (watch_ != nullptr) watch_->notify();
@@ -101,6 +128,24 @@ HoldQuotaInfo EndpointEvents::quota_reached_since(Counts& notified) const noexce
   return {static_cast<std::int32_t>(now_.quota_reached), static_cast<std::int32_t>(change)};
 }
 
+DeadlineMissedInfo EndpointEvents::deadlines_since(Counts& notified) const noexcept {
+  const std::uint64_t change = now_.deadlines - std::exchange(notified.deadlines, now_.deadlines);
+  return {static_cast<std::int32_t>(now_.deadlines), static_cast<std::int32_t>(change)};
+}
+
+LivelinessLostInfo EndpointEvents::liveliness_lost_since(Counts& notified) const noexcept {
+  const std::uint64_t change =
+      now_.liveliness_lost - std::exchange(notified.liveliness_lost, now_.liveliness_lost);
+  return {static_cast<std::int32_t>(now_.liveliness_lost), static_cast<std::int32_t>(change)};
+}
+
+LivelinessChangedInfo EndpointEvents::liveliness_since(Counts& notified) const noexcept {
+  const std::int64_t alive = now_.alive - std::exchange(notified.alive, now_.alive);
+  const std::int64_t not_alive = now_.not_alive - std::exchange(notified.not_alive, now_.not_alive);
+  return {static_cast<std::int32_t>(now_.alive), static_cast<std::int32_t>(now_.not_alive),
+          static_cast<std::int32_t>(alive), static_cast<std::int32_t>(not_alive)};
+}
+
 MatchedInfo EndpointEvents::matched_status() noexcept {
   if (is_forked_child()) return {};
   const std::lock_guard lock(mutex_);
@@ -131,6 +176,24 @@ HoldQuotaInfo EndpointEvents::hold_quota_status() noexcept {
   return quota_reached_since(notified_by_status_);
 }
 
+DeadlineMissedInfo EndpointEvents::deadline_missed_status() noexcept {
+  if (is_forked_child()) return {};
+  const std::lock_guard lock(mutex_);
+  return deadlines_since(notified_by_status_);
+}
+
+LivelinessLostInfo EndpointEvents::liveliness_lost_status() noexcept {
+  if (is_forked_child()) return {};
+  const std::lock_guard lock(mutex_);
+  return liveliness_lost_since(notified_by_status_);
+}
+
+LivelinessChangedInfo EndpointEvents::liveliness_changed_status() noexcept {
+  if (is_forked_child()) return {};
+  const std::lock_guard lock(mutex_);
+  return liveliness_since(notified_by_status_);
+}
+
 void EndpointEvents::wake_for(const detail::EventCallbacks& callbacks,
                               std::shared_ptr<WaitSet> wait_set) noexcept {
   const std::lock_guard lock(mutex_);
@@ -140,6 +203,9 @@ void EndpointEvents::wake_for(const detail::EventCallbacks& callbacks,
              callbacks.connection != nullptr,
              callbacks.heap_collision != nullptr,
              callbacks.hold_quota != nullptr,
+             callbacks.deadline != nullptr,
+             callbacks.liveliness_lost != nullptr,
+             callbacks.liveliness_changed != nullptr,
              callbacks.drained != nullptr};
   wait_set_ = std::move(wait_set);
   changed();
@@ -157,6 +223,10 @@ bool EndpointEvents::look_for_pending() const noexcept {
          (wanted_.connections && now_.connections != notified_by_callback_.connections) ||
          (wanted_.collisions && now_.collisions != notified_by_callback_.collisions) ||
          (wanted_.quota_reached && now_.quota_reached != notified_by_callback_.quota_reached) ||
+         (wanted_.deadlines && now_.deadlines != notified_by_callback_.deadlines) ||
+         (wanted_.liveliness_lost &&
+          now_.liveliness_lost != notified_by_callback_.liveliness_lost) ||
+         (wanted_.liveliness_changed && liveliness_has_changed()) ||
          (wanted_.drained && now_.drained != notified_by_callback_.drained);
 }
 
@@ -189,6 +259,12 @@ bool EndpointEvents::run_one(const detail::EventCallbacks& callbacks) {
     return run(callbacks.heap_collision, collisions_since(notified_by_callback_));
   if (wanted_.quota_reached && now_.quota_reached != notified_by_callback_.quota_reached)
     return run(callbacks.hold_quota, quota_reached_since(notified_by_callback_));
+  if (wanted_.deadlines && now_.deadlines != notified_by_callback_.deadlines)
+    return run(callbacks.deadline, deadlines_since(notified_by_callback_));
+  if (wanted_.liveliness_lost && now_.liveliness_lost != notified_by_callback_.liveliness_lost)
+    return run(callbacks.liveliness_lost, liveliness_lost_since(notified_by_callback_));
+  if (wanted_.liveliness_changed && liveliness_has_changed())
+    return run(callbacks.liveliness_changed, liveliness_since(notified_by_callback_));
   if (wanted_.drained && now_.drained != notified_by_callback_.drained) {
     notified_by_callback_.drained = now_.drained;
     return run([&](bool) { callbacks.drained(); }, true);

@@ -27,6 +27,12 @@ PublisherEndpoint::PublisherEndpoint(const Identity& identity)
       core_(std::make_unique<Core>(identity.core)),
       events_(identity.events != nullptr ? identity.events : std::make_shared<EndpointEvents>()) {
   doomed_.reserve(abi::slot_count_max);
+  const std::uint64_t now_ns = monotonic_ns();
+  identity_.core.words.asserted_ns().store(now_ns, std::memory_order_relaxed);
+  const abi::Qos& qos = identity_.core.qos;
+  if (identity.events == nullptr) events_->begin_deadline(qos.deadline_ns);
+  if (qos.manual_liveliness) lease_.begin(qos.lease_ns, now_ns);
+  events_->look_at_leases_at(lease_.next_ns());
   // Stored first: a process that sees a message or link of this publisher also sees its id.
   if (!identity_.announces_persistent_id_later)
     identity_.core.words.persistent_id().store(identity_.persistent_id, std::memory_order_relaxed);
@@ -99,6 +105,58 @@ bool PublisherEndpoint::has_more_room() noexcept {
 std::uint64_t PublisherEndpoint::head_sequence() const noexcept {
   const std::lock_guard lock(mutex_);
   return core_ != nullptr ? core_->head_sequence() : 0;
+}
+
+std::uint64_t PublisherEndpoint::newest_stamp() const noexcept {
+  std::shared_ptr<PublisherEndpoint> successor;
+  std::uint64_t here_ns = 0;
+  {
+    const std::lock_guard lock(mutex_);
+    here_ns = newest_stamp_here();
+    successor = successor_;
+  }
+  return successor != nullptr ? std::max(here_ns, successor->newest_stamp()) : here_ns;
+}
+
+/// Under the mutex.
+std::uint64_t PublisherEndpoint::newest_stamp_here() const noexcept {
+  if (core_ == nullptr || core_->head_sequence() <= identity_.core.first_sequence) return 0;
+  const auto& words = identity_.core.words;
+  const std::uint64_t head = words.head().load(std::memory_order_relaxed);
+  return words.slot_stamp(abi::slot_of(head)).load(std::memory_order_relaxed);
+}
+
+bool PublisherEndpoint::assert_liveliness() noexcept {
+  if (is_forked_child()) return false;
+  std::shared_ptr<PublisherEndpoint> successor;
+  {
+    const std::lock_guard lock(mutex_);
+    if (!moved_) {
+      if (core_ == nullptr) return false;
+      identity_.core.words.asserted_ns().store(monotonic_ns(), std::memory_order_relaxed);
+      return true;
+    }
+    successor = successor_;
+  }
+  return successor != nullptr && successor->assert_liveliness();
+}
+
+void PublisherEndpoint::look_at_times() noexcept {
+  if (is_forked_child()) return;
+  if (events_->has_deadline()) events_->look_at_deadline(newest_stamp());
+  if (!events_->has_lease()) return;
+  std::shared_ptr<PublisherEndpoint> successor;
+  {
+    const std::lock_guard lock(mutex_);
+    successor = successor_;
+    if (!moved_ && core_ != nullptr) {
+      const std::uint64_t shown_ns = std::max(
+          newest_stamp_here(), identity_.core.words.asserted_ns().load(std::memory_order_relaxed));
+      if (lease_.look(monotonic_ns(), shown_ns) && !lease_.is_alive()) events_->liveliness_lost();
+      events_->look_at_leases_at(lease_.next_ns());
+    }
+  }
+  if (successor != nullptr) successor->look_at_times();
 }
 
 bool PublisherEndpoint::is_taken(std::uint64_t sequence) noexcept {

@@ -109,6 +109,10 @@ class PublisherEndpoint {
   /// message that they free. Returns false if there was none.
   bool has_more_room() noexcept;
   std::uint64_t head_sequence() const noexcept;
+  /// Counts missed deadlines, and the loss of its liveliness, up to now. Any thread.
+  void look_at_times() noexcept;
+  /// Returns false if there is no session.
+  bool assert_liveliness() noexcept;
   /// Scans, and returns whether no reliable subscription can still take a message up to `sequence`.
   bool is_taken(std::uint64_t sequence) noexcept;
   /// A publish found the heap full: the next make_room() then makes room for all publishers.
@@ -251,6 +255,8 @@ class PublisherEndpoint {
   template <class Do>
   void in_control_thread(Do work) noexcept;
   void count(std::size_t counter, std::uint64_t more) noexcept;
+  std::uint64_t newest_stamp() const noexcept;
+  std::uint64_t newest_stamp_here() const noexcept;
   bool see_readers(std::vector<Seen>& seen) const;
   void look_at(const Seen& reader, Watched& endpoint, const Look& look);
   std::size_t number_of(const Peer& peer, std::uint64_t wait_set, PeerDoorbell doorbell);
@@ -275,7 +281,8 @@ class PublisherEndpoint {
 
   const std::shared_ptr<EndpointEvents> events_;
   Departure departure_;
-  bool moved_ = false;                            // under the mutex, like the next
+  LeaseWatch lease_;  // under the mutex, like the next ones
+  bool moved_ = false;
   std::shared_ptr<PublisherEndpoint> successor_;  // null with `moved_`: this one was abandoned
   std::atomic<bool> has_ended_{false};
 };

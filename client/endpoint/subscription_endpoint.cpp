@@ -29,6 +29,7 @@ SubscriptionEndpoint::SubscriptionEndpoint(const Identity& identity,
     : self_(identity),
       wait_set_(std::move(wait_set)),
       events_(identity.events != nullptr ? identity.events : std::make_shared<EndpointEvents>()) {
+  if (identity.events == nullptr) events_->begin_deadline(identity.qos.deadline_ns);
   // Stored before any link: a publisher that sees a link sees the id.
   region::SubscriptionWords<SharedMemory>{self_.region, self_.extent}.persistent_id().store(
       self_.persistent_id, std::memory_order_relaxed);
@@ -65,7 +66,9 @@ bool SubscriptionEndpoint::add_publisher(const Publisher& publisher, std::shared
   AGNOCAST_CRASH_POINT(C_linked);
   links_.push_back(std::move(link));
   book.linked(publisher.generation);
+  events_->look_at_leases_by(links_.back()->lease_.next_ns());
   events_->gained();
+  may_expire_ = may_expire_ || publisher.qos.lifespan_ns != 0;
   wait_set_->wake();  // messages committed before the link existed could not ring for it
   return true;
 }
@@ -78,7 +81,7 @@ void SubscriptionEndpoint::orphan(std::uint64_t publisher, std::uint64_t generat
     AGNOCAST_CRASH_POINT(C_orphaned);
     link->core_.observe_publisher();
     link->is_orphaned_ = true;
-    if (!std::exchange(link->ceased_, true)) events_->ceased();
+    cease(*link);
     if (!give_up) continue;
     while (link->core_.unread() > 0) link->core_.skip();
     note_losses(*link);
@@ -89,11 +92,16 @@ void SubscriptionEndpoint::orphan(std::uint64_t publisher, std::uint64_t generat
   wait_set_->wake();
 }
 
+/// Returns false if it had ceased before.
+bool SubscriptionEndpoint::cease(Link& link) noexcept {
+  if (std::exchange(link.ceased_, true)) return false;
+  events_->ceased(link.lease_.is_alive());
+  return true;
+}
+
 void SubscriptionEndpoint::revoke() noexcept {
   const std::lock_guard lock(mutex_);
-  for (const auto& link : links_) {
-    if (!std::exchange(link->ceased_, true)) events_->ceased();
-  }
+  for (const auto& link : links_) cease(*link);
 }
 
 void SubscriptionEndpoint::close() noexcept {
@@ -118,6 +126,8 @@ std::vector<std::shared_ptr<Link>> SubscriptionEndpoint::collect_unlinked() {
   }
   for (const auto& link : over) {
     AGNOCAST_CRASH_POINT(C_unlink);
+    newest_before_ns_ =
+        std::max(newest_before_ns_, std::min(link->core_.newest_stamp(), monotonic_ns()));
     link->core_.unlink();
     books_[link->publisher()].unlinked(link->generation());
     lost_before_ += link->core_.lost();
@@ -240,6 +250,8 @@ inline bool SubscriptionEndpoint::take_here(Receiver& receiver) noexcept {
   if (!may_take()) return false;
   if (links_.size() != 1) return take_oldest(receiver);
   const std::shared_ptr<Link>& link = links_.front();
+  if (may_expire_) [[unlikely]]
+    pass_over_expired();
   if (!link->core_.has_news() || !can_take(*link)) return false;
   link->head_ = link->core_.look();
   return take_from<false>(link, receiver, receiver.wanted()) == Attempt::taken;
@@ -258,6 +270,8 @@ void SubscriptionEndpoint::look_at_empty() const noexcept {
 // message that the second look finds itself may be older than all others, and is taken: what its
 // thread published before is older still, and was committed before the look began.
 bool SubscriptionEndpoint::take_oldest(Receiver& receiver) noexcept {
+  if (may_expire_) [[unlikely]]
+    pass_over_expired();
   drop_beyond_depth();
   for (const auto& link : links_) look_at(*link);
   bool has_taken = false;
@@ -311,6 +325,26 @@ SubscriptionEndpoint::Attempt SubscriptionEndpoint::take_from(const std::shared_
   return attempt;
 }
 
+/// Skips the messages that are older than their publisher's lifespan: all that come after the first
+/// younger one are younger still. Before every take, so that they displace nothing.
+void SubscriptionEndpoint::pass_over_expired() noexcept {
+  const std::uint64_t now = monotonic_ns();
+  const region::SubscriptionWords<SharedMemory> words{self_.region, self_.extent};
+  for (const auto& link : links_) {
+    const std::uint64_t lifespan = link->lifespan_ns();
+    if (lifespan == 0) continue;
+    if (lifespan >= now) continue;
+    const std::uint64_t head = link->core_.look();
+    std::uint64_t passed = 0;
+    while (passed < abi::ring_count && link->core_.pass_over_older(head, now - lifespan)) ++passed;
+    if (passed == 0) continue;
+    note_losses(*link);
+    words.counter(offsetof(abi::SubscriptionCounters, expired))
+        .fetch_add(passed, std::memory_order_relaxed);
+    if (link->ceased_ && !link->core_.has_news()) events_->drained();
+  }
+}
+
 bool SubscriptionEndpoint::has_news() const noexcept {
   if (!is_served()) return false;
   const std::lock_guard lock(mutex_);
@@ -321,6 +355,33 @@ bool SubscriptionEndpoint::has_news_here() const noexcept {
   return may_take() && std::any_of(links_.begin(), links_.end(), [this](const auto& link) {
            return link->core_.has_news() && can_take(*link);
          });
+}
+
+/// Returns the stamp of the newest message that any publisher has committed; 0 if none is known.
+std::uint64_t SubscriptionEndpoint::newest_stamp() const noexcept {
+  if (!is_served()) return 0;
+  const std::lock_guard lock(mutex_);
+  std::uint64_t newest_ns = newest_before_ns_;
+  for (const auto& link : links_) newest_ns = std::max(newest_ns, link->core_.newest_stamp());
+  for (const auto& successor : successors_)
+    newest_ns = std::max(newest_ns, successor->newest_stamp());
+  return newest_ns;
+}
+
+/// Returns when to look again.
+std::uint64_t SubscriptionEndpoint::look_at_leases() noexcept {
+  if (!is_served()) return never_ns;
+  const std::lock_guard lock(mutex_);
+  std::uint64_t next_ns = never_ns;
+  for (const auto& link : links_) {
+    if (link->ceased_) continue;
+    if (link->lease_.look(monotonic_ns(), link->shown_alive_ns()))
+      events_->liveliness_changed(link->lease_.is_alive());
+    next_ns = std::min(next_ns, link->lease_.next_ns());
+  }
+  for (const auto& successor : successors_)
+    next_ns = std::min(next_ns, successor->look_at_leases());
+  return next_ns;
 }
 
 std::uint64_t SubscriptionEndpoint::lost() const noexcept {
@@ -447,6 +508,7 @@ SubscriptionEndpoint::Candidate SubscriptionEndpoint::oldest_in_order() noexcept
       link->continues_ = true;
       link->core_.want_history(0);
     }
+    if (of.may_expire_) of.pass_over_expired();
     of.drop_beyond_depth();
     for (const auto& link : of.links_) {
       of.look_at(*link);

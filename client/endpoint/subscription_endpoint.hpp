@@ -16,6 +16,7 @@
 
 #include <agnocast/ipc_shared_ptr.hpp>
 #include <agnocast/result.hpp>
+#include <base/clock.hpp>
 #include <client/endpoint/departure.hpp>
 #include <client/endpoint/endpoint_events.hpp>
 #include <client/endpoint/peer.hpp>
@@ -25,6 +26,7 @@
 #include <dataplane/subscription_core.hpp>
 #include <journal/announce_set.hpp>
 
+#include <algorithm>
 #include <atomic>
 #include <cstddef>
 #include <cstdint>
@@ -49,6 +51,7 @@ class Link {
         wait_set_(std::move(wait_set)),
         quota_(quota),
         wake_control_(std::move(wake_control)) {
+    if (identity.offered.manual_liveliness) lease_.begin(identity.offered.lease_ns, monotonic_ns());
     if (keeps_history())
       core_.want_history(identity.requested.transient_local
                              ? std::min(identity.offered.depth, identity.requested.depth)
@@ -104,6 +107,8 @@ class Link {
   }
   bool keeps_history() const noexcept { return identity_.offered.transient_local; }
   std::uint64_t held_count() const noexcept { return held_.load(std::memory_order_acquire); }
+  /// Returns 0 if its messages do not expire.
+  std::uint64_t lifespan_ns() const noexcept { return identity_.offered.lifespan_ns; }
 
  private:
   friend class SubscriptionEndpoint;
@@ -120,6 +125,10 @@ class Link {
     friend bool operator==(const Origin&, const Origin&) = default;
   };
   Origin origin() const noexcept { return {persistent_id(), peer_->heap().first_address()}; }
+  std::uint64_t shown_alive_ns() const noexcept {
+    return std::max(core_.newest_stamp(),
+                    identity_.publisher.asserted_ns().load(std::memory_order_relaxed));
+  }
   /// Returns whether its publisher adds no more here, because it publishes in a newer session.
   bool has_moved() const noexcept {
     // acquire; pairs with the store after the last commit in PublisherEndpoint::move_to.
@@ -144,7 +153,8 @@ class Link {
   detail::Block* spares_ = nullptr;
   std::atomic<bool> is_quota_reported_{false};  // and nothing was released since
   bool ceased_ = false;                         // the publisher adds no more
-  bool continues_ = false;                      // it had an earlier queue of the same publisher
+  LeaseWatch lease_;
+  bool continues_ = false;  // it had an earlier queue of the same publisher
   // Set by the daemon's packet, after it has announced every window that the publisher had by then.
   bool is_orphaned_ = false;
 };
@@ -259,6 +269,12 @@ class SubscriptionEndpoint {
   void close() noexcept;
   /// Returns whether there is anything to take. For the check between arming and sleeping.
   bool has_news() const noexcept;
+  /// Counts missed deadlines up to now, and publishers that are alive.
+  void look_at_times() noexcept {
+    if (is_forked_child()) return;
+    if (events_->has_deadline()) events_->look_at_deadline(newest_stamp());
+    if (events_->has_lease()) events_->look_at_leases([this] { return look_at_leases(); });
+  }
   std::uint64_t lost() const noexcept;
   std::uint64_t malformed() const noexcept;
   std::uint64_t unreachable() const noexcept;
@@ -317,6 +333,10 @@ class SubscriptionEndpoint {
   template <bool only_next>
   [[gnu::noinline, gnu::flatten]] Attempt take_from(const std::shared_ptr<Link>& link,
                                                     Receiver& receiver, std::size_t most) noexcept;
+  [[gnu::noinline]] void pass_over_expired() noexcept;
+  bool cease(Link& link) noexcept;
+  std::uint64_t newest_stamp() const noexcept;
+  std::uint64_t look_at_leases() noexcept;
   void look_at_empty() const noexcept;
   [[gnu::noinline]] bool take_in_order(Receiver& receiver) noexcept;
   bool may_take() const noexcept;
@@ -349,8 +369,10 @@ class SubscriptionEndpoint {
   std::shared_ptr<WaitSet> wait_set_;
   mutable std::mutex mutex_;
   std::vector<std::shared_ptr<Link>> links_;
-  std::vector<Book> books_;        // by publisher index, as far as one was announced
-  std::uint64_t lost_before_ = 0;  // of links that are over
+  std::vector<Book> books_;             // by publisher index, as far as one was announced
+  std::uint64_t lost_before_ = 0;       // of links that are over
+  bool may_expire_ = false;             // messages of some publisher
+  std::uint64_t newest_before_ns_ = 0;  // stamp of their newest message
   std::uint64_t malformed_before_ = 0;
   std::uint64_t unreachable_before_ = 0;
   bool closed_ = false;

@@ -70,11 +70,7 @@ void SubscriptionEndpoint::collect_alone() {
     const std::lock_guard lock(mutex_);
     for (auto at = links_.begin(); at != links_.end();) {
       const std::shared_ptr<Link>& link = *at;
-      if (!link->ceased_ && (link->has_moved() || !link->peer().is_alive())) {
-        link->ceased_ = true;
-        found = true;
-        events_->ceased();
-      }
+      if (link->has_moved() || !link->peer().is_alive()) found |= cease(*link);
       const bool over = closed_ || (link->ceased_ && !link->core_.has_news());
       link->closing_.store(over, std::memory_order_release);
       if (!over || link->held_count() != 0) {
@@ -84,6 +80,8 @@ void SubscriptionEndpoint::collect_alone() {
       if (link->keeps_history() && link->has_moved() && link->core_.has_begun() &&
           std::find(followed_.begin(), followed_.end(), link->origin()) == followed_.end())
         followed_.push_back(link->origin());
+      newest_before_ns_ =
+          std::max(newest_before_ns_, std::min(link->core_.newest_stamp(), monotonic_ns()));
       lost_before_ += link->core_.lost();
       malformed_before_ += link->core_.malformed();
       unreachable_before_ += link->core_.unreachable();
@@ -114,6 +112,7 @@ void SubscriptionEndpoint::absorb(SubscriptionEndpoint& successor) noexcept {
                                   [&](const auto& entry) { return entry.get() == &successor; });
   if (found == successors_.end()) return;
   const std::lock_guard its_lock(successor.mutex_);
+  newest_before_ns_ = std::max(newest_before_ns_, successor.newest_before_ns_);
   lost_before_ += std::exchange(successor.lost_before_, 0);
   malformed_before_ += std::exchange(successor.malformed_before_, 0);
   unreachable_before_ += std::exchange(successor.unreachable_before_, 0);

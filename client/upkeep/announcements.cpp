@@ -165,10 +165,15 @@ void Announcements::on_kick(Connection&, Incoming& packet) {
 namespace {
 
 void tell(EndpointEvents& events, const wire::Notice& notice) noexcept {
-  static_assert(static_cast<int>(QosPolicyKind::durability) ==
-                    static_cast<int>(abi::QosPolicy::durability) &&
-                static_cast<int>(QosPolicyKind::reliability) ==
-                    static_cast<int>(abi::QosPolicy::reliability));
+  constexpr auto is_same = [](QosPolicyKind kind, abi::QosPolicy policy) {
+    return static_cast<std::uint32_t>(kind) == static_cast<std::uint32_t>(policy);
+  };
+  static_assert(
+      is_same(QosPolicyKind::durability, abi::QosPolicy::durability) &&
+      is_same(QosPolicyKind::deadline, abi::QosPolicy::deadline) &&
+      is_same(QosPolicyKind::liveliness, abi::QosPolicy::liveliness) &&
+      is_same(QosPolicyKind::reliability, abi::QosPolicy::reliability) &&
+      is_same(QosPolicyKind::liveliness_lease_duration, abi::QosPolicy::liveliness_lease));
   switch (static_cast<Errc>(notice.code)) {
     case Errc::qos_incompatible:
       events.incompatible_qos(static_cast<QosPolicyKind>(notice.policy));

@@ -164,6 +164,23 @@ Outcome<Target> target_of(const Arguments& arguments, const Outcome<TopicNow>& n
   return target;
 }
 
+const char* name_of(QosPolicyKind policy) noexcept {
+  switch (policy) {
+    case QosPolicyKind::durability:
+      return "durability";
+    case QosPolicyKind::deadline:
+      return "deadline";
+    case QosPolicyKind::liveliness:
+      return "liveliness";
+    case QosPolicyKind::liveliness_lease_duration:
+      return "liveliness lease";
+    case QosPolicyKind::reliability:
+    case QosPolicyKind::invalid:
+      break;
+  }
+  return "reliability";
+}
+
 }  // namespace
 
 Outcome<void> echo_topic(const Arguments& arguments, Console& console) {
@@ -201,8 +218,7 @@ Outcome<void> echo_topic(const Arguments& arguments, Console& console) {
   };
   SubscriptionOptions events;
   events.incompatible_qos_callback([](IncompatibleQosInfo& info) {
-    note(std::string("a publisher offers less than requested: ") +
-         (info.last_policy_kind == QosPolicyKind::durability ? "durability" : "reliability"));
+    note(std::string("a publisher offers less than requested: ") + name_of(info.last_policy_kind));
   });
   const ChosenQos chosen = qos_of(arguments, "sensor_data", now ? &now->publishers : nullptr);
   if (!chosen.note.empty()) note(chosen.note);

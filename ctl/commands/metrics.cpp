@@ -109,8 +109,8 @@ class Metrics {
     for (const Family& family : families_) {
       const std::string sample = family.name + (family.type == "counter" ? "_total" : "");
       const std::string& name = is_openmetrics ? family.name : sample;
-      text += "# HELP " + name + ' ' + std::string(family.help) + "\n# TYPE " + name + ' ' +
-              std::string(family.type) + '\n';
+      text.append("# HELP ").append(name).append(" ").append(family.help);
+      text.append("\n# TYPE ").append(name).append(" ").append(family.type).append("\n");
       if (is_openmetrics && !family.unit.empty())
         text += "# UNIT " + name + ' ' + std::string(family.unit) + '\n';
       for (const auto& [labels, value] : family.samples) {
@@ -238,6 +238,7 @@ void add_topics(const System& system, Metrics& metrics, std::uint64_t now_ns) {
   Overview overview;
   const std::vector<Row> rows = overview.look(system, true, 0, now_ns);
   std::vector<SharedLabels> labels;
+  labels.reserve(rows.size());
   for (const Row& row : rows)
     labels.push_back(std::make_shared<const Labels>(
         Labels{{"domain", std::to_string(row.topic->facts.domain)}, {"topic", row.topic->name}}));
@@ -313,6 +314,9 @@ void add_endpoints(const System& system, Metrics& metrics) {
   each(subscriptions, "unreachable_messages", "",
        "Messages not taken because their address is in use in the subscriber.",
        &SubscriptionNumbers::unreachable);
+  each(subscriptions, "expired_messages", "",
+       "Messages not taken because they were older than their publisher's lifespan.",
+       &SubscriptionNumbers::expired);
 }
 
 Metrics metrics_of(const System* system) {

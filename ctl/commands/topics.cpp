@@ -100,12 +100,22 @@ std::string gid_of(const System& system, const Endpoint& endpoint) {
   return text;
 }
 
-Object qos_object(std::uint64_t packed) {
-  const abi::Qos qos = abi::unpack_qos(packed);
+Object qos_object(const abi::QosWords& words) {
+  const abi::Qos qos = abi::unpack_qos(words);
+  const auto time = [](std::uint64_t ns) { return ns == 0 ? Object(nullptr) : Object(ns); };
   return {{"reliability", qos.reliable ? "reliable" : "best_effort"},
           {"durability", qos.transient_local ? "transient_local" : "volatile"},
           {"history", qos.keep_all ? "keep_all" : "keep_last"},
-          {"depth", qos.depth}};
+          {"depth", qos.depth},
+          {"lifespan_ns", time(qos.lifespan_ns)},
+          {"deadline_ns", time(qos.deadline_ns)},
+          {"liveliness", qos.manual_liveliness ? "manual_by_topic" : "automatic"},
+          {"liveliness_lease_ns", time(qos.lease_ns)}};
+}
+
+/// As `ros2 topic info -v` prints it.
+std::string qos_time(std::uint64_t ns) {
+  return ns == 0 ? "Infinite" : std::to_string(ns) + " nanoseconds";
 }
 
 Object common_object(const System& system, const Endpoint& endpoint) {
@@ -151,6 +161,7 @@ Object object_of(const System& system, const Topic& topic, const Endpoint& endpo
     put("lost_messages", found.has_value(), numbers.lost);
     put("malformed_messages", found.has_value(), numbers.malformed);
     put("unreachable_messages", found.has_value(), numbers.unreachable);
+    put("expired_messages", found.has_value(), numbers.expired);
   }
   return object;
 }
@@ -193,6 +204,7 @@ void print_subscription_numbers(const System& system, const Topic& topic, const 
       "Lost: " + counted(found->lost, "message") +
       (found->malformed == 0 ? "" : ", " + std::to_string(found->malformed) + " malformed") +
       (found->unreachable == 0 ? "" : ", " + std::to_string(found->unreachable) + " unreachable"));
+  if (found->expired != 0) console.line("Expired: " + counted(found->expired, "message"));
   if (system.is_silent(endpoint))
     console.line("Doorbell: none; while it waits, it polls once a second");
   const Process* const process = system.process_of(endpoint);
@@ -216,10 +228,11 @@ void print_endpoint(const System& system, const Topic& topic, const Endpoint& en
                " (" + std::to_string(qos.depth) + ")");
   console.line(std::string("  Durability: ") +
                (qos.transient_local ? "TRANSIENT_LOCAL" : "VOLATILE"));
-  console.line("  Lifespan: Infinite");
-  console.line("  Deadline: Infinite");
-  console.line("  Liveliness: AUTOMATIC");
-  console.line("  Liveliness lease duration: Infinite");
+  console.line("  Lifespan: " + qos_time(qos.lifespan_ns));
+  console.line("  Deadline: " + qos_time(qos.deadline_ns));
+  console.line(std::string("  Liveliness: ") +
+               (qos.manual_liveliness ? "MANUAL_BY_TOPIC" : "AUTOMATIC"));
+  console.line("  Liveliness lease duration: " + qos_time(qos.lease_ns));
   if (const Process* const process = system.process_of(endpoint); process != nullptr)
     console.line("Process: " + words_of(*process));
   if (endpoint.state() != abi::BoardState::active)

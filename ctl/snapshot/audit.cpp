@@ -229,7 +229,7 @@ class Auditor {
     check_entry(
         topic, endpoint, offsetof(Entry, word),
         [&](std::size_t field) { return words.publisher(facts.index, field).load(acquire); },
-        {{offsetof(Entry, qos), facts.qos},
+        {{offsetof(Entry, policies), facts.qos.policies},
          {offsetof(Entry, client), facts.client},
          {offsetof(Entry, extent), facts.extent},
          {offsetof(Entry, slot_count), facts.slot_count},
@@ -242,11 +242,13 @@ class Auditor {
     check_entry(
         topic, endpoint, offsetof(Entry, word),
         [&](std::size_t field) { return words.subscription(facts.index, field).load(acquire); },
-        {{offsetof(Entry, qos), facts.qos},
+        {{offsetof(Entry, policies), facts.qos.policies},
          {offsetof(Entry, client), facts.client},
          {offsetof(Entry, extent), facts.extent},
          {offsetof(Entry, quota), facts.quota},
-         {offsetof(Entry, wait_set), facts.wait_set}});
+         {offsetof(Entry, wait_set), facts.wait_set},
+         {offsetof(Entry, deadline_ns), facts.qos.deadline_ns},
+         {offsetof(Entry, lease_ns), facts.qos.lease_ns}});
   }
   /// Compares board words with the dump. `fields`: offsets on the board, and the dumped values.
   template <class Word>

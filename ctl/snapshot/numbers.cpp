@@ -115,6 +115,7 @@ std::optional<SubscriptionNumbers> numbers_of_subscription(const System& system,
   numbers.lost = words.counter(offsetof(Fields, lost)).load(relaxed);
   numbers.malformed = words.counter(offsetof(Fields, malformed)).load(relaxed);
   numbers.unreachable = words.counter(offsetof(Fields, unreachable)).load(relaxed);
+  numbers.expired = words.counter(offsetof(Fields, expired)).load(relaxed);
   if (!was_its_own(system, topic, subscription)) return std::nullopt;
   return numbers;
 }

@@ -35,6 +35,7 @@ struct SubscriptionNumbers {
   std::uint64_t lost = 0;
   std::uint64_t malformed = 0;
   std::uint64_t unreachable = 0;
+  std::uint64_t expired = 0;
 };
 
 /// Return nothing if the endpoint is gone or its region cannot be read.

@@ -5,17 +5,12 @@
 #include <base/text/text.hpp>
 #include <ctl/cli/console.hpp>
 #include <ctl/snapshot/numbers.hpp>
+#include <journal/mismatch.hpp>
 #include <journal/withdrawal.hpp>
 #include <region/views.hpp>
 
 namespace agnocast::ctl {
 namespace {
-
-std::string mismatch_of(const abi::Qos& offered, const abi::Qos& requested) {
-  if (abi::qos_mismatch(offered, requested) == abi::QosPolicy::reliability)
-    return "the publisher is best_effort, the subscription requests reliable";
-  return "the publisher is volatile, the subscription requests transient_local";
-}
 
 bool is_linked(const System& system, const Endpoint& publisher, const Endpoint& subscription) {
   std::byte* const region = system.region_of(subscription);
@@ -51,7 +46,7 @@ Pair pair_of(const System& system, const Topic& topic, const Endpoint& publisher
   }
   if (!abi::qos_match(offered, requested)) {
     pair.state = PairState::incompatible;
-    pair.why = mismatch_of(offered, requested);
+    pair.why = journal::mismatch_text(offered, requested);
     return pair;
   }
   if (const char* const end = end_of(publisher, subscription); end != nullptr) {

@@ -5,6 +5,7 @@
 #include <daemon/lifecycle/announcing.hpp>
 
 #include <daemon/lifecycle/references.hpp>
+#include <journal/mismatch.hpp>
 
 #include <string>
 
@@ -178,13 +179,12 @@ Effects Announcing::mismatches(const EndpointRef& ref, bool to_both) const {
     const SubscriptionRecord& subscription = registry_.subscription(ref.topic, s);
     if (publisher.state != EndpointState::active || subscription.state != EndpointState::active)
       return;
+    const abi::Qos offered = abi::unpack_qos(publisher.qos);
     const abi::Qos requested = abi::unpack_qos(subscription.qos);
     if (requested.ignore_local && publisher.client == subscription.client) return;
-    const abi::QosPolicy policy = abi::qos_mismatch(abi::unpack_qos(publisher.qos), requested);
+    const abi::QosPolicy policy = abi::qos_mismatch(offered, requested);
     if (policy == abi::QosPolicy::none) return;
-    const std::string text = policy == abi::QosPolicy::reliability
-                                 ? "reliable is requested, best effort is offered"
-                                 : "transient_local is requested, volatile is offered";
+    const std::string text = journal::mismatch_text(offered, requested);
     for (const EndpointRef& to : {EndpointRef{Kind::publisher, ref.topic, p},
                                   EndpointRef{Kind::subscription, ref.topic, s}}) {
       if (to_both || to.kind == ref.kind)

@@ -350,8 +350,9 @@ void Registry::add_publisher(ClientIndex client, TopicIndex topic, const abi::Qo
   AGNOCAST_CHECK(record.state == EndpointState::free);
   AGNOCAST_CHECK(record.notified.reusable());
   put(record.node, node);
-  change(Type::add_publisher, {number(topic), plan.index, plan.generation, number(client),
-                               abi::pack_qos(qos), plan.extent, plan.slot_count, creation});
+  change(Type::add_publisher,
+         {number(topic), plan.index, plan.generation, number(client), abi::pack_policies(qos),
+          plan.extent, plan.slot_count, creation, qos.deadline_ns, qos.lifespan_ns, qos.lease_ns});
 }
 
 Result<SubscriptionPlan> Registry::plan_subscription(ClientIndex client, TopicIndex topic,
@@ -401,8 +402,8 @@ void Registry::add_subscription(ClientIndex client, TopicIndex topic, const abi:
   AGNOCAST_CHECK(record.notified.reusable());
   put(record.node, node);
   change(Type::add_subscription,
-         {number(topic), plan.index, plan.generation, number(client), abi::pack_qos(qos),
-          plan.extent, quota.own, wait_set, creation, quota.others});
+         {number(topic), plan.index, plan.generation, number(client), abi::pack_policies(qos),
+          plan.extent, quota.own, wait_set, creation, quota.others, qos.deadline_ns, qos.lease_ns});
 }
 
 HoldPool::Use Registry::pool_use(std::uint32_t uid, TopicIndex topic) const {

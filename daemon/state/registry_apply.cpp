@@ -216,11 +216,14 @@ void Registry::apply_to_publisher(const Record& record) {
     case Type::add_publisher:
       store(publisher.generation, argument[2]);
       store(publisher.client, static_cast<ClientIndex>(argument[3]));
-      store(publisher.qos, argument[4]);
+      store(publisher.qos.policies, argument[4]);
       store(publisher.extent, argument[5]);
       store(publisher.slot_count, argument[6]);
       store(publisher.final_head, 0);
       store(publisher.creation, argument[7]);
+      store(publisher.qos.deadline_ns, argument[8]);
+      store(publisher.qos.lifespan_ns, argument[9]);
+      store(publisher.qos.lease_ns, argument[10]);
       store(publisher.last_joined, 0);
       AGNOCAST_CRASH_POINT(B_notified);
       publisher.notified.begin(publisher.generation);
@@ -272,12 +275,15 @@ void Registry::apply_to_subscription(const Record& record) {
     case Type::add_subscription:
       store(subscription.generation, argument[2]);
       store(subscription.client, static_cast<ClientIndex>(argument[3]));
-      store(subscription.qos, argument[4]);
+      store(subscription.qos.policies, argument[4]);
       store(subscription.extent, argument[5]);
       store(subscription.quota, argument[6]);
       store(subscription.wait_set, argument[7]);
       store(subscription.creation, argument[8]);
       store(subscription.quota_of_others, argument[9]);
+      store(subscription.qos.deadline_ns, argument[10]);
+      store(subscription.qos.lifespan_ns, 0);
+      store(subscription.qos.lease_ns, argument[11]);
       AGNOCAST_CRASH_POINT(B_notified);
       subscription.notified.begin(subscription.generation);
       store(subscription.state, EndpointState::active);

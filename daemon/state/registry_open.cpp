@@ -279,7 +279,7 @@ std::uint64_t Registry::repair_publisher(TopicIndex topic, std::uint32_t index) 
   if (!is_used({Kind::publisher, topic, index})) return repair_free(at(offsetof(Entry, word)));
   const PublisherRecord& record = publisher(topic, index);
   std::uint64_t repaired = 0;
-  repaired += agree(at(offsetof(Entry, qos)), record.qos);
+  repaired += agree(at(offsetof(Entry, policies)), record.qos.policies);
   repaired += agree(at(offsetof(Entry, client)), number(record.client));
   repaired += agree(at(offsetof(Entry, extent)), record.extent);
   repaired += agree(at(offsetof(Entry, slot_count)), record.slot_count);
@@ -297,11 +297,13 @@ std::uint64_t Registry::repair_subscription(TopicIndex topic, std::uint32_t inde
   if (!is_used({Kind::subscription, topic, index})) return repair_free(at(offsetof(Entry, word)));
   const SubscriptionRecord& record = subscription(topic, index);
   std::uint64_t repaired = 0;
-  repaired += agree(at(offsetof(Entry, qos)), record.qos);
+  repaired += agree(at(offsetof(Entry, policies)), record.qos.policies);
   repaired += agree(at(offsetof(Entry, client)), number(record.client));
   repaired += agree(at(offsetof(Entry, extent)), record.extent);
   repaired += agree(at(offsetof(Entry, quota)), record.quota);
   repaired += agree(at(offsetof(Entry, wait_set)), record.wait_set);
+  repaired += agree(at(offsetof(Entry, deadline_ns)), record.qos.deadline_ns);
+  repaired += agree(at(offsetof(Entry, lease_ns)), record.qos.lease_ns);
   return repaired + agree(at(offsetof(Entry, word)),
                           abi::pack_board_word(record.generation, on_board(record.state)));
 }

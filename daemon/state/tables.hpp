@@ -96,7 +96,7 @@ struct PublisherRecord {
   std::uint64_t generation;
   EndpointState state;
   ClientIndex client;
-  std::uint64_t qos;
+  abi::QosWords qos;
   std::uint64_t extent;
   std::uint64_t slot_count;
   std::uint64_t final_head;   // of an orphan
@@ -110,7 +110,7 @@ struct SubscriptionRecord {
   std::uint64_t generation;
   EndpointState state;
   ClientIndex client;
-  std::uint64_t qos;
+  abi::QosWords qos;
   std::uint64_t extent;
   std::uint64_t quota;
   std::uint64_t wait_set;

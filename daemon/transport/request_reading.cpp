@@ -19,7 +19,6 @@ namespace {
 using Packet = std::span<const std::byte>;
 
 constexpr std::uint64_t generation_max = (std::uint64_t{1} << 48) - 1;
-constexpr std::uint64_t qos_bits = 0xfffff;
 
 template <class Body>
 Body raw_body_of(Packet packet) noexcept {
@@ -132,13 +131,20 @@ Request decode_create(Packet packet) {
   if (const auto problem = check_namespace(absolute(node)))
     return refuse(body.header, Errc::invalid_name,
                   "node " + in_quotes(node) + ": " + problem->text());
-  if ((body.qos & ~qos_bits) != 0)
+  if ((body.qos.policies & ~abi::policy_bits) != 0)
     return refuse(body.header, Errc::invalid_argument, "an unknown quality of service");
   request.qos = abi::unpack_qos(body.qos);
   if (request.qos.depth == 0 || request.qos.depth > abi::depth_max)
     return refuse(body.header, Errc::depth_refused,
                   "depth " + std::to_string(request.qos.depth) + " is outside 1 to " +
                       std::to_string(abi::depth_max));
+  for (const std::uint64_t time :
+       {request.qos.deadline_ns, request.qos.lifespan_ns, request.qos.lease_ns}) {
+    if (time > abi::qos_time_max_ns)
+      return refuse(body.header, Errc::invalid_argument, "a time of more than 292 years");
+  }
+  if (request.kind == wire::Kind::subscription && request.qos.lifespan_ns != 0)
+    return refuse(body.header, Errc::invalid_argument, "only a publisher has a lifespan");
   if (request.kind == wire::Kind::publisher && request.qos.ignore_local)
     return refuse(body.header, Errc::invalid_argument,
                   "only a subscription can ignore publishers of its process");

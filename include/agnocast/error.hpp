@@ -95,8 +95,8 @@ namespace agnocast {
     "the message was published, moved from, or borrowed from another publisher",                                                               \
     "publish a loan once, with the publisher that lent it; borrow a new one for each message")                                                 \
   X(qos_incompatible, "publisher and subscription want different qualities of service",                                                        \
-    "the publisher offers less than the subscription asks for: best effort instead of reliable, or volatile instead of transient local",       \
-    "offer at least what is requested: reliability and durability")                                                                            \
+    "the publisher offers less than the subscription asks for, best effort instead of reliable for example, or a longer deadline",             \
+    "offer at least what is requested: reliability, durability, deadline and liveliness")                                                      \
   X(limit_reached, "a table of the daemon is full",                                                                                            \
     "all users together have as many of these as [limits] or the memory layout allows",                                                        \
     "close what is not needed; the table is named beside it")                                                                                  \

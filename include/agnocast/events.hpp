@@ -29,7 +29,10 @@ struct MatchedInfo {
 enum class QosPolicyKind : std::int32_t {
   invalid = 1 << 0,  ///< nothing was incompatible yet
   durability = 1 << 1,
+  deadline = 1 << 2,
+  liveliness = 1 << 3,
   reliability = 1 << 4,
+  liveliness_lease_duration = 1 << 8,
 };
 
 /// Endpoints of the topic that request more than this one offers (or offer less than it
@@ -37,7 +40,8 @@ enum class QosPolicyKind : std::int32_t {
 struct IncompatibleQosInfo {
   std::int32_t total_count = 0;
   std::int32_t total_count_change = 0;
-  /// Policy of the newest one; reliability if both policies are incompatible.
+  /// Policy of the newest one; of several the first of reliability, durability, deadline,
+  /// liveliness and its lease.
   QosPolicyKind last_policy_kind = QosPolicyKind::invalid;
 };
 using QOSOfferedIncompatibleQoSInfo = IncompatibleQosInfo;
@@ -69,6 +73,35 @@ struct HoldQuotaInfo {
   std::int32_t total_count_change = 0;
 };
 
+/// Periods of the QoS deadline in which a publisher published nothing, or a subscription got
+/// nothing of any publisher. They begin with the first message, and anew with each further one.
+/// Whoever asks, or spins, looks: a period between two looks that a later message has ended is not
+/// counted.
+struct DeadlineMissedInfo {
+  std::int32_t total_count = 0;
+  std::int32_t total_count_change = 0;
+};
+using QOSDeadlineOfferedInfo = DeadlineMissedInfo;
+using QOSDeadlineRequestedInfo = DeadlineMissedInfo;
+
+/// How often a publisher was not alive any more: its liveliness is manual_by_topic, and it neither
+/// published nor asserted its liveliness for the time of its lease. Whoever asks, or spins, looks:
+/// what ended between two looks is not counted.
+struct LivelinessLostInfo {
+  std::int32_t total_count = 0;
+  std::int32_t total_count_change = 0;
+};
+using QOSLivelinessLostInfo = LivelinessLostInfo;
+
+/// Matched publishers of a subscription. One that has left or died does not count at all.
+struct LivelinessChangedInfo {
+  std::int32_t alive_count = 0;
+  std::int32_t not_alive_count = 0;  ///< manual_by_topic, and silent for the time of their lease
+  std::int32_t alive_count_change = 0;
+  std::int32_t not_alive_count_change = 0;
+};
+using QOSLivelinessChangedInfo = LivelinessChangedInfo;
+
 namespace detail {
 
 struct EventCallbacks {
@@ -78,12 +111,16 @@ struct EventCallbacks {
   std::function<void(ConnectionInfo&)> connection;
   std::function<void(HeapCollisionInfo&)> heap_collision;
   std::function<void(HoldQuotaInfo&)> hold_quota;  // of a subscription
+  std::function<void(DeadlineMissedInfo&)> deadline;
+  std::function<void(LivelinessLostInfo&)> liveliness_lost;        // of a publisher
+  std::function<void(LivelinessChangedInfo&)> liveliness_changed;  // of a subscription
   /// For services: all unread messages of a dead publisher were read or lost; it sends nothing
   /// more.
   std::function<void()> drained;
   explicit operator bool() const noexcept {
     return matched != nullptr || incompatible_qos != nullptr || incompatible_type != nullptr ||
            connection != nullptr || heap_collision != nullptr || hold_quota != nullptr ||
+           deadline != nullptr || liveliness_lost != nullptr || liveliness_changed != nullptr ||
            drained != nullptr;
   }
 };
@@ -107,6 +144,10 @@ class EventOptions {
   }
   Options& heap_collision_callback(std::function<void(HeapCollisionInfo&)> callback) {
     return events_.heap_collision = std::move(callback), static_cast<Options&>(*this);
+  }
+  /// Needs a deadline in the QoS.
+  Options& deadline_callback(std::function<void(DeadlineMissedInfo&)> callback) {
+    return events_.deadline = std::move(callback), static_cast<Options&>(*this);
   }
   const EventCallbacks& events() const noexcept { return events_; }
 

@@ -48,6 +48,9 @@ class PublisherOptions : public detail::EventOptions<PublisherOptions>,
     return *this;
   }
   bool may_copy() const noexcept { return may_copy_; }
+  PublisherOptions& liveliness_callback(std::function<void(LivelinessLostInfo&)> callback) {
+    return events_.liveliness_lost = std::move(callback), *this;
+  }
 
  private:
   bool may_copy_ = true;
@@ -162,6 +165,9 @@ class AGNOCAST_PUBLIC UntypedPublisher {
   std::uint64_t callback_exception_count() const noexcept;
   MatchedInfo matched_status() noexcept;
   IncompatibleQosInfo incompatible_qos_status() noexcept;
+  DeadlineMissedInfo deadline_missed_status() noexcept;
+  LivelinessLostInfo liveliness_lost_status() noexcept;
+  bool assert_liveliness() noexcept;
   IncompatibleTypeInfo incompatible_type_status() noexcept;
   HeapCollisionInfo heap_collision_status() noexcept;
   bool is_active() const noexcept;
@@ -223,6 +229,15 @@ class PublisherBase {
   IncompatibleQosInfo get_incompatible_qos_status() noexcept {
     return untyped_->incompatible_qos_status();
   }
+  DeadlineMissedInfo get_deadline_missed_status() noexcept {
+    return untyped_->deadline_missed_status();
+  }
+  LivelinessLostInfo get_liveliness_lost_status() noexcept {
+    return untyped_->liveliness_lost_status();
+  }
+  /// Says that this publisher is alive, as a publish does; for liveliness manual_by_topic. No
+  /// system call. Returns false if it is not active.
+  bool assert_liveliness() noexcept { return untyped_->assert_liveliness(); }
   IncompatibleTypeInfo get_type_mismatch_status() noexcept {
     return untyped_->incompatible_type_status();
   }

@@ -4,6 +4,7 @@
 // a profile of rmw convert to it.
 #pragma once
 
+#include <chrono>
 #include <cstddef>
 #include <cstdint>
 #include <type_traits>
@@ -11,9 +12,25 @@
 
 namespace agnocast {
 
-/// History, reliability and durability of an endpoint. Default: keep-last of the given depth,
-/// reliable, volatile (rclcpp's default). Publisher and subscription match if the publisher offers
-/// at least what the subscription requests (DDS 1.4, 2.2.3). Any thread; plain data.
+/// How a publisher is known to be alive. Numbers as in rmw_qos_liveliness_policy_t.
+enum class Liveliness : std::uint8_t {
+  automatic = 1,        ///< its process is
+  manual_by_topic = 3,  ///< it publishes, or asserts its liveliness
+};
+
+namespace detail {
+
+struct QosTimes {
+  std::chrono::nanoseconds deadline{0}, lifespan{0}, lease{0};
+  Liveliness liveliness = Liveliness::automatic;
+};
+
+}  // namespace detail
+
+/// History, reliability, durability, deadline, lifespan and liveliness of an endpoint. Default:
+/// keep-last of the given depth, reliable, volatile, no times (rclcpp's default). Publisher and
+/// subscription match if the publisher offers at least what the subscription requests (DDS 1.4,
+/// 2.2.3). Any thread; plain data.
 class QoS {
  public:
   /// Keep-last: a transient-local publisher keeps `depth` messages for late joiners; a
@@ -23,9 +40,9 @@ class QoS {
   /// Converts an rclcpp::QoS, or any class with depth(), history(), reliability() and
   /// durability() in rmw's numbers. Keep-all has no depth in ROS 2, so it gets the bound of
   /// keep_all(); the system's default history without a depth keeps the last message, as in DDS.
-  /// "Best available" becomes the value that matches every peer: a publisher is reliable, a
-  /// subscription best effort, and both are volatile. That depends on the kind of endpoint, not
-  /// on the endpoints present at its creation.
+  /// "Best available" becomes the value that matches every peer without times: a publisher is
+  /// reliable, a subscription best effort, and both are volatile, with automatic liveliness and no
+  /// times. That depends on the kind of endpoint, not on the endpoints present at its creation.
   template <class Like, class = decltype(std::declval<const Like&>().depth(),
                                          std::declval<const Like&>().history(),
                                          std::declval<const Like&>().reliability(),
@@ -33,7 +50,7 @@ class QoS {
   QoS(const Like& like) noexcept
       : QoS(RmwPolicies{static_cast<std::size_t>(like.depth()), static_cast<int>(like.history()),
                         static_cast<int>(like.reliability()), static_cast<int>(like.durability()),
-                        unserved_of(like, 0)}) {}
+                        times_of(like, 0)}) {}
   /// Converts an rmw_qos_profile_t in the same way, or any class with its data members.
   template <class Profile,
             class = decltype(std::size_t{std::declval<const Profile&>().depth},
@@ -44,7 +61,7 @@ class QoS {
   QoS(const Profile& profile) noexcept
       : QoS(RmwPolicies{profile.depth, static_cast<int>(profile.history),
                         static_cast<int>(profile.reliability), static_cast<int>(profile.durability),
-                        unserved_of_profile(profile, 0)}) {}
+                        times_of_profile(profile, 0)}) {}
 
   QoS& keep_last(std::size_t depth) noexcept { return depth_ = depth, keep_all_ = false, *this; }
   /// With reliable keep-all on both sides nothing is lost: the publisher gets would_block where
@@ -58,6 +75,19 @@ class QoS {
   QoS& best_effort() noexcept { return reliable_ = false, best_available_ = false, *this; }
   QoS& transient_local() noexcept { return transient_local_ = true, *this; }
   QoS& durability_volatile() noexcept { return transient_local_ = false, *this; }
+  /// Times: 0 is none, the default. Creation refuses negative ones.
+  ///
+  /// A publisher promises to publish at least once in this time, a subscription requests that.
+  QoS& deadline(std::chrono::nanoseconds time) noexcept { return times_.deadline = time, *this; }
+  /// Of a publisher: its messages are taken only until they are this old. Their memory is used
+  /// until each subscription has passed over them. Without effect on a subscription.
+  QoS& lifespan(std::chrono::nanoseconds time) noexcept { return times_.lifespan = time, *this; }
+  QoS& liveliness(Liveliness kind) noexcept { return times_.liveliness = kind, *this; }
+  /// With manual_by_topic, a publisher that is silent for this time is not alive. A process that
+  /// dies takes its publishers along at once, whatever their lease is.
+  QoS& liveliness_lease_duration(std::chrono::nanoseconds time) noexcept {
+    return times_.lease = time, *this;
+  }
 
   /// Converts to an rclcpp::QoS, or any class with its functions.
   template <class Like,
@@ -67,6 +97,7 @@ class QoS {
     if (keep_all_) like.keep_all();
     if (!reliable_) like.best_effort();
     if (transient_local_) like.transient_local();
+    give_times(like, 0);
     return like;
   }
 
@@ -76,10 +107,10 @@ class QoS {
   bool is_reliable() const noexcept { return reliable_; }
   bool is_best_available() const noexcept { return best_available_; }
   bool is_transient_local() const noexcept { return transient_local_; }
-
-  /// Policies that the converted QoS or profile had and that have no effect here: bits.
-  static constexpr std::uint8_t deadline = 1, lifespan = 2, liveliness = 4;
-  std::uint8_t unserved() const noexcept { return unserved_; }
+  std::chrono::nanoseconds deadline() const noexcept { return times_.deadline; }
+  std::chrono::nanoseconds lifespan() const noexcept { return times_.lifespan; }
+  Liveliness liveliness() const noexcept { return times_.liveliness; }
+  std::chrono::nanoseconds liveliness_lease_duration() const noexcept { return times_.lease; }
 
  private:
   // rmw/types.h: history system_default and keep_all, reliability best_effort and
@@ -89,52 +120,65 @@ class QoS {
   static constexpr int rmw_best_effort = 2;
   static constexpr int rmw_best_available = 4;
   static constexpr int rmw_transient_local = 1;
-  static constexpr int rmw_manual_by_topic = 3;
   // The default of the daemon's depth_max.
   static constexpr std::size_t keep_all_bound = 1000;
   static constexpr std::size_t depth_of(std::size_t depth, int history) noexcept {
     if (history == rmw_keep_all) return keep_all_bound;
     return history == rmw_default_history && depth == 0 ? 1 : depth;
   }
-  // No deadline, lifespan or lease: 0, or infinite, which is the largest number of nanoseconds.
-  static constexpr bool is_set(std::int64_t nanoseconds) noexcept {
-    return nanoseconds > 0 && nanoseconds < INT64_MAX;
+  using Times = detail::QosTimes;
+  // rmw/types.h: infinite is the largest number of nanoseconds, best available the one before it.
+  static constexpr std::chrono::nanoseconds time_of(std::int64_t nanoseconds) noexcept {
+    return std::chrono::nanoseconds(nanoseconds >= INT64_MAX - 1 ? 0 : nanoseconds);
   }
   template <class Time>
-  static constexpr bool is_set(const Time& time) noexcept {
-    return (time.sec != 0 || time.nsec != 0) && time.sec < INT64_MAX / 1'000'000'000;
+  static constexpr std::chrono::nanoseconds time_of(const Time& time) noexcept {
+    constexpr std::uint64_t second = 1'000'000'000, most = INT64_MAX;
+    const std::uint64_t seconds = time.sec, rest = time.nsec;
+    const bool is_finite = seconds < most / second && rest < most - seconds * second;
+    return time_of(is_finite ? static_cast<std::int64_t>(seconds * second + rest) : INT64_MAX);
   }
-  static constexpr std::uint8_t bits_of(bool has_deadline, bool has_lifespan, bool has_lease,
-                                        int liveliness_kind) noexcept {
-    const bool has_liveliness = has_lease || liveliness_kind == rmw_manual_by_topic;
-    return static_cast<std::uint8_t>((has_deadline ? deadline : 0) | (has_lifespan ? lifespan : 0) |
-                                     (has_liveliness ? liveliness : 0));
-  }
-  template <class Like>
-  static auto unserved_of(const Like& like, int) noexcept
-      -> decltype(like.liveliness_lease_duration().nanoseconds(), std::uint8_t{}) {
-    return bits_of(is_set(like.deadline().nanoseconds()), is_set(like.lifespan().nanoseconds()),
-                   is_set(like.liveliness_lease_duration().nanoseconds()),
-                   static_cast<int>(like.liveliness()));
+  static constexpr Liveliness liveliness_of(int number) noexcept {
+    return number == static_cast<int>(Liveliness::manual_by_topic) ? Liveliness::manual_by_topic
+                                                                   : Liveliness::automatic;
   }
   template <class Like>
-  static std::uint8_t unserved_of(const Like&, long) noexcept {
-    return 0;
+  static auto times_of(const Like& like, int) noexcept
+      -> decltype(like.liveliness_lease_duration().nanoseconds(), Times{}) {
+    return {time_of(like.deadline().nanoseconds()), time_of(like.lifespan().nanoseconds()),
+            time_of(like.liveliness_lease_duration().nanoseconds()),
+            liveliness_of(static_cast<int>(like.liveliness()))};
+  }
+  template <class Like>
+  static Times times_of(const Like&, long) noexcept {
+    return {};
   }
   template <class Profile>
-  static auto unserved_of_profile(const Profile& profile, int) noexcept
-      -> decltype(profile.liveliness_lease_duration.nsec, std::uint8_t{}) {
-    return bits_of(is_set(profile.deadline), is_set(profile.lifespan),
-                   is_set(profile.liveliness_lease_duration), static_cast<int>(profile.liveliness));
+  static auto times_of_profile(const Profile& profile, int) noexcept
+      -> decltype(profile.liveliness_lease_duration.nsec, Times{}) {
+    return {time_of(profile.deadline), time_of(profile.lifespan),
+            time_of(profile.liveliness_lease_duration),
+            liveliness_of(static_cast<int>(profile.liveliness))};
   }
   template <class Profile>
-  static std::uint8_t unserved_of_profile(const Profile&, long) noexcept {
-    return 0;
+  static Times times_of_profile(const Profile&, long) noexcept {
+    return {};
   }
+  template <class Like>
+  auto give_times(Like& like, int) const
+      -> decltype(like.liveliness_lease_duration(std::chrono::nanoseconds{}), void()) {
+    if (times_.deadline.count() != 0) like.deadline(times_.deadline);
+    if (times_.lifespan.count() != 0) like.lifespan(times_.lifespan);
+    if (times_.lease.count() != 0) like.liveliness_lease_duration(times_.lease);
+    if (times_.liveliness != Liveliness::automatic)
+      like.liveliness(static_cast<std::decay_t<decltype(like.liveliness())>>(times_.liveliness));
+  }
+  template <class Like>
+  void give_times(Like&, long) const noexcept {}
   struct RmwPolicies {
     std::size_t depth;
     int history, reliability, durability;
-    std::uint8_t unserved;
+    Times times;
   };
   explicit QoS(const RmwPolicies& policies) noexcept
       : depth_(depth_of(policies.depth, policies.history)),
@@ -142,14 +186,14 @@ class QoS {
         reliable_(policies.reliability != rmw_best_effort),
         best_available_(policies.reliability == rmw_best_available),
         transient_local_(policies.durability == rmw_transient_local),
-        unserved_(policies.unserved) {}
+        times_(policies.times) {}
 
   std::size_t depth_;
   bool keep_all_ = false;
   bool reliable_ = true;
   bool best_available_ = false;
   bool transient_local_ = false;
-  std::uint8_t unserved_ = 0;
+  Times times_;
 };
 
 }  // namespace agnocast

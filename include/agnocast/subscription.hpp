@@ -53,6 +53,9 @@ class SubscriptionOptions : public detail::EventOptions<SubscriptionOptions>,
     is_hold_quota_usual_ = false;
     return hold_quota_ = messages, is_hold_quota_set_ = false, *this;
   }
+  SubscriptionOptions& liveliness_callback(std::function<void(LivelinessChangedInfo&)> callback) {
+    return events_.liveliness_changed = std::move(callback), *this;
+  }
   /// Called when messages begin to wait because of the quota.
   SubscriptionOptions& hold_quota_callback(std::function<void(HoldQuotaInfo&)> callback) {
     return events_.hold_quota = std::move(callback), *this;
@@ -119,6 +122,8 @@ class AGNOCAST_PUBLIC UntypedSubscription {
   std::uint64_t callback_exception_count() const noexcept;
   MatchedInfo matched_status() noexcept;
   IncompatibleQosInfo incompatible_qos_status() noexcept;
+  DeadlineMissedInfo deadline_missed_status() noexcept;
+  LivelinessChangedInfo liveliness_changed_status() noexcept;
   IncompatibleTypeInfo incompatible_type_status() noexcept;
   HeapCollisionInfo heap_collision_status() noexcept;
   HoldQuotaInfo hold_quota_status() noexcept;
@@ -234,6 +239,12 @@ class SubscriptionBase {
   MatchedInfo get_matched_status() noexcept { return untyped_->matched_status(); }
   IncompatibleQosInfo get_incompatible_qos_status() noexcept {
     return untyped_->incompatible_qos_status();
+  }
+  DeadlineMissedInfo get_deadline_missed_status() noexcept {
+    return untyped_->deadline_missed_status();
+  }
+  LivelinessChangedInfo get_liveliness_changed_status() noexcept {
+    return untyped_->liveliness_changed_status();
   }
   IncompatibleTypeInfo get_type_mismatch_status() noexcept {
     return untyped_->incompatible_type_status();

@@ -332,8 +332,9 @@ class Script {
     body.client_generation = few();
     // Extents come from the daemon.
     body.extent = abi::page_bytes * input_.ConsumeIntegralInRange<std::uint64_t>(1, 16);
-    body.qos = input_.ConsumeBool() ? input_.ConsumeIntegral<std::uint64_t>()
-                                    : abi::pack_qos({10, false, true, false, false});
+    body.qos = abi::pack_qos({10, false, true, false, false});
+    if (input_.ConsumeBool())
+      body.qos = {input_.ConsumeIntegral<std::uint64_t>(), some(0), some(0), some(0)};
     body.first_sequence = some(0);
     body.wait_set = few() % abi::wait_set_count_max;
     body.from_start = input_.ConsumeBool();

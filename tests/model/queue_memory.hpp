@@ -5,6 +5,8 @@
 
 #include <tests/model/queue_scenario.hpp>
 
+#include <iterator>
+
 namespace agnocast::model {
 
 inline QueueScenario::W QueueScenario::start() {
@@ -40,7 +42,8 @@ inline QueueScenario::W QueueScenario::start() {
       poke(world, board, offsetof(abi::TopicHeader, subscription_high), s + 1);
       poke_sub(world, s, offsetof(abi::SubscriptionEntry, word),
                abi::pack_board_word(1, abi::BoardState::active));
-      poke_sub(world, s, offsetof(abi::SubscriptionEntry, qos), abi::pack_qos(requested(s, 1)));
+      poke_sub(world, s, offsetof(abi::SubscriptionEntry, policies),
+               abi::pack_policies(requested(s, 1)));
       poke_sub(world, s, offsetof(abi::SubscriptionEntry, quota), sub.quota);
       world.state.announced[s] = 1;
       world.state.linked_to[s] = 1;
@@ -68,8 +71,9 @@ inline void QueueScenario::build_map() const {
   address_map.add(board, p + offsetof(abi::PublisherEntry, final_head), "pub.final_head");
   for (std::uint64_t s = 0; s < 2; ++s) {
     const std::uint64_t at = abi::subscription_entry_offset(1, s);
-    const char* fields[] = {"word", "qos", "client", "extent", "quota", "wait_set"};
-    for (std::uint64_t f = 0; f < 6; ++f) {
+    const char* fields[] = {"word",  "policies", "client",      "extent",
+                            "quota", "wait_set", "deadline_ns", "lease_ns"};
+    for (std::size_t f = 0; f < std::size(fields); ++f) {
       std::snprintf(name, sizeof name, "sub%llu.%s", static_cast<unsigned long long>(s), fields[f]);
       address_map.add(board, at + f * 8, name);
     }

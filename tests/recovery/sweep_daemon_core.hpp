@@ -127,7 +127,8 @@ class Core final : private ClientChannel {
     asked.again = again;
     asked.kind = kind;
     asked.request = request;
-    asked.qos = {depth, false, true, false, false};
+    asked.qos = {depth, false, true, false, false, true, 7, 0, 9};
+    if (kind == Kind::publisher) asked.qos.lifespan_ns = 8;
     asked.layout_hash = 7;
     asked.quota = kind == Kind::subscription ? 8 : 0;
     asked.topic = topic;
@@ -288,6 +289,13 @@ class Core final : private ClientChannel {
   References& references_;
 };
 
+inline std::string text_of(const abi::QosWords& qos) {
+  std::string text;
+  for (const std::uint64_t word : {qos.policies, qos.deadline_ns, qos.lifespan_ns, qos.lease_ns})
+    text += (text.empty() ? "" : "/") + std::to_string(word);
+  return text;
+}
+
 // Long because each table of the registry is printed here, one after the other.
 inline std::string Core::state(Generations generations) const {
   const Registry& registry = registry_;
@@ -358,13 +366,13 @@ inline std::string Core::state(Generations generations) const {
            << static_cast<int>(abi::state_of(word(offsetof(Entry, word))));
       if (record.state != EndpointState::free) {
         text << " generation " << shown(record.generation) << " client " << number(record.client)
-             << " qos " << record.qos << " extent " << record.extent << " slots "
+             << " qos " << text_of(record.qos) << " extent " << record.extent << " slots "
              << record.slot_count << " node " << record.node << " board";
         member(word(offsetof(Entry, word)));
         text << (word(offsetof(Entry, first_sequence)) == abi::first_sequence_of(record.generation)
                      ? " begins right"
                      : " begins wrong");
-        for (const std::size_t field : {offsetof(Entry, qos), offsetof(Entry, client),
+        for (const std::size_t field : {offsetof(Entry, policies), offsetof(Entry, client),
                                         offsetof(Entry, extent), offsetof(Entry, slot_count)})
           text << ' ' << word(field);
         text << " told ";
@@ -383,12 +391,14 @@ inline std::string Core::state(Generations generations) const {
            << static_cast<int>(abi::state_of(word(offsetof(Entry, word))));
       if (record.state != EndpointState::free) {
         text << " generation " << shown(record.generation) << " client " << number(record.client)
-             << " qos " << record.qos << " extent " << record.extent << " quota " << record.quota
-             << " wait set " << record.wait_set << " node " << record.node << " board";
+             << " qos " << text_of(record.qos) << " extent " << record.extent << " quota "
+             << record.quota << " wait set " << record.wait_set << " node " << record.node
+             << " board";
         member(word(offsetof(Entry, word)));
         for (const std::size_t field :
-             {offsetof(Entry, qos), offsetof(Entry, client), offsetof(Entry, extent),
-              offsetof(Entry, quota), offsetof(Entry, wait_set)})
+             {offsetof(Entry, policies), offsetof(Entry, client), offsetof(Entry, extent),
+              offsetof(Entry, quota), offsetof(Entry, wait_set), offsetof(Entry, deadline_ns),
+              offsetof(Entry, lease_ns)})
           text << ' ' << word(field);
         text << " told ";
         set(record.notified);

@@ -40,7 +40,7 @@ static_assert(sizeof(TopicHeader) == 128 && offsetof(TopicHeader, publisher_high
               offsetof(TopicHeader, subscription_high) == 72);
 
 //    0  word            u64  generation | state; written last, release  [sync:join]
-//    8  qos             u64  packed
+//    8  policies        u64  of its quality of service
 //   16  client          u64  index of the process
 //   24  extent          u64  offset of its PublisherEndpoint in the client region, bytes
 //   32  slot_count      u64  N; only grows
@@ -48,34 +48,39 @@ static_assert(sizeof(TopicHeader) == 128 && offsetof(TopicHeader, publisher_high
 //   48  final_head      u64  head when it died or left; valid once the state is orphan
 struct alignas(cache_line_bytes) PublisherEntry {
   SharedWord word;
-  SharedWord qos;
+  SharedWord policies;
   SharedWord client;
   SharedWord extent;
   SharedWord slot_count;
   SharedWord first_sequence;
   SharedWord final_head;
 };
-static_assert(sizeof(PublisherEntry) == 64 && offsetof(PublisherEntry, qos) == 8 &&
+static_assert(sizeof(PublisherEntry) == 64 && offsetof(PublisherEntry, policies) == 8 &&
               offsetof(PublisherEntry, slot_count) == 32 &&
               offsetof(PublisherEntry, first_sequence) == 40 &&
               offsetof(PublisherEntry, final_head) == 48);
 
-//    0  word      u64  generation | state; written last, release  [sync:join]
-//    8  qos       u64  packed
-//   16  client    u64  index of the process
-//   24  extent    u64  offset of its subscription endpoint in the client region, bytes
-//   32  quota     u64  messages it may hold, per publisher
-//   40  wait_set  u64  index of the wait set that it sleeps in
+//    0  word         u64  generation | state; written last, release  [sync:join]
+//    8  policies     u64  of its quality of service
+//   16  client       u64  index of the process
+//   24  extent       u64  offset of its subscription endpoint in the client region, bytes
+//   32  quota        u64  messages it may hold, per publisher
+//   40  wait_set     u64  index of the wait set that it sleeps in
+//   48  deadline_ns  u64  requested; 0 = none
+//   56  lease_ns     u64  of liveliness, requested; 0 = none
 struct alignas(cache_line_bytes) SubscriptionEntry {
   SharedWord word;
-  SharedWord qos;
+  SharedWord policies;
   SharedWord client;
   SharedWord extent;
   SharedWord quota;
   SharedWord wait_set;
+  SharedWord deadline_ns;
+  SharedWord lease_ns;
 };
-static_assert(sizeof(SubscriptionEntry) == 64 && offsetof(SubscriptionEntry, qos) == 8 &&
-              offsetof(SubscriptionEntry, wait_set) == 40);
+static_assert(sizeof(SubscriptionEntry) == 64 && offsetof(SubscriptionEntry, policies) == 8 &&
+              offsetof(SubscriptionEntry, wait_set) == 40 &&
+              offsetof(SubscriptionEntry, lease_ns) == 56);
 
 constexpr std::uint64_t publisher_entry_offset(std::uint64_t index) noexcept {
   return sizeof(TopicHeader) + index * sizeof(PublisherEntry);

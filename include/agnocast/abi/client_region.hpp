@@ -25,7 +25,8 @@ static_assert(SharedWord::is_always_lock_free && sizeof(SharedWord) == 8);
 //    0  id        u64  0 free · sequence live · retired_mark|sequence
 //                      [sync:publish] release at P3; acquire at T3, seq_cst at T5
 //    8  address   u64  inside a window; stable while id is live or a hold bit is set
-//   16  stamp_ns  u64  CLOCK_MONOTONIC at commit; orders several publishers, a hint, never trusted
+//   16  stamp_ns  u64  CLOCK_MONOTONIC at commit; orders several publishers, and tells the age of
+//                      a message to those that respect a lifespan: hints, never trusted
 //   24  size      u64  sizeof the message object; readers check address + size
 struct alignas(32) QueueSlot {
   SharedWord id;
@@ -46,6 +47,7 @@ static_assert(sizeof(QueueSlot) == 32 && offsetof(QueueSlot, address) == 8 &&
 //   16  inherited u64  sequence up to which messages were published in a previous session: history,
 //                      for those that ask for it; 0 = none
 //   24  published_bytes u64  of all messages together, what a reader may touch; for people
+//   32  asserted_ns u64  CLOCK_MONOTONIC of the last assertion of its liveliness, or of its begin
 //   64  intent         op, sequence, slot; read by the daemon after the owner's death
 //   88  counters       adopted messages and bytes, refused publishes by reason; for people. They
 //                      share the intent's line, which no other process reads while the owner lives
@@ -60,6 +62,7 @@ struct PublisherEndpoint {
   SharedWord persistent_id;
   SharedWord inherited;
   SharedWord published_bytes;
+  SharedWord asserted_ns;
   alignas(cache_line_bytes) SharedWord intent_op;
   SharedWord intent_sequence;
   SharedWord intent_slot;
@@ -76,6 +79,7 @@ static_assert(offsetof(PublisherEndpoint, head) == 0 &&
               offsetof(PublisherEndpoint, persistent_id) == 8 &&
               offsetof(PublisherEndpoint, inherited) == 16 &&
               offsetof(PublisherEndpoint, published_bytes) == 24 &&
+              offsetof(PublisherEndpoint, asserted_ns) == 32 &&
               offsetof(PublisherEndpoint, intent_op) == 64 &&
               offsetof(PublisherEndpoint, intent_sequence) == 72 &&
               offsetof(PublisherEndpoint, intent_slot) == 80 &&
@@ -113,16 +117,19 @@ static_assert(sizeof(LinkLine) == 64 && offsetof(LinkLine, cursor) == 8 &&
 //   16  unreachable  u64  of them, what lies where this process cannot map it
 //   24  persistent_id u64  not 0; the same for the endpoints by which one subscription is in
 //                         several sessions of its process
+//   32  expired      u64  messages older than their publisher's lifespan; not lost
 struct alignas(cache_line_bytes) SubscriptionCounters {
   SharedWord lost;
   SharedWord malformed;
   SharedWord unreachable;
   SharedWord persistent_id;
+  SharedWord expired;
 };
 static_assert(sizeof(SubscriptionCounters) == 64 &&
               offsetof(SubscriptionCounters, malformed) == 8 &&
               offsetof(SubscriptionCounters, unreachable) == 16 &&
-              offsetof(SubscriptionCounters, persistent_id) == 24);
+              offsetof(SubscriptionCounters, persistent_id) == 24 &&
+              offsetof(SubscriptionCounters, expired) == 32);
 
 // Subscription endpoint: link lines of all publisher indexes, counters, then the hold words of
 // slots 384… of each. All zero at join.

@@ -56,12 +56,18 @@ constexpr std::uint64_t fingerprint() noexcept {
   sum.add(pack_entry(0x123456789abc, 0xdef0), sequence_of(0xfedcba9876543210),
           slot_of(0xfedcba9876543210), retired_mark, first_sequence_of(0x12345),
           pack_board_word(0x123456789abc, BoardState::leaving), generation_of(0xfedcba9876543210),
-          pack_qos({0x1234, true, false, false, false}), pack_qos({0, false, true, false, false}),
-          pack_qos({0, false, false, true, false}), pack_qos({0, false, false, false, true}),
+          pack_policies({0x1234, true, false, false, false}),
+          pack_policies({0, false, true, false, false}),
+          pack_policies({0, false, false, true, false}),
+          pack_policies({0, false, false, false, true}),
+          pack_policies({0, false, false, false, false, true}), policy_bits, qos_time_max_ns,
           window_of({7, false, true, true, false}), intent_idle, intent_publish, intent_moved,
           cursor_aside, pack_withdrawal(35, Withdrawal::not_attached), Withdrawal::none,
           Withdrawal::over_quota, Withdrawal::over_share);
-  sum.add(QosPolicy::none, QosPolicy::durability, QosPolicy::reliability);
+  sum.add(QosPolicy::none, QosPolicy::durability, QosPolicy::deadline, QosPolicy::liveliness,
+          QosPolicy::reliability, QosPolicy::liveliness_lease);
+  sum.add(sizeof(QosWords), offsetof(QosWords, policies), offsetof(QosWords, deadline_ns),
+          offsetof(QosWords, lifespan_ns), offsetof(QosWords, lease_ns));
   sum.add(BoardState::free, BoardState::active, BoardState::leaving, BoardState::orphan,
           BoardState::revoked, BoardState::dead);
   sum.add(order_offset(3), slot_offset(ring_count, 3), link_offset(3), far_hold_offset(5, 3, 1),
@@ -70,17 +76,17 @@ constexpr std::uint64_t fingerprint() noexcept {
           offsetof(QueueSlot, stamp_ns), offsetof(QueueSlot, size));
   sum.add(sizeof(PublisherEndpoint), offsetof(PublisherEndpoint, head),
           offsetof(PublisherEndpoint, persistent_id), offsetof(PublisherEndpoint, inherited),
-          offsetof(PublisherEndpoint, published_bytes), offsetof(PublisherEndpoint, intent_op),
-          offsetof(PublisherEndpoint, intent_sequence), offsetof(PublisherEndpoint, intent_slot),
-          offsetof(PublisherEndpoint, adopted_messages), offsetof(PublisherEndpoint, adopted_bytes),
-          offsetof(PublisherEndpoint, refused_no_slot),
+          offsetof(PublisherEndpoint, published_bytes), offsetof(PublisherEndpoint, asserted_ns),
+          offsetof(PublisherEndpoint, intent_op), offsetof(PublisherEndpoint, intent_sequence),
+          offsetof(PublisherEndpoint, intent_slot), offsetof(PublisherEndpoint, adopted_messages),
+          offsetof(PublisherEndpoint, adopted_bytes), offsetof(PublisherEndpoint, refused_no_slot),
           offsetof(PublisherEndpoint, refused_would_block),
           offsetof(PublisherEndpoint, refused_heap_exhausted),
           offsetof(PublisherEndpoint, withdrawn));
   sum.add(subscription_counters_offset(5), sizeof(SubscriptionCounters),
           offsetof(SubscriptionCounters, lost), offsetof(SubscriptionCounters, malformed),
           offsetof(SubscriptionCounters, unreachable),
-          offsetof(SubscriptionCounters, persistent_id));
+          offsetof(SubscriptionCounters, persistent_id), offsetof(SubscriptionCounters, expired));
   sum.add(sizeof(LinkLine), offsetof(LinkLine, publisher_generation), offsetof(LinkLine, cursor),
           offsetof(LinkLine, hold));
   sum.add(sizeof(WaitSetLine), offsetof(WaitSetLine, armed));
@@ -94,14 +100,15 @@ constexpr std::uint64_t fingerprint() noexcept {
           offsetof(BoardHeader, incarnation));
   sum.add(sizeof(TopicHeader), offsetof(TopicHeader, epoch), offsetof(TopicHeader, word),
           offsetof(TopicHeader, publisher_high), offsetof(TopicHeader, subscription_high));
-  sum.add(sizeof(PublisherEntry), offsetof(PublisherEntry, word), offsetof(PublisherEntry, qos),
-          offsetof(PublisherEntry, client), offsetof(PublisherEntry, extent),
-          offsetof(PublisherEntry, slot_count), offsetof(PublisherEntry, first_sequence),
-          offsetof(PublisherEntry, final_head));
+  sum.add(sizeof(PublisherEntry), offsetof(PublisherEntry, word),
+          offsetof(PublisherEntry, policies), offsetof(PublisherEntry, client),
+          offsetof(PublisherEntry, extent), offsetof(PublisherEntry, slot_count),
+          offsetof(PublisherEntry, first_sequence), offsetof(PublisherEntry, final_head));
   sum.add(sizeof(SubscriptionEntry), offsetof(SubscriptionEntry, word),
-          offsetof(SubscriptionEntry, qos), offsetof(SubscriptionEntry, client),
+          offsetof(SubscriptionEntry, policies), offsetof(SubscriptionEntry, client),
           offsetof(SubscriptionEntry, extent), offsetof(SubscriptionEntry, quota),
-          offsetof(SubscriptionEntry, wait_set));
+          offsetof(SubscriptionEntry, wait_set), offsetof(SubscriptionEntry, deadline_ns),
+          offsetof(SubscriptionEntry, lease_ns));
   sum.add(sizeof(wire::Header), offsetof(wire::Header, opcode), offsetof(wire::Header, bytes),
           offsetof(wire::Header, request));
   sum.add(sizeof(wire::Hello), offsetof(wire::Hello, header), offsetof(wire::Hello, fingerprint),

@@ -239,7 +239,7 @@ struct DumpEndpoint {
                              // owner still has it
   std::uint64_t client;
   std::uint64_t client_generation;
-  std::uint64_t qos;  // abi::Qos, packed
+  QosWords qos;
   std::uint64_t extent;
   std::uint64_t slot_count;       // publisher
   std::uint64_t first_sequence;   // publisher

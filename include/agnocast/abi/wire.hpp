@@ -284,7 +284,7 @@ struct DoorbellsRenewed {
 inline constexpr std::uint64_t quota_or_less = std::uint64_t{1} << 63;
 struct CreateEndpoint {
   Header header;
-  std::uint64_t qos;  // abi::Qos, packed
+  QosWords qos;
   std::uint64_t layout_hash;
   std::uint64_t wait_set;  // of a subscription
   std::uint64_t quota;     // messages that a subscription holds at most
@@ -316,7 +316,7 @@ struct Announcement {
   std::uint64_t client;  // its process
   std::uint64_t client_generation;
   std::uint64_t extent;
-  std::uint64_t qos;
+  QosWords qos;
   std::uint64_t first_sequence;  // publisher
   std::uint64_t wait_set;        // subscription: of its process
   std::uint32_t

@@ -57,33 +57,72 @@ constexpr BoardState state_of(std::uint64_t board_word) noexcept {
   return static_cast<BoardState>(board_word & 0xff);
 }
 
-// --- quality of service word, evaluated by both sides of a match
-//
-//   bits 0-15 depth · bit 16 transient_local · bit 17 reliable · bit 18 keep_all ·
-//   bit 19 ignore_local, of subscriptions
+// --- quality of service, evaluated by both sides of a match
 struct Qos {
   std::uint32_t depth = 1;
   bool transient_local = false;
   bool reliable = true;
   bool keep_all = false;
-  bool ignore_local = false;  // matches no publisher of its own process
+  bool ignore_local = false;       // matches no publisher of its own process
+  bool manual_liveliness = false;  // asserted for each topic; otherwise the process is alive
+  // Nanoseconds; 0: none.
+  std::uint64_t deadline_ns = 0;  // between two messages
+  std::uint64_t lifespan_ns = 0;  // of messages, so of publishers
+  std::uint64_t lease_ns = 0;     // of liveliness
 };
-constexpr std::uint64_t pack_qos(const Qos& qos) noexcept {
+// The longest time: a signed number of nanoseconds, 292 years.
+inline constexpr std::uint64_t qos_time_max_ns = INT64_MAX;
+//   bits 0-15 depth · bit 16 transient_local · bit 17 reliable · bit 18 keep_all ·
+//   bit 19 ignore_local, of subscriptions · bit 20 manual_liveliness
+constexpr std::uint64_t pack_policies(const Qos& qos) noexcept {
   return (qos.depth & 0xffff) | std::uint64_t{qos.transient_local} << 16 |
          std::uint64_t{qos.reliable} << 17 | std::uint64_t{qos.keep_all} << 18 |
-         std::uint64_t{qos.ignore_local} << 19;
+         std::uint64_t{qos.ignore_local} << 19 | std::uint64_t{qos.manual_liveliness} << 20;
 }
-constexpr Qos unpack_qos(std::uint64_t word) noexcept {
-  return {static_cast<std::uint32_t>(word & 0xffff), (word >> 16 & 1) != 0, (word >> 17 & 1) != 0,
-          (word >> 18 & 1) != 0, (word >> 19 & 1) != 0};
+inline constexpr std::uint64_t policy_bits = 0x1fffff;
+// As it travels, and as the daemon stores it.
+struct QosWords {
+  std::uint64_t policies;
+  std::uint64_t deadline_ns;
+  std::uint64_t lifespan_ns;
+  std::uint64_t lease_ns;
+};
+constexpr QosWords pack_qos(const Qos& qos) noexcept {
+  return {pack_policies(qos), qos.deadline_ns, qos.lifespan_ns, qos.lease_ns};
+}
+constexpr Qos unpack_qos(const QosWords& words) noexcept {
+  const auto bit = [&](int number) { return (words.policies >> number & 1) != 0; };
+  return {static_cast<std::uint32_t>(words.policies & 0xffff),
+          bit(16),
+          bit(17),
+          bit(18),
+          bit(19),
+          bit(20),
+          words.deadline_ns,
+          words.lifespan_ns,
+          words.lease_ns};
 }
 // The policy that prevents a match, numbered as in rmw_qos_policy_kind_t.
-enum class QosPolicy : std::uint32_t { none = 0, durability = 1 << 1, reliability = 1 << 4 };
+enum class QosPolicy : std::uint32_t {
+  none = 0,
+  durability = 1 << 1,
+  deadline = 1 << 2,
+  liveliness = 1 << 3,
+  reliability = 1 << 4,
+  liveliness_lease = 1 << 8,
+};
+// Returns whether a time is longer; none is the longest.
+constexpr bool is_longer(std::uint64_t time_ns, std::uint64_t than_ns) noexcept {
+  return time_ns - 1 > than_ns - 1;  // 0 becomes the largest number
+}
 // Returns the first policy where the request exceeds the offer (DDS 1.4, 2.2.3); as in DDS, later
 // policies are not evaluated.
 constexpr QosPolicy qos_mismatch(const Qos& offered, const Qos& requested) noexcept {
   if (requested.reliable && !offered.reliable) return QosPolicy::reliability;
   if (requested.transient_local && !offered.transient_local) return QosPolicy::durability;
+  if (is_longer(offered.deadline_ns, requested.deadline_ns)) return QosPolicy::deadline;
+  if (requested.manual_liveliness && !offered.manual_liveliness) return QosPolicy::liveliness;
+  if (is_longer(offered.lease_ns, requested.lease_ns)) return QosPolicy::liveliness_lease;
   return QosPolicy::none;
 }
 constexpr bool qos_match(const Qos& offered, const Qos& requested) noexcept {

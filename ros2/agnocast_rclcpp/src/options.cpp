@@ -23,7 +23,18 @@ Options without_group(Options options) {
 }
 
 const char* name_of(agnocast::QosPolicyKind kind) {
-  return kind == agnocast::QosPolicyKind::durability ? "DURABILITY" : "RELIABILITY";
+  switch (kind) {
+    case agnocast::QosPolicyKind::durability:
+      return "DURABILITY";
+    case agnocast::QosPolicyKind::deadline:
+      return "DEADLINE";
+    case agnocast::QosPolicyKind::liveliness:
+      return "LIVELINESS";
+    case agnocast::QosPolicyKind::liveliness_lease_duration:
+      return "LIVELINESS_LEASE_DURATION";
+    default:
+      return "RELIABILITY";
+  }
 }
 
 /// rmw's structure for both sides; the numbers of the policies are rmw's.
@@ -53,8 +64,21 @@ agnocast::SubscriptionOptions translate(const SubscriptionOptions& options,
                                         const rclcpp::node_interfaces::NodeBaseInterface& base) {
   agnocast::SubscriptionOptions translated = options.own;
   const rclcpp::SubscriptionEventCallbacks& events = options.ros.event_callbacks;
-  warn_of(events.deadline_callback != nullptr, "deadline_callback", topic, logger);
-  warn_of(events.liveliness_callback != nullptr, "liveliness_callback", topic, logger);
+  if (events.deadline_callback && options.own.events().deadline == nullptr) {
+    translated.deadline_callback(
+        [call = events.deadline_callback](agnocast::DeadlineMissedInfo& info) {
+          rclcpp::QOSDeadlineRequestedInfo status{info.total_count, info.total_count_change};
+          call(status);
+        });
+  }
+  if (events.liveliness_callback && options.own.events().liveliness_changed == nullptr) {
+    translated.liveliness_callback([call = events.liveliness_callback](
+                                       agnocast::LivelinessChangedInfo& info) {
+      rclcpp::QOSLivelinessChangedInfo status{info.alive_count, info.not_alive_count,
+                                              info.alive_count_change, info.not_alive_count_change};
+      call(status);
+    });
+  }
   warn_of(events.message_lost_callback != nullptr, "message_lost_callback", topic, logger);
   warn_of(!options.ros.content_filter_options.filter_expression.empty(), "content_filter_options",
           topic, logger);
@@ -91,13 +115,6 @@ agnocast::SubscriptionOptions translate(const SubscriptionOptions& options,
   return translated;
 }
 
-void warn_of_policies(unsigned unserved, const std::string& topic, const rclcpp::Logger& logger) {
-  using agnocast::QoS;
-  warn_of((unserved & QoS::deadline) != 0, "the QoS policy deadline", topic, logger);
-  warn_of((unserved & QoS::lifespan) != 0, "the QoS policy lifespan", topic, logger);
-  warn_of((unserved & QoS::liveliness) != 0, "the QoS policy liveliness", topic, logger);
-}
-
 void allow_queue(agnocast::SubscriptionOptions& options, std::size_t length) {
   // Many large quotas could take all slots of a publisher together (maximum_slot_count).
   constexpr std::size_t quota_max = 512;
@@ -109,8 +126,20 @@ agnocast::PublisherOptions translate(const PublisherOptions& options, const std:
                                      const rclcpp::Logger& logger) {
   agnocast::PublisherOptions translated = options.own;
   const rclcpp::PublisherEventCallbacks& events = options.ros.event_callbacks;
-  warn_of(events.deadline_callback != nullptr, "deadline_callback", topic, logger);
-  warn_of(events.liveliness_callback != nullptr, "liveliness_callback", topic, logger);
+  if (events.deadline_callback && options.own.events().deadline == nullptr) {
+    translated.deadline_callback(
+        [call = events.deadline_callback](agnocast::DeadlineMissedInfo& info) {
+          rclcpp::QOSDeadlineOfferedInfo status{info.total_count, info.total_count_change};
+          call(status);
+        });
+  }
+  if (events.liveliness_callback && options.own.events().liveliness_lost == nullptr) {
+    translated.liveliness_callback(
+        [call = events.liveliness_callback](agnocast::LivelinessLostInfo& info) {
+          rclcpp::QOSLivelinessLostInfo status{info.total_count, info.total_count_change};
+          call(status);
+        });
+  }
   if (options.own.events().incompatible_qos != nullptr) return translated;
   if (events.incompatible_qos_callback) {
     translated.incompatible_qos_callback(

@@ -300,21 +300,64 @@ TEST_F(EndpointsTest, WhatHasNoEffectIsToldWhereverItIsEnabled) {
             "collecting topic statistics has no effect on '/space/on', which agnocast serves\n");
 }
 
-TEST_F(EndpointsTest, PoliciesWithoutEffectAreTold) {
+TEST_F(EndpointsTest, NoQosIsWithoutEffect) {
   const Warnings warnings;
   using namespace std::chrono_literals;
-  const auto forever = rclcpp::Duration::from_nanoseconds(INT64_MAX);
-  (void)agnocast::create_publisher<String>(node_, "quiet", rclcpp::QoS(1).deadline(forever));
-  (void)agnocast::create_publisher<String>(node_, "quiet", rmw_qos_profile_sensor_data);
-  (void)agnocast::create_publisher<String>(node_, "late", rclcpp::QoS(1).deadline(1s));
-  (void)agnocast::create_publisher<String>(node_, "old", rclcpp::QoS(1).lifespan(1s));
-  rmw_qos_profile_t profile = rmw_qos_profile_default;
-  profile.liveliness_lease_duration = {1, 0};
-  (void)agnocast::create_subscription<String>(node_, "alive", profile, [](const Message&) {});
-  EXPECT_EQ(warnings.lines(),
-            "the QoS policy deadline has no effect on '/space/late', which agnocast serves\n"
-            "the QoS policy lifespan has no effect on '/space/old', which agnocast serves\n"
-            "the QoS policy liveliness has no effect on '/space/alive', which agnocast serves\n");
+  const rclcpp::QoS all = rclcpp::QoS(1)
+                              .deadline(1h)
+                              .lifespan(1h)
+                              .liveliness(rclcpp::LivelinessPolicy::ManualByTopic)
+                              .liveliness_lease_duration(1h);
+  const auto publisher = agnocast::create_publisher<String>(node_, "topic", all);
+  const rclcpp::QoS actual = publisher->get_actual_qos();
+  EXPECT_EQ(actual, all);
+  EXPECT_EQ(warnings.lines(), "");
+}
+
+TEST_F(EndpointsTest, LivelinessIsToldAsRclcppTellsIt) {
+  using namespace std::chrono_literals;
+  int lost = 0, alive = 0, not_alive = 0;
+  rclcpp::PublisherOptions of_publisher;
+  of_publisher.event_callbacks.liveliness_callback = [&](rclcpp::QOSLivelinessLostInfo& info) {
+    lost = info.total_count;
+  };
+  rclcpp::SubscriptionOptions of_subscription;
+  of_subscription.event_callbacks.liveliness_callback =
+      [&](rclcpp::QOSLivelinessChangedInfo& info) {
+        alive = info.alive_count;
+        not_alive = info.not_alive_count;
+      };
+  const rclcpp::QoS qos = rclcpp::QoS(1)
+                              .liveliness(rclcpp::LivelinessPolicy::ManualByTopic)
+                              .liveliness_lease_duration(10ms);
+  auto publisher = agnocast::create_publisher<String>(node_, "topic", qos, of_publisher);
+  const auto subscription = agnocast::create_subscription<String>(
+      node_, "topic", qos, [](const Message&) {}, of_subscription);
+  EXPECT_TRUE(spin_until([&] { return lost >= 1 && not_alive == 1 && alive == 0; }));
+  publisher.reset();
+  EXPECT_TRUE(spin_until([&] { return not_alive == 0 && alive == 0; }));
+}
+
+TEST_F(EndpointsTest, MissedDeadlinesAreToldAsRclcppTellsThem) {
+  using namespace std::chrono_literals;
+  int offered = 0, requested = 0;
+  rclcpp::PublisherOptions of_publisher;
+  of_publisher.event_callbacks.deadline_callback = [&](rclcpp::QOSDeadlineOfferedInfo& info) {
+    offered += info.total_count_change;
+  };
+  rclcpp::SubscriptionOptions of_subscription;
+  of_subscription.event_callbacks.deadline_callback = [&](rclcpp::QOSDeadlineRequestedInfo& info) {
+    requested += info.total_count_change;
+  };
+  const rclcpp::QoS qos = rclcpp::QoS(1).deadline(10ms);
+  const auto publisher = agnocast::create_publisher<String>(node_, "topic", qos, of_publisher);
+  int received = 0;
+  const auto subscription = agnocast::create_subscription<String>(
+      node_, "topic", qos, [&](const Message&) { ++received; }, of_subscription);
+  EXPECT_TRUE(spin_until([&] { return publisher->get_subscription_count() == 1; }));
+  EXPECT_EQ(offered, 0) << "the first period begins with the first message";
+  publisher->publish(publisher->borrow_loaned_message());
+  EXPECT_TRUE(spin_until([&] { return received == 1 && offered >= 2 && requested >= 2; }));
 }
 
 TEST_F(EndpointsTest, GroupsOfOthersAreRefused) {

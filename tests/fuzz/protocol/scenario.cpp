@@ -208,6 +208,10 @@ void Scenario::say_create(Process& process) {
   wire::CreateEndpoint body{};
   abi::Qos qos{input_.ConsumeIntegralInRange(1u, abi::depth_max), rarely(), !rarely(), rarely(),
                false};
+  if (rarely()) qos.deadline_ns = 1 + up_to(1);
+  if (rarely()) qos.lease_ns = 1 + up_to(1);
+  if (rarely()) qos.lifespan_ns = any_word();
+  qos.manual_liveliness = rarely();
   body.layout_hash = rarely() ? 2 : 1;
   body.wait_set = rarely() ? 1 : 0;
   body.quota = input_.ConsumeIntegralInRange<std::uint64_t>(1, 800);

@@ -167,8 +167,8 @@ TEST_F(CtlLook, SaysOfEachPairWhetherItIsZeroCopyAndWhyNot) {
   EXPECT_THAT(out({"topic", "info", "-v", "/points"}),
               HasSubstr("Is it zero-copy?\n  /lidar -> /viewer: yes\n  /weak" + process +
                         " -> /viewer" + process +
-                        ": no, incompatible_qos: the publisher is best_effort, the subscription "
-                        "requests reliable\n"));
+                        ": no, incompatible_qos: reliable is requested, best effort is "
+                        "offered\n"));
   auto& endpoint = *reinterpret_cast<abi::PublisherEndpoint*>(a.region.base() + p.extent);
   a.commit(p, 3);
   endpoint.adopted_messages.store(2);

@@ -191,6 +191,36 @@ TEST(Ctl, ShowsATopicAsRos2DoesAndItsCost) {
   EXPECT_EQ(subscription["pid"], ::getpid());
 }
 
+TEST(Ctl, ShowsTheTimesOfAQosAndExpiredMessages) {
+  const DaemonProcess daemon;
+  Node a(daemon.socket_path());
+  const Qos timed{7, false, true, false, false, true, 1'000'000, 2'000'000, 3'000'000};
+  a.publisher("/points", timed);
+  Qos requested = timed;
+  requested.lifespan_ns = 0;
+  const auto s = a.subscription("/points", requested);
+  const region::SubscriptionWords<M> counters{a.region.base(), s.extent};
+  counters.counter(offsetof(abi::SubscriptionCounters, expired)).store(4);
+  const std::string times =
+      "  Deadline: 1000000 nanoseconds\n  Liveliness: MANUAL_BY_TOPIC\n"
+      "  Liveliness lease duration: 3000000 nanoseconds\n";
+  const CtlResult info = run_ctl(daemon.socket_path(), {"topic", "info", "-v", "/points"});
+  EXPECT_THAT(info.out, HasSubstr("  Lifespan: 2000000 nanoseconds\n" + times));
+  EXPECT_THAT(info.out, HasSubstr("  Lifespan: Infinite\n" + times));
+  EXPECT_THAT(info.out, HasSubstr("Lost: 0 messages\nExpired: 4 messages\n"));
+  const auto json = run_ctl(daemon.socket_path(), {"topic", "info", "/points", "-j"}).json();
+  const auto& qos = json["publishers"][0]["qos"];
+  EXPECT_EQ(qos["deadline_ns"], 1'000'000);
+  EXPECT_EQ(qos["lifespan_ns"], 2'000'000);
+  EXPECT_EQ(qos["liveliness_lease_ns"], 3'000'000);
+  EXPECT_EQ(qos["liveliness"], "manual_by_topic");
+  const auto& subscription = json["subscriptions"][0];
+  EXPECT_EQ(subscription["qos"]["lifespan_ns"], nullptr);
+  EXPECT_EQ(subscription["expired_messages"], 4);
+  EXPECT_THAT(run_ctl(daemon.socket_path(), {"metrics"}).out,
+              testing::ContainsRegex("agnocast_expired_messages_total\\{[^}]*\\} 4\n"));
+}
+
 TEST(Ctl, ListsProcessesAliveOrphanedAndDead) {
   DaemonProcess daemon;
   Node watcher(daemon.socket_path()), orphan(daemon.socket_path());

@@ -217,7 +217,7 @@ TEST_F(DoctorProcesses, NamesQualitiesThatDoNotMatch) {
                               std::to_string(::geteuid()) + ")";
   ASSERT_THAT(findings.all,
               ElementsAre("qos-mismatch: /points: /lidar" + process + " -> /viewer" + process +
-                          ": the publisher is best_effort, the subscription requests reliable"));
+                          ": reliable is requested, best effort is offered"));
   const Remedy remedy(findings.remedies[0], {environment()});
   EXPECT_EQ(remedy.status(), 0) << findings.remedies[0];
 }

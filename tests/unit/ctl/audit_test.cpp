@@ -91,7 +91,7 @@ struct Made {
       facts.first_sequence = abi::first_sequence_of(generation);
       words().publisher_high().store(index + 1);
       words().publisher(index, offsetof(Entry, word)).store(facts.board_word);
-      words().publisher(index, offsetof(Entry, qos)).store(facts.qos);
+      words().publisher(index, offsetof(Entry, policies)).store(facts.qos.policies);
       words().publisher(index, offsetof(Entry, client)).store(client);
       words().publisher(index, offsetof(Entry, extent)).store(extent);
       words().publisher(index, offsetof(Entry, slot_count)).store(facts.slot_count);
@@ -102,7 +102,7 @@ struct Made {
       facts.quota = 3;
       words().subscription_high().store(index + 1);
       words().subscription(index, offsetof(Entry, word)).store(facts.board_word);
-      words().subscription(index, offsetof(Entry, qos)).store(facts.qos);
+      words().subscription(index, offsetof(Entry, policies)).store(facts.qos.policies);
       words().subscription(index, offsetof(Entry, client)).store(client);
       words().subscription(index, offsetof(Entry, extent)).store(extent);
       words().subscription(index, offsetof(Entry, quota)).store(facts.quota);
@@ -152,6 +152,18 @@ TEST(Audit, FindsEachMistakeOfTheDaemon) {
       {Invariant::board_endpoint,
        [](Made& m) {
          m.words().subscription(0, offsetof(abi::SubscriptionEntry, quota)).store(8);
+       }},
+      {Invariant::board_endpoint,
+       [](Made& m) {
+         m.words().subscription(0, offsetof(abi::SubscriptionEntry, policies)).store(8);
+       }},
+      {Invariant::board_endpoint,
+       [](Made& m) {
+         m.words().subscription(0, offsetof(abi::SubscriptionEntry, deadline_ns)).store(8);
+       }},
+      {Invariant::board_endpoint,
+       [](Made& m) {
+         m.words().subscription(0, offsetof(abi::SubscriptionEntry, lease_ns)).store(8);
        }},
       {Invariant::board_free,
        [](Made& m) {

@@ -26,16 +26,12 @@ namespace agnocast_rclcpp {
 rclcpp::MessageInfo to_ros(const agnocast::MessageInfo& info);
 
 /// Applies overrides by parameters, which it declares, as rclcpp does: qos_overrides.<topic>.….
-/// Warns of policies that have no effect here.
 template <class Node, class EntityTraits>
 void override_qos(Node& node, const std::string& topic, const rclcpp::QosOverridingOptions& options,
                   agnocast::QoS& qos, EntityTraits traits) {
-  unsigned unserved = qos.unserved();
   if (!options.get_policy_kinds().empty()) {
     qos = rclcpp::detail::declare_qos_parameters(options, node, topic, rclcpp::QoS(qos), traits);
-    unserved |= qos.unserved();
   }
-  warn_of_policies(unserved, topic, node.get_logger());
 }
 
 }  // namespace agnocast_rclcpp

@@ -45,8 +45,6 @@ class PublisherOptions {
 agnocast::core::SubscriptionOptions translate(
     const SubscriptionOptions& options, const std::string& topic, const rclcpp::Logger& logger,
     const rclcpp::node_interfaces::NodeBaseInterface& base);
-/// Warns of the policies in `unserved` (agnocast::QoS::unserved()).
-void warn_of_policies(unsigned unserved, const std::string& topic, const rclcpp::Logger& logger);
 /// Unless `options` say otherwise, lets a node keep as many messages as its queue is long, up to
 /// 512: nodes for rclcpp often keep what came in a queue of their own.
 void allow_queue(agnocast::core::SubscriptionOptions& options, std::size_t length);

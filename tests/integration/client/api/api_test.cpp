@@ -70,6 +70,56 @@ struct ToldQos {
   bool all = false, reliable = true, kept = false;
 };
 
+/// What an rclcpp::QoS of today has: times, which it takes as an rclcpp::Duration.
+class TimedQos {
+ public:
+  struct Duration {
+    template <class Rep, class Period>
+    Duration(const std::chrono::duration<Rep, Period>& time)
+        : count(std::chrono::nanoseconds(time).count()) {}
+    std::int64_t nanoseconds() const { return count; }
+    std::int64_t count;
+  };
+  enum class Liveliness { Automatic = 1, ManualByTopic = 3 };
+
+  explicit TimedQos(std::size_t depth) : depth_(depth) {}
+  TimedQos& keep_all() { return *this; }
+  TimedQos& best_effort() { return *this; }
+  TimedQos& transient_local() { return *this; }
+  TimedQos& deadline(const Duration& time) { return deadline_ = time, *this; }
+  TimedQos& lifespan(const Duration& time) { return lifespan_ = time, *this; }
+  TimedQos& liveliness(Liveliness kind) { return liveliness_ = kind, *this; }
+  TimedQos& liveliness_lease_duration(const Duration& time) { return lease_ = time, *this; }
+  std::size_t depth() const { return depth_; }
+  LookAlikeQos::History history() const { return LookAlikeQos::History::KeepLast; }
+  LookAlikeQos::Reliability reliability() const { return LookAlikeQos::Reliability::Reliable; }
+  LookAlikeQos::Durability durability() const { return LookAlikeQos::Durability::Volatile; }
+  Duration deadline() const { return deadline_; }
+  Duration lifespan() const { return lifespan_; }
+  Liveliness liveliness() const { return liveliness_; }
+  Duration liveliness_lease_duration() const { return lease_; }
+
+ private:
+  std::size_t depth_;
+  Duration deadline_{std::chrono::nanoseconds::max()}, lifespan_{std::chrono::nanoseconds(0)},
+      lease_{std::chrono::nanoseconds::max()};
+  Liveliness liveliness_ = Liveliness::Automatic;
+};
+
+/// A look-alike of rmw_qos_profile_t with its times.
+struct TimedProfile {
+  struct Time {
+    std::uint64_t sec, nsec;
+  };
+  LookAlikeQos::History history = LookAlikeQos::History::KeepLast;
+  std::size_t depth = 5;
+  LookAlikeQos::Reliability reliability = LookAlikeQos::Reliability::Reliable;
+  LookAlikeQos::Durability durability = LookAlikeQos::Durability::Volatile;
+  Time deadline{0, 0}, lifespan{0, 0};
+  TimedQos::Liveliness liveliness = TimedQos::Liveliness::Automatic;
+  Time liveliness_lease_duration{0, 0};
+};
+
 /// A look-alike of rmw_qos_profile_t.
 struct LookAlikeProfile {
   LookAlikeQos::History history;
@@ -389,6 +439,58 @@ TEST_F(Api, ProfilesOfRmwConvert) {
   EXPECT_TRUE(QoS(all).is_reliable());
   EXPECT_FALSE(QoS(all).is_transient_local());
   EXPECT_TRUE(try_create_publisher<Cloud>(node, "profile", sensor));
+}
+
+TEST_F(Api, TimesOfAQosConvertBothWays) {
+  using namespace std::chrono_literals;
+  const QoS none = TimedQos(1);
+  EXPECT_EQ(none.deadline(), 0ns) << "infinite";
+  EXPECT_EQ(none.lifespan(), 0ns);
+  EXPECT_EQ(none.liveliness_lease_duration(), 0ns);
+  EXPECT_EQ(none.liveliness(), Liveliness::automatic);
+  const QoS all = TimedQos(1)
+                      .deadline(1ms)
+                      .lifespan(2s)
+                      .liveliness(TimedQos::Liveliness::ManualByTopic)
+                      .liveliness_lease_duration(3h);
+  EXPECT_EQ(all.deadline(), 1ms);
+  EXPECT_EQ(all.lifespan(), 2s);
+  EXPECT_EQ(all.liveliness_lease_duration(), 3h);
+  EXPECT_EQ(all.liveliness(), Liveliness::manual_by_topic);
+  const TimedQos back = create_publisher<Cloud>(node, "timed", all)->get_actual_qos();
+  EXPECT_EQ(back.deadline().nanoseconds(), 1'000'000);
+  EXPECT_EQ(back.lifespan().nanoseconds(), 2'000'000'000);
+  EXPECT_EQ(back.liveliness_lease_duration().nanoseconds(), 10'800'000'000'000);
+  EXPECT_EQ(back.liveliness(), TimedQos::Liveliness::ManualByTopic);
+  // RMW_DURATION_INFINITE, and what rmw calls best available.
+  for (const std::int64_t unlimited : {INT64_MAX, INT64_MAX - 1}) {
+    const std::chrono::nanoseconds time(unlimited);
+    const QoS qos = TimedQos(1).deadline(time).lifespan(time).liveliness_lease_duration(time);
+    EXPECT_EQ(qos.deadline(), 0ns);
+    EXPECT_EQ(qos.lifespan(), 0ns);
+    EXPECT_EQ(qos.liveliness_lease_duration(), 0ns);
+  }
+  const TimedQos infinite = none;
+  EXPECT_EQ(infinite.deadline().nanoseconds(), INT64_MAX);
+}
+
+TEST_F(Api, TimesOfAProfileConvert) {
+  using namespace std::chrono_literals;
+  TimedProfile profile;
+  profile.deadline = {1, 5};
+  profile.lifespan = {9223372036, 854775807};  // RMW_DURATION_INFINITE
+  EXPECT_EQ(QoS(profile).deadline(), 1s + 5ns);
+  EXPECT_EQ(QoS(profile).lifespan(), 0ns);
+  for (const TimedProfile::Time& unlimited :
+       {TimedProfile::Time{~std::uint64_t{0}, 0}, TimedProfile::Time{0, ~std::uint64_t{0}},
+        TimedProfile::Time{9223372035, INT64_MAX}, TimedProfile::Time{9223372036, 854775806}}) {
+    profile.deadline = unlimited;
+    EXPECT_EQ(QoS(profile).deadline(), 0ns) << unlimited.sec << " s " << unlimited.nsec;
+  }
+  profile.deadline = {0, 1'500'000'000};
+  EXPECT_EQ(QoS(profile).deadline(), 1500ms);
+  profile.liveliness = TimedQos::Liveliness::ManualByTopic;
+  EXPECT_EQ(QoS(profile).liveliness(), Liveliness::manual_by_topic);
 }
 
 /// Throws as rclcpp does for a wrong name, in both forms.

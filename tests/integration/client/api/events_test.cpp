@@ -147,6 +147,10 @@ constexpr Case cases[] = {
     {"1rv", "1rt", QosPolicyKind::durability},
     {"1bt", "1rt", QosPolicyKind::reliability},
     {"1bv", "1rt", QosPolicyKind::reliability},
+    {"1rvd2", "1rvd1", QosPolicyKind::deadline},
+    {"1rv", "1rvmd1", QosPolicyKind::deadline},
+    {"1rv", "1rvm", QosPolicyKind::liveliness},
+    {"1rvml2", "1rvl1", QosPolicyKind::liveliness_lease_duration},
 };
 
 TEST_F(Events, BothSidesLearnTheIncompatiblePolicyWhicheverComesFirst) {

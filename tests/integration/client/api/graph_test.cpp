@@ -76,6 +76,10 @@ TEST_F(GraphTest, ReportsHowEveryEndpointWasCreated) {
       listener(daemon_.socket_path(), 7, "listener_process");
   abi::Qos kept{9};
   kept.transient_local = true;
+  kept.manual_liveliness = true;
+  kept.deadline_ns = 1;
+  kept.lifespan_ns = 2;
+  kept.lease_ns = 3;
   const auto publisher = talker.publisher("/points", kept, "/ns/deep/talker", "test/msg/Cloud");
   abi::Qos all{1000};
   all.keep_all = true;
@@ -95,6 +99,10 @@ TEST_F(GraphTest, ReportsHowEveryEndpointWasCreated) {
   EXPECT_TRUE(first.qos.is_reliable());
   EXPECT_TRUE(first.qos.is_transient_local());
   EXPECT_FALSE(first.qos.is_keep_all());
+  EXPECT_EQ(first.qos.deadline(), 1ns);
+  EXPECT_EQ(first.qos.lifespan(), 2ns);
+  EXPECT_EQ(first.qos.liveliness_lease_duration(), 3ns);
+  EXPECT_EQ(first.qos.liveliness(), Liveliness::manual_by_topic);
   EXPECT_EQ(first.generation, publisher.generation);
   EXPECT_EQ(first.pid, static_cast<std::uint32_t>(::getpid()));
   EXPECT_EQ(first.uid, ::geteuid());
@@ -107,6 +115,8 @@ TEST_F(GraphTest, ReportsHowEveryEndpointWasCreated) {
   EXPECT_TRUE(second.qos.is_keep_all());
   EXPECT_FALSE(second.qos.is_reliable());
   EXPECT_FALSE(second.qos.is_transient_local());
+  EXPECT_EQ(second.qos.deadline(), 0ns);
+  EXPECT_EQ(second.qos.liveliness(), Liveliness::automatic);
   EXPECT_EQ(second.generation, subscription.generation);
   EXPECT_NE(second.client, first.client);
   EXPECT_EQ(now.incarnation, test::wire_dump(daemon_.socket_path()).incarnation);

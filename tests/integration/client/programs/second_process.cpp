@@ -29,10 +29,15 @@ struct Other {
 QoS qos_of(const std::string& text) {
   char* letters = nullptr;
   QoS qos(std::strtoull(text.c_str(), &letters, 10));
-  for (; *letters != '\0'; ++letters) {
-    if (*letters == 'b') qos.best_effort();
-    if (*letters == 't') qos.transient_local();
-    if (*letters == 'a') qos.keep_all(qos.depth());
+  while (*letters != '\0') {
+    const char letter = *letters++;
+    if (letter == 'b') qos.best_effort();
+    if (letter == 't') qos.transient_local();
+    if (letter == 'a') qos.keep_all(qos.depth());
+    if (letter == 'm') qos.liveliness(Liveliness::manual_by_topic);
+    if (letter == 'd') qos.deadline(std::chrono::seconds(std::strtoll(letters, &letters, 10)));
+    if (letter == 'l')
+      qos.liveliness_lease_duration(std::chrono::seconds(std::strtoll(letters, &letters, 10)));
   }
   return qos;
 }

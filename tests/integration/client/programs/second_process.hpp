@@ -44,6 +44,9 @@ struct Block {
   }
 };
 
+/// "10rv": the depth, then letters as below; of times the seconds follow.
+///   r reliable · b best effort · v volatile · t transient local · a keep all · m manual liveliness
+///   d deadline · l liveliness lease
 QoS qos_of(const std::string& text);
 
 class SecondProcess {

@@ -131,7 +131,10 @@ TEST_F(AnnouncerTest, AReaderGetsTheRegionAndAllWindowsOfAPublisher) {
   EXPECT_EQ(packet.client, number(owner));
   EXPECT_EQ(packet.client_generation, registry.client(owner).generation);
   EXPECT_EQ(packet.extent, record.extent);
-  EXPECT_EQ(packet.qos, record.qos);
+  EXPECT_EQ(packet.qos.policies, record.qos.policies);
+  EXPECT_EQ(packet.qos.deadline_ns, record.qos.deadline_ns);
+  EXPECT_EQ(packet.qos.lifespan_ns, record.qos.lifespan_ns);
+  EXPECT_EQ(packet.qos.lease_ns, record.qos.lease_ns);
   EXPECT_EQ(packet.uid, 1u);
   EXPECT_EQ(packet.first_sequence, abi::first_sequence_of(record.generation));
   EXPECT_EQ(packet.from_start, 1u);

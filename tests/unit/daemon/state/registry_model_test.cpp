@@ -19,7 +19,7 @@ TEST_F(RegistryTest, MakesTheBoardAgreeWithTheTables) {
   EXPECT_EQ(later.repair_board(), 0u);
   EXPECT_GT(words.epoch().load(std::memory_order_relaxed), epoch) << "every client must look again";
   const std::size_t fields[] = {
-      offsetof(abi::PublisherEntry, word),       offsetof(abi::PublisherEntry, qos),
+      offsetof(abi::PublisherEntry, word),       offsetof(abi::PublisherEntry, policies),
       offsetof(abi::PublisherEntry, client),     offsetof(abi::PublisherEntry, extent),
       offsetof(abi::PublisherEntry, slot_count), offsetof(abi::PublisherEntry, first_sequence),
       offsetof(abi::PublisherEntry, final_head)};

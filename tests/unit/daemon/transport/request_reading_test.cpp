@@ -128,7 +128,7 @@ TEST(Requests, KeepsTheRepetitionMarkOutOfTheId) {
   ASSERT_TRUE(std::holds_alternative<CreateRequest>(created));
   EXPECT_TRUE(std::get<CreateRequest>(created).again);
   EXPECT_EQ(std::get<CreateRequest>(created).request, 77u);
-  packet.qos = 0;
+  packet.qos.policies = 0;
   EXPECT_EQ(rejected(decoded(packet)).request, 77u);
   packet.header.request = 77;
   packet.qos = honest_create(wire::Opcode::create_publisher).qos;
@@ -203,16 +203,33 @@ TEST(Requests, OnlySubscriptionsIgnoreTheirProcess) {
   EXPECT_TRUE(std::get<CreateRequest>(decoded(create)).qos.ignore_local);
 }
 
+TEST(Requests, EveryQosPasses) {
+  auto create = honest_create(wire::Opcode::create_publisher);
+  create.qos = abi::pack_qos({7, true, false, true, false, true, 1, abi::qos_time_max_ns, 3});
+  const abi::Qos qos = std::get<CreateRequest>(decoded(create)).qos;
+  EXPECT_EQ(qos.depth, 7u);
+  EXPECT_TRUE(qos.transient_local && qos.keep_all && qos.manual_liveliness);
+  EXPECT_FALSE(qos.reliable || qos.ignore_local);
+  EXPECT_EQ(qos.deadline_ns, 1u);
+  EXPECT_EQ(qos.lifespan_ns, abi::qos_time_max_ns);
+  EXPECT_EQ(qos.lease_ns, 3u);
+}
+
 TEST(Requests, RefusesImpossibleEndpoints) {
   const auto with = [](auto change) {
     auto create = honest_create(wire::Opcode::create_subscription);
     change(create);
     return rejected(decoded(create)).code;
   };
-  EXPECT_EQ(with([](auto& c) { c.qos = 0; }), Errc::depth_refused);
-  EXPECT_EQ(with([](auto& c) { c.qos = abi::depth_max + 1; }), Errc::depth_refused);
-  EXPECT_EQ(with([](auto& c) { c.qos |= 1 << 20; }), Errc::invalid_argument);
-  EXPECT_EQ(with([](auto& c) { c.qos |= std::uint64_t{1} << 63; }), Errc::invalid_argument);
+  EXPECT_EQ(with([](auto& c) { c.qos.policies = 0; }), Errc::depth_refused);
+  EXPECT_EQ(with([](auto& c) { c.qos.policies = abi::depth_max + 1; }), Errc::depth_refused);
+  EXPECT_EQ(with([](auto& c) { c.qos.policies |= 1 << 21; }), Errc::invalid_argument);
+  EXPECT_EQ(with([](auto& c) { c.qos.policies |= std::uint64_t{1} << 63; }),
+            Errc::invalid_argument);
+  EXPECT_EQ(with([](auto& c) { c.qos.deadline_ns = abi::qos_time_max_ns + 1; }),
+            Errc::invalid_argument);
+  EXPECT_EQ(with([](auto& c) { c.qos.lease_ns = ~std::uint64_t{0}; }), Errc::invalid_argument);
+  EXPECT_EQ(with([](auto& c) { c.qos.lifespan_ns = 1; }), Errc::invalid_argument);
   EXPECT_EQ(with([](auto& c) { c.quota = 0; }), Errc::invalid_argument);
   EXPECT_EQ(with([](auto& c) { c.quota = abi::slot_count_max + 1; }), Errc::quota_exceeded);
   EXPECT_EQ(with([](auto& c) { c.wait_set = abi::wait_set_count_max; }), Errc::protocol_violation);
