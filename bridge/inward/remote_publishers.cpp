@@ -31,7 +31,7 @@ Result<OpenRemotePublisher*> RemotePublishers::open(const Guid& writer,
 Result<GenericPublisher::SharedPtr> RemotePublishers::make_publisher(
     const RemotePublisherPlan& plan, std::size_t depth) const {
   return try_create_generic_publisher(node_, plan.key.topic, types_.at(plan.key.type)->introspected,
-                                      qos_of(plan.qos_class, depth, plan.keep_all));
+                                      qos_of(plan.qos_class, depth, plan.keep_all, plan.times));
 }
 
 void RemotePublishers::publish(const Guid& writer, OpenRemotePublisher& remote_publisher,

@@ -21,7 +21,7 @@ DdsResult<std::unique_ptr<DdsWriter>> create_writer_of(DdsParticipant& participa
   const TopicKey& topic = dds_writer.local_reader.of.key;
   return participant.create_writer(
       *dds_topic_of({DdsTopicKind::topic, topic.topic}), *dds_type_of(topic.type),
-      dds_qos_of(dds_writer.offered, dds_writer.depth, dds_writer.keep_all));
+      dds_qos_of(dds_writer.offered, dds_writer.depth, dds_writer.keep_all, dds_writer.times));
 }
 
 void Announced::end_others(const Plan& plan) {

@@ -45,6 +45,15 @@ QosClass class_of(const QoS& qos) noexcept {
 }
 QosClass class_of(const DdsQos& qos) noexcept { return {qos.reliable, qos.transient_local}; }
 
+/// 0 is none here, and infinite in DDS.
+std::chrono::nanoseconds dds_time(std::chrono::nanoseconds time) noexcept {
+  return time.count() == 0 ? DdsQos::infinite : time;
+}
+std::chrono::nanoseconds own_time(std::chrono::nanoseconds time) noexcept {
+  return time == DdsQos::infinite ? std::chrono::nanoseconds(0)
+                                  : std::max(time, std::chrono::nanoseconds(1));
+}
+
 /// DDS 1.4, 2.2.3: the offer must be at least the request.
 bool serves(const QosClass& offered, const QosClass& requested) noexcept {
   return (offered.reliable || !requested.reliable) &&
@@ -152,7 +161,8 @@ class Planner {
             keep_all && !said.depth,
             said.depth.value_or(depth),
             full_name_of(publisher),
-            overridden(own, said)};
+            overridden(own, said),
+            {dds_time(publisher.qos.deadline()), dds_time(publisher.qos.lifespan())}};
   }
   /// Returns whether a later reader would get the topic: only then it is announced.
   bool may_be_announced(const TopicKey& key, const Verdict& verdict) {
@@ -207,8 +217,10 @@ class Planner {
       choose(key, places);
       for (const auto& [writer, wanted] : places) {
         const std::size_t depth = depth_of(writer->qos);
-        plan_.remote_publishers[writer->guid] = {key, class_of(writer->qos), depth,
-                                                 writer->qos.keep_all, wanted};
+        plan_.remote_publishers[writer->guid] = {
+            key,    class_of(writer->qos),
+            depth,  writer->qos.keep_all,
+            wanted, {writer->qos.deadline, writer->qos.lifespan}};
         dds_reader_of(wanted, depth).keep_all |= writer->qos.keep_all && !said.depth;
       }
       for (const auto& [qos_class, served] : served_by) {
@@ -329,21 +341,24 @@ class Planner {
 
 }  // namespace
 
-DdsQos dds_qos_of(const QosClass& qos_class, std::size_t depth, bool keep_all) {
+DdsQos dds_qos_of(const QosClass& qos_class, std::size_t depth, bool keep_all,
+                  const QosTimes& times) {
   DdsQos qos;
   qos.reliable = qos_class.reliable;
   qos.transient_local = qos_class.transient_local;
   qos.keep_all = keep_all;
   qos.depth = static_cast<std::int32_t>(std::min<std::size_t>(depth, 100'000));
+  qos.deadline = times.deadline;
+  qos.lifespan = times.lifespan;
   return qos;
 }
 
-QoS qos_of(const QosClass& qos_class, std::size_t depth, bool keep_all) {
+QoS qos_of(const QosClass& qos_class, std::size_t depth, bool keep_all, const QosTimes& times) {
   QoS qos(depth);
   if (keep_all) qos.keep_all(depth);
   if (!qos_class.reliable) qos.best_effort();
   if (qos_class.transient_local) qos.transient_local();
-  return qos;
+  return qos.deadline(own_time(times.deadline)).lifespan(own_time(times.lifespan));
 }
 
 std::string full_name_of(const EndpointInfo& endpoint) {

@@ -92,12 +92,18 @@ struct ReaderKey {
 };
 // NOLINTEND(modernize-use-nullptr)
 
+/// Times of an endpoint's QoS, which the bridge only passes on; infinite: none.
+struct QosTimes {
+  std::chrono::nanoseconds deadline = DdsQos::infinite, lifespan = DdsQos::infinite;
+};
+
 struct DdsWriterPlan {
   ReaderKey local_reader;  ///< with the publisher's QoS
   bool keep_all = false;
   std::size_t depth = 1;
   std::string node;  ///< full name
   QosClass offered;  ///< in DDS: as its local reader, unless a rule overrides it
+  QosTimes times;    ///< of the publisher
 };
 /// Another depth makes it another DDS reader.
 struct DdsReaderPlan {
@@ -112,6 +118,7 @@ struct RemotePublisherPlan {
   std::size_t depth = 1;
   bool keep_all = false;
   QosClass dds_reader;  ///< the class of the DDS reader that reads it
+  QosTimes times;       ///< of the writer
 };
 
 enum class WhyNot : std::uint8_t {
@@ -136,8 +143,9 @@ struct Unbridged {
   bool operator==(const Unbridged&) const = default;
 };
 
-DdsQos dds_qos_of(const QosClass& qos_class, std::size_t depth, bool keep_all);
-QoS qos_of(const QosClass& qos_class, std::size_t depth, bool keep_all);
+DdsQos dds_qos_of(const QosClass& qos_class, std::size_t depth, bool keep_all,
+                  const QosTimes& times = {});
+QoS qos_of(const QosClass& qos_class, std::size_t depth, bool keep_all, const QosTimes& times = {});
 
 struct Plan {
   std::map<std::uint64_t, DdsWriterPlan> dds_writers;  ///< by generation of the publisher

@@ -122,6 +122,37 @@ TEST_F(Routes, MirrorEachPublisherInTheNameOfItsNode) {
   EXPECT_THAT(all.unbridged, IsEmpty());
 }
 
+TEST_F(Routes, PassOnThePublishersTimes) {
+  using std::chrono::seconds;
+  const auto timed =
+      publisher("/chatter", QoS(7).deadline(seconds(1)).lifespan(seconds(2)), "talker");
+  const auto other = publisher("/chatter", QoS(7), "camera");
+  reader("rt/chatter", false);
+  const Plan all = plan();
+  EXPECT_EQ(all.dds_writers.at(timed).times.deadline, seconds(1));
+  EXPECT_EQ(all.dds_writers.at(timed).times.lifespan, seconds(2));
+  EXPECT_EQ(all.dds_writers.at(other).times.deadline, DdsQos::infinite);
+  EXPECT_EQ(all.dds_writers.at(other).times.lifespan, DdsQos::infinite);
+  EXPECT_THAT(all.local_readers, SizeIs(1)) << "they are no reason for another one";
+}
+
+TEST_F(Routes, PassOnTheWritersTimes) {
+  using std::chrono::nanoseconds;
+  subscription("/chatter", QoS(4), "one");
+  const Guid timed = writer("rt/chatter"), plain = writer("rt/chatter");
+  remotes_.at(timed).qos.deadline = nanoseconds(5);
+  remotes_.at(timed).qos.lifespan = nanoseconds(0);
+  const Plan all = plan();
+  const auto offer = [&](const Guid& guid) {
+    const RemotePublisherPlan& planned = all.remote_publishers.at(guid);
+    return qos_of(planned.qos_class, planned.depth, planned.keep_all, planned.times);
+  };
+  EXPECT_EQ(offer(timed).deadline(), nanoseconds(5));
+  EXPECT_EQ(offer(timed).lifespan(), nanoseconds(1)) << "0 would be none here";
+  EXPECT_EQ(offer(plain).deadline(), nanoseconds(0)) << "infinite there";
+  EXPECT_EQ(offer(plain).lifespan(), nanoseconds(0));
+}
+
 TEST_F(Routes, ShareALocalReaderAmongPublishersWithEqualQos) {
   publisher("/chatter", QoS(7));
   publisher("/chatter", QoS(7), "other");

@@ -329,6 +329,35 @@ TEST_F(BridgeTest, KeepsBestEffortBestEffort) {
   EXPECT_TRUE(is_best_effort);
 }
 
+TEST_F(BridgeTest, PassesDeadlinesAndLifespansOn) {
+  const auto with_deadline = [](std::chrono::nanoseconds deadline) {
+    DdsQos qos = keep_last(5);
+    qos.deadline = deadline;
+    return qos;
+  };
+  auto publisher =
+      create_publisher<String>(PlainNode(), topic() + "_out", QoS(5).deadline(1h).lifespan(2h));
+  DdsReader& reader = other_.reads<String>(dds_topic() + "_out", with_deadline(1h));
+  DdsReader& stricter = other_.reads<String>(dds_topic() + "_out", with_deadline(59min));
+  EXPECT_TRUE(
+      other_.eventually([&] { return reader.matched() == 1 && stricter.incompatible() == 1; }));
+  EXPECT_TRUE(other_.eventually([&] {
+    const auto& remotes = other_.participant().remotes();
+    return std::any_of(remotes.begin(), remotes.end(), [&](const auto& remote) {
+      return remote.second.topic == dds_topic() + "_out" && remote.second.qos.lifespan == 2h;
+    });
+  }));
+
+  other_.writes(dds_topic() + "_in", test::dds_type_name<String>(), with_deadline(1h));
+  auto fits = create_subscription<String>(PlainNode(), topic() + "_in", QoS(5).deadline(1h));
+  auto strict = create_subscription<String>(PlainNode(), topic() + "_in", QoS(5).deadline(59min));
+  EXPECT_TRUE(other_.eventually([&] { return fits->get_publisher_count() == 1; }));
+  EXPECT_TRUE(other_.eventually([&] {
+    return strict->get_incompatible_qos_status().last_policy_kind == QosPolicyKind::deadline;
+  }));
+  EXPECT_EQ(strict->get_publisher_count(), 0u);
+}
+
 TEST_F(BridgeTest, AnnouncesAPublisherAndReadsItOnlyForAReaderInDds) {
   auto publisher = create_publisher<String>(PlainNode(), topic(), QoS(3).transient_local());
   const auto writers = [&] {
