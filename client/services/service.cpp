@@ -300,7 +300,7 @@ ServiceTypes make_service_types(const MessageType& request, const MessageType& r
 Result<QoS> service_qos(const QoS& qos) {
   if (qos.is_transient_local() || !(qos.is_reliable() || qos.is_best_available()))
     return fail(Errc::invalid_argument, "a service is reliable and volatile");
-  return QoS(qos).reliable().keep_all(qos.depth());
+  return QoS(qos.depth()).keep_all(qos.depth());
 }
 
 Result<std::shared_ptr<UntypedService>> UntypedService::create(

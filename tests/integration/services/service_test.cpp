@@ -33,6 +33,24 @@ TEST_F(Services, AnswerRequests) {
   EXPECT_STREQ(service->get_service_name(), "/repeat");
 }
 
+// A lifespan would let requests end without an answer, and different times would match nobody.
+TEST_F(Services, UseOnlyTheDepthOfAQos) {
+  using namespace std::chrono_literals;
+  Spun<Node> server("server"), asker("asker");
+  const QoS offered = QoS(10).lifespan(1ns).deadline(2h);
+  const QoS requested = QoS(10)
+                            .lifespan(1ns)
+                            .deadline(1h)
+                            .liveliness(Liveliness::manual_by_topic)
+                            .liveliness_lease_duration(1h);
+  auto service = server.create_service<Repeat>("repeat", answer, offered);
+  auto client = asker.create_client<Repeat>("repeat", requested);
+  ASSERT_TRUE(client->wait_for_service(patience));
+  auto sent = client->async_send_request(ask_for(client, 7));
+  ASSERT_TRUE(is_ready_soon(sent));
+  EXPECT_EQ(sent.get()->values.front(), 7u);
+}
+
 TEST_F(Services, ServeAnythingThatHasTheNamesOfANode) {
   Spun<PlainNode> node;
   auto service = create_service<Repeat>(&node, "plain", answer);
