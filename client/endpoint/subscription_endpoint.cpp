@@ -332,8 +332,7 @@ void SubscriptionEndpoint::pass_over_expired() noexcept {
   const region::SubscriptionWords<SharedMemory> words{self_.region, self_.extent};
   for (const auto& link : links_) {
     const std::uint64_t lifespan = link->lifespan_ns();
-    if (lifespan == 0) continue;
-    if (lifespan >= now) continue;
+    if (lifespan == 0 || lifespan >= now) continue;
     const std::uint64_t head = link->core_.look();
     std::uint64_t passed = 0;
     while (passed < abi::ring_count && link->core_.pass_over_older(head, now - lifespan)) ++passed;
