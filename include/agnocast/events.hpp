@@ -75,8 +75,8 @@ struct HoldQuotaInfo {
 
 /// Periods of the QoS deadline in which a publisher published nothing, or a subscription got
 /// nothing of any publisher. They begin with the first message, and anew with each further one.
-/// Whoever asks, or spins, looks: a period between two looks that a later message has ended is not
-/// counted.
+/// A getter looks, and an executor that spins: a period between two looks that a later message has
+/// ended is not counted.
 struct DeadlineMissedInfo {
   std::int32_t total_count = 0;
   std::int32_t total_count_change = 0;
@@ -85,8 +85,8 @@ using QOSDeadlineOfferedInfo = DeadlineMissedInfo;
 using QOSDeadlineRequestedInfo = DeadlineMissedInfo;
 
 /// How often a publisher was not alive any more: its liveliness is manual_by_topic, and it neither
-/// published nor asserted its liveliness for the time of its lease. Whoever asks, or spins, looks:
-/// what ended between two looks is not counted.
+/// published nor asserted its liveliness for the time of its lease. A getter looks, and an executor
+/// that spins: what ended between two looks is not counted.
 struct LivelinessLostInfo {
   std::int32_t total_count = 0;
   std::int32_t total_count_change = 0;
