@@ -73,8 +73,8 @@ class Directory {
   std::string path_;
 };
 
-// All on the loopback interface, without multicast, and separate from every other DDS on this
-// host.
+// All on the loopback interface, without multicast, and separate from every other DDS on this host
+// but for its ports: the default number of participants would not start where ten others run.
 constexpr const char* dds_configuration = R"(<CycloneDDS><Domain id="any">
   <General>
     <Interfaces><NetworkInterface name="lo" multicast="false"/></Interfaces>
@@ -82,7 +82,8 @@ constexpr const char* dds_configuration = R"(<CycloneDDS><Domain id="any">
     <MaxMessageSize>65500B</MaxMessageSize><FragmentSize>65000B</FragmentSize>
   </General>
   <Discovery>
-    <ParticipantIndex>auto</ParticipantIndex><Tag>TAG</Tag>
+    <ParticipantIndex>auto</ParticipantIndex>
+    <MaxAutoParticipantIndex>99</MaxAutoParticipantIndex><Tag>TAG</Tag>
     <Peers><Peer address="127.0.0.1"/></Peers>
   </Discovery>
   <Internal>
