@@ -323,8 +323,8 @@ class PublisherCore {
   }
 
   /// P7: reads the endpoints from the board. An endpoint seen for the first time may have started
-  /// as early as the head of the previous look: that look missed its J3, so its J6 reads a head at
-  /// or after it.
+  /// as early as the head of the previous look: that look missed its J3, so its J4 and J6 read
+  /// a head at or after it.
   void refresh_endpoints() noexcept {
     std::uint64_t epoch = epoch_seen_;
     // [sync:join] acquire; pairs with the daemon's seq_cst store at J3, behind the fence of P6.

@@ -65,6 +65,7 @@
   X(S2_fence, "fence before the re-check")                         \
   X(S5_disarm, "sleep word: awake")                                \
   /* link, unlink */                                               \
+  X(J6_start, "load where the daemon let the link begin")          \
   X(J6_head, "load the head that the link starts from")            \
   X(J6_history, "does a late joiner get history?")                 \
   X(J6_cursor, "link line: cursor")                                \

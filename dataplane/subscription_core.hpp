@@ -52,19 +52,25 @@ class LinkCore {
       : self_(identity), cursor_(identity.first_sequence + 1) {}
 
   /// J6. `from_start`: the publisher joined after the subscription, which therefore wants
-  /// everything it committed. Returns false, and links nothing, if the board no longer shows the
+  /// everything it committed. Otherwise it wants what was committed since it joined (J4), as far
+  /// as its window reaches. Returns false, and links nothing, if the board no longer shows the
   /// announced publisher. Rule RU excludes that: a peer has broken an invariant.
   bool link(bool from_start) noexcept {
-    std::uint64_t head = abi::pack_entry(self_.first_sequence, 0);
+    std::uint64_t start = 0, head = abi::pack_entry(self_.first_sequence, 0);
+    // Written by the daemon before it answered (J4); 0: it has set no start.
+    AGNOCAST_STEP(J6_start) start = self_.line.cursor().load(std::memory_order_acquire);
     // [sync:join] seq_cst; behind J3 in the single total order, so a publisher that missed J3
     // saw an earlier head.
     AGNOCAST_STEP(J6_head) head = self_.publisher.head().load(std::memory_order_seq_cst);
     const bool history = M::holds(steps::J6_history,
                                   self_.offered.transient_local && self_.requested.transient_local);
     const std::uint64_t back = history ? std::min(self_.offered.depth, self_.requested.depth) : 0;
-    cursor_ = from_start ? self_.first_sequence + 1
-                         : region::minus_at_least(abi::sequence_of(head) + 1, back,
-                                                  self_.first_sequence + 1);
+    const std::uint64_t end = abi::sequence_of(head) + 1;
+    if (start == 0 || start > end) start = end;
+    cursor_ = from_start
+                  ? self_.first_sequence + 1
+                  : std::max(region::minus_at_least(start, back, self_.first_sequence + 1),
+                             region::minus_at_least(end, abi::window_of(self_.requested), 0));
     AGNOCAST_STEP(J6_cursor) self_.line.cursor().store(cursor_, std::memory_order_relaxed);
     // [sync:link] seq_cst; pairs with the acquire at P9.
     AGNOCAST_STEP(J6_generation)

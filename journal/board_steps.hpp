@@ -30,7 +30,6 @@ struct PublisherDescriptor {
   std::uint64_t client = 0;
   std::uint64_t extent = 0;
   std::uint64_t slot_count = 0;
-  std::uint64_t first_sequence = 0;
 };
 
 template <class M>
@@ -87,8 +86,11 @@ class BoardSteps {
       topic_.publisher(index, offsetof(Entry, slot_count))
           .store(descriptor.slot_count, std::memory_order_relaxed);
       AGNOCAST_CRASH_POINT(B_board_field);
-      topic_.publisher(index, offsetof(Entry, first_sequence))
-          .store(descriptor.first_sequence, std::memory_order_relaxed);
+      topic_.publisher(index, offsetof(Entry, deadline_ns))
+          .store(descriptor.qos.deadline_ns, std::memory_order_relaxed);
+      AGNOCAST_CRASH_POINT(B_board_field);
+      topic_.publisher(index, offsetof(Entry, lease_ns))
+          .store(descriptor.qos.lease_ns, std::memory_order_relaxed);
       AGNOCAST_CRASH_POINT(B_board_field);
       topic_.publisher(index, offsetof(Entry, final_head)).store(0, std::memory_order_relaxed);
     }

@@ -26,7 +26,7 @@ namespace agnocast::journal {
   X(queue_order_slot, "the ring entry of a live slot names that slot")                       \
   X(queue_intent, "the intent of a publisher at rest is idle")                               \
   X(link_cursor, "a cursor lies between the first sequence and one past head")               \
-  X(link_unlinked_zero, "a line that is not linked is zero")                                 \
+  X(link_unlinked_zero, "a line that is not linked holds nothing")                           \
   X(hold_slot_used, "a held slot is in use")                                                 \
   X(hold_behind_cursor, "a held message was taken: its sequence is behind the cursor")       \
   X(queue_intent_known, "an intent has a known value")                                       \
@@ -121,7 +121,6 @@ Invariant verify_link(const region::LinkWords<M>& link, const region::PublisherW
   const std::uint64_t cursor = link.cursor().load(std::memory_order_acquire);
   const std::uint64_t head = abi::sequence_of(words.head().load(std::memory_order_acquire));
   const bool is_linked = linked == generation;
-  if (linked == 0 && cursor != 0) return broken(Invariant::link_unlinked_zero, 0, cursor);
   if (is_linked && (cursor <= first_sequence || cursor > head + 1))
     return broken(Invariant::link_cursor, 0, cursor);
   // The words of the line itself may have bits beyond the last slot; those are wrong as well.

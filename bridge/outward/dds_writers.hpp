@@ -7,7 +7,7 @@
 // complete. Its last messages may be unread when it is gone: its DDS writer and the local reader
 // stay for `linger`.
 //
-// Messages of a new volatile publisher from before its own local reader is linked reach only the
+// Messages of a new volatile publisher from before its own local reader is created reach only the
 // readers of the topic's other publishers, which may keep less, and be ahead or behind. So until
 // the own reader has brought the successor of the last message passed on, messages of any reader
 // go on in their order. Messages behind a gap wait for at most `linger`, or until the own reader

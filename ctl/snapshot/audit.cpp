@@ -233,7 +233,8 @@ class Auditor {
          {offsetof(Entry, client), facts.client},
          {offsetof(Entry, extent), facts.extent},
          {offsetof(Entry, slot_count), facts.slot_count},
-         {offsetof(Entry, first_sequence), facts.first_sequence}});
+         {offsetof(Entry, deadline_ns), facts.qos.deadline_ns},
+         {offsetof(Entry, lease_ns), facts.qos.lease_ns}});
   }
   void check_subscription_entry(const Topic& topic, const Endpoint& endpoint) {
     using Entry = abi::SubscriptionEntry;
@@ -341,8 +342,6 @@ class Auditor {
   }
 
   void check_unlinked(const Line& line, const std::string& where) {
-    if (const std::uint64_t cursor = line.cursor().load(acquire); cursor != 0)
-      found(Invariant::link_unlinked_zero, where, {0, cursor, 0});
     for (std::uint64_t word = 0; word < M::near_slot_count() / 64; ++word) {
       if (const std::uint64_t bits = line.hold(word).load(acquire); bits != 0)
         found(Invariant::link_unlinked_zero, where, {1 + word, bits, 0});

@@ -7,6 +7,7 @@
 #include <daemon/lifecycle/references.hpp>
 #include <daemon/state/memory_reserve.hpp>
 #include <daemon/state/steps.hpp>
+#include <journal/start_steps.hpp>
 
 namespace agnocast::daemon {
 
@@ -96,6 +97,7 @@ Result<void> EndpointManager::create_subscription(ClientIndex client, TopicIndex
   for (const SlotRaise& raise : plan->raises) registry_.raise_slots(topic, raise);
   registry_.add_subscription(client, topic, request.qos, quota, request.wait_set, *plan,
                              request.node, request.request);
+  set_starts(topic, plan->index);
   run(announcing_.created({Kind::subscription, topic, plan->index}, request.request));
   return {};
 }
@@ -103,8 +105,25 @@ Result<void> EndpointManager::create_subscription(ClientIndex client, TopicIndex
 bool EndpointManager::answer_again(ClientIndex client, const CreateRequest& request) {
   const auto ref = registry_.find_creation(client, request.kind, request.request);
   if (!ref) return false;
+  // The daemon may have ended between the two.
+  if (ref->kind == Kind::subscription) set_starts(ref->topic, ref->index);
   run(announcing_.answered_again(*ref, request.request));
   return true;
+}
+
+void EndpointManager::set_starts(TopicIndex topic, std::uint32_t subscription) {
+  const SubscriptionRecord& own = registry_.subscription(topic, subscription);
+  if (own.state != EndpointState::active || !regions_.is_open(own.client)) return;
+  registry_.for_each_publisher(topic, [&](std::uint32_t index, const PublisherRecord& publisher) {
+    if (publisher.state != EndpointState::active || !matches(publisher, own) ||
+        !regions_.is_open(publisher.client))
+      return;
+    const region::LinkWords<SharedMemory> line{regions_.region(own.client), own.extent, index};
+    if (line.publisher_generation().load(std::memory_order_acquire) != 0 ||
+        line.cursor().load(std::memory_order_acquire) != 0)
+      return;
+    journal::set_start<SharedMemory>({regions_.region(publisher.client), publisher.extent}, line);
+  });
 }
 
 Result<void> EndpointManager::make_ready(TopicIndex topic, const SubscriptionPlan& plan,

@@ -103,6 +103,9 @@ class EndpointManager {
                                                  const CreateRequest& request);
   [[nodiscard]] Result<void> make_ready(TopicIndex topic, const SubscriptionPlan& plan,
                                         ClientIndex client, std::uint64_t extent);
+  /// Lets a subscription that has joined begin with what the publishers of its topic commit from
+  /// now on. Leaves out those that it was linked to, or for which this was done, before.
+  void set_starts(TopicIndex topic, std::uint32_t subscription);
   std::string type_mismatch_text(ClientIndex client, TopicIndex topic,
                                  const CreateRequest& request) const;
   void notice_types(ClientIndex client, TopicIndex topic, const std::string& text);

@@ -232,10 +232,9 @@ void Registry::apply_to_publisher(const Record& record) {
       store(topic.publisher_high, std::max(topic.publisher_high, index + 1));
       note_generation(publisher.generation);
       track({Kind::publisher, at, index});
-      board(at).add_publisher(
-          index, publisher.generation,
-          {abi::unpack_qos(publisher.qos), number(publisher.client), publisher.extent,
-           publisher.slot_count, abi::first_sequence_of(publisher.generation)});
+      board(at).add_publisher(index, publisher.generation,
+                              {abi::unpack_qos(publisher.qos), number(publisher.client),
+                               publisher.extent, publisher.slot_count});
       break;
     case Type::raise_slots:
       store(publisher.slot_count, std::max(publisher.slot_count, argument[2]));

@@ -283,7 +283,8 @@ std::uint64_t Registry::repair_publisher(TopicIndex topic, std::uint32_t index) 
   repaired += agree(at(offsetof(Entry, client)), number(record.client));
   repaired += agree(at(offsetof(Entry, extent)), record.extent);
   repaired += agree(at(offsetof(Entry, slot_count)), record.slot_count);
-  repaired += agree(at(offsetof(Entry, first_sequence)), abi::first_sequence_of(record.generation));
+  repaired += agree(at(offsetof(Entry, deadline_ns)), record.qos.deadline_ns);
+  repaired += agree(at(offsetof(Entry, lease_ns)), record.qos.lease_ns);
   repaired += agree(at(offsetof(Entry, final_head)), record.final_head);
   return repaired + agree(at(offsetof(Entry, word)),
                           abi::pack_board_word(record.generation, on_board(record.state)));

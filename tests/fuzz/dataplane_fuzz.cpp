@@ -112,7 +112,7 @@ void read_from_a_liar(FuzzedDataProvider& input) {
   const region::TopicWords<M> topic{board.base(), abi::topic_offset(0)};
   const region::PublisherWords<M> words{queue.base(), extent};
   words.head().store(abi::pack_entry(first, 0));
-  journal::BoardSteps<M>(topic).add_publisher(0, generation, {offered, 0, extent, slots, first});
+  journal::BoardSteps<M>(topic).add_publisher(0, generation, {offered, 0, extent, slots});
   const abi::Qos wanted{input.ConsumeIntegralInRange(1u, abi::depth_max), input.ConsumeBool(), true,
                         input.ConsumeBool(), false};
   LinkCore<M> link({topic,
@@ -211,7 +211,7 @@ void publish_to_a_liar(FuzzedDataProvider& input) {
   words.head().store(abi::pack_entry(first, 0));
   dataplane::store_frontier<M>(queue.base(), 0, window_bytes);
   journal::BoardSteps<M> steps(topic);
-  steps.add_publisher(0, generation, {offered, 0, extent, slots, first});
+  steps.add_publisher(0, generation, {offered, 0, extent, slots});
   auto publisher = std::make_unique<PublisherCore<M>>(
       PublisherCore<M>::Identity{topic, words, 0, generation, first, offered, slots,
                                  input.ConsumeIntegralInRange<std::uint64_t>(0, 2)});

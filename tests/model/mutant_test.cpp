@@ -34,8 +34,6 @@ const Equivalent equivalent[] = {
     {{steps::P7_changed, Mutation::Kind::force_true}, "reads the same words again"},
     {{steps::P7_seen, Mutation::Kind::leave_out},
      "since is too low: keeps more until the endpoint links, loses nothing"},
-    {{steps::P9_linked, Mutation::Kind::force_true},
-     "a line that is not linked is zero: it counts as having read nothing"},
     {{steps::P10_past, Mutation::Kind::force_false},
      "no direct free: marked now, freed by a later scan"},
     {{steps::T2_order, Mutation::Kind::force_true}, "T3 and T5 compare the slot's own sequence"},

@@ -68,6 +68,8 @@ inline void QueueScenario::apply_record(W& world) {
           record.index, record.generation,
           {requested(static_cast<std::uint32_t>(record.index), record.generation), 0, se,
            plan_.sub[record.index].quota, 0});
+      if (state.linked_to[record.index] != 0)
+        journal::set_start<MM>(words(), line(static_cast<std::uint32_t>(record.index)));
       break;
     case leaving:
       steps.set_subscription(record.index, record.generation, abi::BoardState::leaving);
@@ -111,6 +113,7 @@ inline void QueueScenario::answer_record(W& world) {
   switch (record.request) {
     case joining:
       state.joined[record.index] = state.linked_to[record.index] != 0 ? 1 : 3;
+      state.answer_head[record.index] = abi::sequence_of(peek(world, publisher_region, pe));
       // The announcement brings all existing windows.
       if (state.second_window == 2) state.window_announced[record.index] = 2;
       if (publisher_alive && matches(static_cast<std::uint32_t>(record.index)))

@@ -17,6 +17,7 @@
 #include <dataplane/subscription_core.hpp>
 #include <journal/board_steps.hpp>
 #include <journal/queue_recovery.hpp>
+#include <journal/start_steps.hpp>
 #include <region/windows.hpp>
 #include <tests/model/explorer.hpp>
 #include <tests/model/queue_plan.hpp>
@@ -140,8 +141,9 @@ class QueueScenario {
     std::uint64_t timer_runs = 0;
     std::uint64_t room_snapshot = 0;
     // ghosts
-    std::uint64_t freed = 0;          // bit per message number
-    std::uint64_t join_head[2] = {};  // newest sequence when the subscription asked to join
+    std::uint64_t freed = 0;            // bit per message number
+    std::uint64_t join_head[2] = {};    // newest sequence when the subscription asked to join
+    std::uint64_t answer_head[2] = {};  // and when it was answered; 0 when it has linked
     std::uint64_t held_count[2] = {};
     Held held[2][3] = {};
     std::uint64_t cursor_before[2] = {};
@@ -302,6 +304,7 @@ class QueueScenario {
 
   static region::TopicWords<MM> topic() { return {{board}, 0}; }
   static region::PublisherWords<MM> words() { return {{publisher_region}, pe}; }
+  region::LinkWords<MM> line(std::uint32_t s) const { return {client_region(s), extent(s), 0}; }
   abi::Qos offered() const {
     return {plan_.depth, plan_.transient_local, true, plan_.keep_all, false};
   }
@@ -314,9 +317,9 @@ class QueueScenario {
   }
   dataplane::LinkCore<MM>::Identity link_identity(std::uint32_t s,
                                                   std::uint64_t subscription_generation) const {
-    return {topic(), words(),   {client_region(s), extent(s), 0},      0,  generation,
-            first,   offered(), requested(s, subscription_generation), 16, 16,
-            s};
+    return {topic(),    words(), line(s),   0,
+            generation, first,   offered(), requested(s, subscription_generation),
+            16,         16,      s};
   }
   bool matches(std::uint32_t s) const { return abi::qos_match(offered(), requested(s, 1)); }
 

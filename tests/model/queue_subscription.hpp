@@ -36,6 +36,7 @@ inline void QueueScenario::run_subscription(W& world, std::uint32_t s) {
         break;
       }
       check_start(world, s, own.link.cursor(), from_start);
+      state.answer_head[s] = 0;
       own.last = own.link.cursor() - 1;
       thread.pc = plan.hangs ? hung : take;
       if (plan_.one_executor && s == 1) {
@@ -233,12 +234,14 @@ inline void QueueScenario::check_start(const W& world, std::uint32_t s, std::uin
                                  : 0;
   const std::uint64_t earliest =
       std::max(first + 1, state.join_head[s] + 1 - std::min(back, state.join_head[s]));
-  // The head is monotone, so the head at the link lies between the one at the request and the
-  // present one.
-  const std::uint64_t head_now = abi::sequence_of(peek(world, publisher_region, pe));
-  if (cursor > std::max(first + 1, head_now + 1 - std::min(back, head_now))) {
-    machine.fail("a late joiner does not get its history");
-  }
+  // It misses nothing that was committed after the answer, unless so much was that its window
+  // passed over it before it linked.
+  const std::uint64_t latest =
+      std::max(first + 1, state.answer_head[s] + 1 - std::min(back, state.answer_head[s]));
+  const std::uint64_t end = abi::sequence_of(peek(world, publisher_region, pe)) + 1;
+  const std::uint64_t window = abi::window_of(requested(s, state.generation[s]));
+  if (cursor > std::max(latest, end - std::min(window, end)))
+    machine.fail("a late joiner misses what was committed after its join, or its history");
   if (cursor < earliest) machine.fail("a late joiner starts before it may");
 }
 

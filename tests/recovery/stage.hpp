@@ -92,9 +92,8 @@ class Stage {
     // The window lies at addresses that are free now, in this process and thus in its children.
     heap_base_ = reinterpret_cast<std::uint64_t>(Mapping::reserve(0, heap_bytes).value().base());
     words().head().store(abi::pack_entry(first_sequence(), 0), std::memory_order_relaxed);
-    journal::BoardSteps<M>(topic()).add_publisher(
-        0, publisher_generation,
-        {setup.offered, 0, publisher_extent, slot_count, first_sequence()});
+    journal::BoardSteps<M>(topic()).add_publisher(0, publisher_generation,
+                                                  {setup.offered, 0, publisher_extent, slot_count});
   }
 
   static constexpr std::uint64_t publisher_generation = 5;

@@ -369,11 +369,9 @@ inline std::string Core::state(Generations generations) const {
              << " qos " << text_of(record.qos) << " extent " << record.extent << " slots "
              << record.slot_count << " node " << record.node << " board";
         member(word(offsetof(Entry, word)));
-        text << (word(offsetof(Entry, first_sequence)) == abi::first_sequence_of(record.generation)
-                     ? " begins right"
-                     : " begins wrong");
-        for (const std::size_t field : {offsetof(Entry, policies), offsetof(Entry, client),
-                                        offsetof(Entry, extent), offsetof(Entry, slot_count)})
+        for (const std::size_t field :
+             {offsetof(Entry, policies), offsetof(Entry, client), offsetof(Entry, extent),
+              offsetof(Entry, slot_count), offsetof(Entry, deadline_ns), offsetof(Entry, lease_ns)})
           text << ' ' << word(field);
         text << " told ";
         set(record.notified);

@@ -386,6 +386,47 @@ TEST(DaemonSweep, AnAnsweredPublisherIsHeardByASubscriberThatWasStopped) {
   EXPECT_GT(deaths, 20u / quarter.step);
 }
 
+// The daemon dies at any point of the creation of a subscription. What is published after the next
+// daemon has answered it reaches the subscription, which may not have linked by then, and nothing
+// that was published before does.
+TEST(DaemonSweep, AnAnsweredSubscriptionGetsWhatIsPublishedNext) {
+  SweepStage stage;
+  const ControlPage page(stage.directory() + "/A"), victims(stage.directory() + "/V");
+  const auto publisher = stage.make(page);
+  ASSERT_EQ(publisher->ask("pub 1 /s 20"), "ok");
+  ASSERT_EQ(publisher->ask("sync"), "ok");
+  stage.set_living(1);
+  const Quarter quarter;
+  std::uint64_t deaths = 0, number = 0;
+  for (std::uint64_t n = 1 + quarter.from;; n += quarter.step) {
+    ASSERT_EQ(publisher->ask("publish 1 1"), "1");
+    number += 2;
+    auto subscriber = stage.make(victims);
+    ASSERT_EQ(subscriber->ask("sync"), "ok");  // hello is over
+    const pid_t pid = subscriber->pid();
+    stage.daemon_control().arm_from(steps::J3_word, n);
+    const auto created = subscriber->ask("sub 2 /s 20");
+    const auto published = publisher->ask("publish 1 1");
+    const auto synchronized = subscriber->ask("sync");
+    stage.daemon_control().disarm();
+    const auto taken = subscriber->ask("drain 2");
+    const auto died_at = stage.daemon_control().died_at();
+    subscriber->tell("quit");
+    const bool ended = subscriber->wait_for_end() && stage.wait_until_recovered(pid);
+    const std::string where =
+        "point " + std::to_string(n) + (died_at ? std::string(", ") + name_of(*died_at) : "");
+    ASSERT_EQ(created, "ok") << where;
+    ASSERT_EQ(published, "1") << where;
+    ASSERT_EQ(synchronized, "ok") << where;
+    ASSERT_EQ(taken, "1:" + std::to_string(number) + " ") << where;
+    ASSERT_TRUE(ended) << where;
+    if (!died_at) break;
+    ++deaths;
+  }
+  std::printf("creation of a subscription: %ju deaths\n", std::uintmax_t{deaths});
+  EXPECT_GT(deaths, 8u / quarter.step);
+}
+
 // A process whose daemon was lost brings its heap to the next one, which dies at any point of
 // taking it. The daemon after that has the window once, at its place, and every message in it
 // arrives.

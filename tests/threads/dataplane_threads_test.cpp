@@ -10,6 +10,7 @@
 #include <dataplane/publisher_core.hpp>
 #include <dataplane/subscription_core.hpp>
 #include <journal/board_steps.hpp>
+#include <journal/start_steps.hpp>
 #include <journal/verify.hpp>
 #include <tests/support/memory/aligned_region.hpp>
 
@@ -73,7 +74,7 @@ class World {
   explicit World(const Scenario& scenario) : scenario_(scenario), heap_(heap_count) {
     words().head().store(abi::pack_entry(first(), 0));
     journal::BoardSteps<M>(topic()).add_publisher(0, generation,
-                                                  {scenario.offered, 0, extent, slots, first()});
+                                                  {scenario.offered, 0, extent, slots});
     for (std::uint64_t i = 0; i < heap_count; ++i) free_.push_back(i);
   }
   static std::uint64_t first() { return abi::first_sequence_of(generation); }
@@ -162,6 +163,7 @@ class World {
         const std::lock_guard lock(control_);  // the daemon is one thread
         journal::BoardSteps<M>(topic()).add_subscription(s, ++own_generation,
                                                          {scenario_.requested[s], 1, extent, 8, 0});
+        journal::set_start<M>(words(), line);
         attach_.emplace_back(s, own_generation);
       }
       ++joins;

@@ -44,21 +44,23 @@ static_assert(sizeof(TopicHeader) == 128 && offsetof(TopicHeader, publisher_high
 //   16  client          u64  index of the process
 //   24  extent          u64  offset of its PublisherEndpoint in the client region, bytes
 //   32  slot_count      u64  N; only grows
-//   40  first_sequence  u64  sequence numbers start above it
-//   48  final_head      u64  head when it died or left; valid once the state is orphan
+//   40  final_head      u64  head when it died or left; valid once the state is orphan
+//   48  deadline_ns     u64  offered; 0 = none
+//   56  lease_ns        u64  of liveliness, offered; 0 = none
 struct alignas(cache_line_bytes) PublisherEntry {
   SharedWord word;
   SharedWord policies;
   SharedWord client;
   SharedWord extent;
   SharedWord slot_count;
-  SharedWord first_sequence;
   SharedWord final_head;
+  SharedWord deadline_ns;
+  SharedWord lease_ns;
 };
 static_assert(sizeof(PublisherEntry) == 64 && offsetof(PublisherEntry, policies) == 8 &&
               offsetof(PublisherEntry, slot_count) == 32 &&
-              offsetof(PublisherEntry, first_sequence) == 40 &&
-              offsetof(PublisherEntry, final_head) == 48);
+              offsetof(PublisherEntry, final_head) == 40 &&
+              offsetof(PublisherEntry, lease_ns) == 56);
 
 //    0  word         u64  generation | state; written last, release  [sync:join]
 //    8  policies     u64  of its quality of service

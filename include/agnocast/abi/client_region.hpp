@@ -93,11 +93,11 @@ constexpr std::uint64_t slot_offset(std::uint64_t ring, std::uint64_t index) noe
 }
 
 // State of one subscription towards one publisher; link[j] for the publisher with board index j.
-// W = the subscriber's process.
+// W = the subscriber's process; while it has not been answered, the daemon.
 //
 //    0  publisher_generation  u64  0 = not linked
 //                                  [sync:link] seq_cst at J6, acquire at P9
-//    8  cursor                u64  next sequence number wanted
+//    8  cursor                u64  next sequence number wanted; not linked: where to begin, or 0
 //                                  [sync:direct-free] release at T7, acquire at P9
 //   16  hold[6]               u64  bit i = "I hold slot i", slots 0…383
 //                                  [sync:hold] seq_cst at T4, release at L1, acquire at P9
@@ -132,7 +132,7 @@ static_assert(sizeof(SubscriptionCounters) == 64 &&
               offsetof(SubscriptionCounters, expired) == 32);
 
 // Subscription endpoint: link lines of all publisher indexes, counters, then the hold words of
-// slots 384… of each. All zero at join.
+// slots 384… of each. All zero at join but for the cursors of J4.
 inline constexpr std::uint64_t far_hold_word_count = (slot_count_max - near_slot_count) / 64;  // 26
 constexpr std::uint64_t link_offset(std::uint64_t publisher) noexcept {
   return publisher * sizeof(LinkLine);

@@ -103,7 +103,8 @@ constexpr std::uint64_t fingerprint() noexcept {
   sum.add(sizeof(PublisherEntry), offsetof(PublisherEntry, word),
           offsetof(PublisherEntry, policies), offsetof(PublisherEntry, client),
           offsetof(PublisherEntry, extent), offsetof(PublisherEntry, slot_count),
-          offsetof(PublisherEntry, first_sequence), offsetof(PublisherEntry, final_head));
+          offsetof(PublisherEntry, final_head), offsetof(PublisherEntry, deadline_ns),
+          offsetof(PublisherEntry, lease_ns));
   sum.add(sizeof(SubscriptionEntry), offsetof(SubscriptionEntry, word),
           offsetof(SubscriptionEntry, policies), offsetof(SubscriptionEntry, client),
           offsetof(SubscriptionEntry, extent), offsetof(SubscriptionEntry, quota),

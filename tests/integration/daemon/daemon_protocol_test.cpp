@@ -10,6 +10,7 @@
 #include <base/descriptors/doorbell.hpp>
 #include <base/memory/mapping.hpp>
 #include <base/memory/memory_policy.hpp>
+#include <region/views.hpp>
 #include <tests/integration/daemon/raw_node.hpp>
 #include <tests/support/processes/daemon_process.hpp>
 #include <tests/support/wire/wire_client.hpp>
@@ -152,7 +153,16 @@ TEST(DaemonProtocol, AnnouncesBothSidesInOrderWithWorkingDescriptors) {
   EXPECT_TRUE(publisher.wire.drain().empty());
 
   // A late subscription first gets all publishers, from their current head.
+  region::PublisherWords<SharedMemory>{publisher.region.base(), p.extent}.head().store(
+      abi::pack_entry(p.first_sequence + 5, 3));
   const auto late = subscriber.subscription("/topic");
+  const auto start = [&](std::uint64_t index) {
+    return region::LinkWords<SharedMemory>{subscriber.region.base(), late.extent, index}
+        .cursor()
+        .load();
+  };
+  EXPECT_EQ(start(p.index), p.first_sequence + 6);
+  EXPECT_EQ(start(own.index), own.first_sequence + 1);
   for (const std::uint64_t index : {p.index, own.index}) {
     const auto about = subscriber.wire.expect<wire::Announcement>(Opcode::announce);
     EXPECT_EQ(about.kind, Kind::publisher);

@@ -95,7 +95,6 @@ struct Made {
       words().publisher(index, offsetof(Entry, client)).store(client);
       words().publisher(index, offsetof(Entry, extent)).store(extent);
       words().publisher(index, offsetof(Entry, slot_count)).store(facts.slot_count);
-      words().publisher(index, offsetof(Entry, first_sequence)).store(facts.first_sequence);
       system.topics.at(1).publishers.push_back(endpoint);
     } else {
       using Entry = abi::SubscriptionEntry;

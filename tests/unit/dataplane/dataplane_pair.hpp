@@ -59,7 +59,7 @@ struct Pair {
   }
   Pair() {
     words().head().store(abi::pack_entry(first(), 0));
-    journal::BoardSteps<M>(topic()).add_publisher(0, generation, {offered, 0, extent, 64, first()});
+    journal::BoardSteps<M>(topic()).add_publisher(0, generation, {offered, 0, extent, 64});
   }
 };
 

@@ -382,7 +382,7 @@ TEST(Dataplane, EverySlotOfAFullQueueCanBeHeldThenPublishFails) {
   const abi::Qos offered{1, false, true, false, false};
   const abi::Qos requested{1000, false, true, false, false};
   journal::BoardSteps<M>(pair.topic())
-      .add_publisher(index, generation, {offered, 0, extent, abi::slot_count_max, Pair::first()});
+      .add_publisher(index, generation, {offered, 0, extent, abi::slot_count_max});
   journal::BoardSteps<M>(pair.topic()).add_subscription(0, 1, {requested, 1, extent, 4096, 0});
   auto publisher = std::make_unique<PublisherCore<M>>(PublisherCore<M>::Identity{
       pair.topic(), words, index, generation, Pair::first(), offered, abi::slot_count_max, 0});
@@ -428,8 +428,7 @@ struct DeferringPublisher : Pair {
   explicit DeferringPublisher(std::uint64_t slots) : queue(std::uint64_t{1} << 18) {
     const region::PublisherWords<M> own{queue.base(), extent};
     own.head().store(abi::pack_entry(first(), 0));
-    journal::BoardSteps<M>(topic()).add_publisher(0, generation,
-                                                  {offered, 0, extent, slots, first()});
+    journal::BoardSteps<M>(topic()).add_publisher(0, generation, {offered, 0, extent, slots});
     core = std::make_unique<PublisherCore<M>>(PublisherCore<M>::Identity{
         topic(), own, 0, generation, first(), offered, slots, deferred_limit});
   }
@@ -523,8 +522,7 @@ TEST(Dataplane, UsesThePublishersSlotsIncludingLaterOnes) {
   const region::PublisherWords<M> words{queue.base(), extent};
   words.head().store(abi::pack_entry(Pair::first(), 0));
   const abi::Qos keeps_all{1000, true, true, false, false};  // for late joiners
-  journal::BoardSteps<M>(pair.topic())
-      .add_publisher(0, generation, {keeps_all, 0, extent, few, Pair::first()});
+  journal::BoardSteps<M>(pair.topic()).add_publisher(0, generation, {keeps_all, 0, extent, few});
   auto publisher = std::make_unique<PublisherCore<M>>(PublisherCore<M>::Identity{
       pair.topic(), words, 0, generation, Pair::first(), keeps_all, few, 0});
   Freed environment;

@@ -13,7 +13,7 @@ struct Withdrawing : Pair {
       : core(std::make_unique<PublisherCore<M>>(
             PublisherCore<M>::Identity{topic(), words(), 0, generation, first(), qos, 3, 0})) {
     offered.depth = requested.depth = 1;
-    journal::BoardSteps<M>(topic()).add_publisher(0, generation, {offered, 0, extent, 3, first()});
+    journal::BoardSteps<M>(topic()).add_publisher(0, generation, {offered, 0, extent, 3});
     join(1, quota);
   }
   void join(std::uint64_t subscription_generation, std::uint64_t quota) {

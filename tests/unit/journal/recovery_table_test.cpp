@@ -151,7 +151,7 @@ bool scan_keeps(const std::array<std::uint8_t, 5>& found) {
   const abi::Qos offered{4, false, true, false, false}, requested{8, false, true, false, false};
   words.head().store(abi::pack_entry(first, 0));
   BoardSteps<M> steps(topic);
-  steps.add_publisher(0, generation, {offered, 0, extent, 64, first});
+  steps.add_publisher(0, generation, {offered, 0, extent, 64});
   steps.add_subscription(0, member, {requested, 1, extent, 8, 0});
   auto core = std::make_unique<dataplane::PublisherCore<M>>(
       dataplane::PublisherCore<M>::Identity{topic, words, 0, generation, first, offered, 64, 0});

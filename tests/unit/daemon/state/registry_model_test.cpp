@@ -19,10 +19,10 @@ TEST_F(RegistryTest, MakesTheBoardAgreeWithTheTables) {
   EXPECT_EQ(later.repair_board(), 0u);
   EXPECT_GT(words.epoch().load(std::memory_order_relaxed), epoch) << "every client must look again";
   const std::size_t fields[] = {
-      offsetof(abi::PublisherEntry, word),       offsetof(abi::PublisherEntry, policies),
-      offsetof(abi::PublisherEntry, client),     offsetof(abi::PublisherEntry, extent),
-      offsetof(abi::PublisherEntry, slot_count), offsetof(abi::PublisherEntry, first_sequence),
-      offsetof(abi::PublisherEntry, final_head)};
+      offsetof(abi::PublisherEntry, word),        offsetof(abi::PublisherEntry, policies),
+      offsetof(abi::PublisherEntry, client),      offsetof(abi::PublisherEntry, extent),
+      offsetof(abi::PublisherEntry, slot_count),  offsetof(abi::PublisherEntry, final_head),
+      offsetof(abi::PublisherEntry, deadline_ns), offsetof(abi::PublisherEntry, lease_ns)};
   for (const std::size_t field : fields) {
     auto&& word = words.publisher(p.index, field);
     const std::uint64_t before = word.load(std::memory_order_relaxed);
