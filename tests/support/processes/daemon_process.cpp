@@ -292,7 +292,29 @@ void DaemonProcess::begin(const DaemonOptions& options) {
   }
 }
 
+namespace {
+
+/// Returns what the process does just now: a daemon that does not answer may wait in the kernel, or
+/// for a processor. proc(5); nothing for a process that is gone.
+std::string doings_of(pid_t pid) {
+  std::ostringstream text;
+  for (const char* const name : {"stat", "wchan", "syscall", "schedstat", "stack"}) {
+    std::ifstream file("/proc/" + std::to_string(pid) + "/" + name);
+    std::ostringstream content;
+    content << file.rdbuf();
+    text << "  " << name << ": " << content.str() << '\n';
+  }
+  return text.str();
+}
+
+}  // namespace
+
 DaemonProcess::~DaemonProcess() {
+  if (testing::Test::HasFailure() && pid_ > 0) {
+    for (const pid_t process : {pid_, pid()})
+      std::fprintf(stderr, "agnocastd %d:\n%s", static_cast<int>(process),
+                   doings_of(process).c_str());
+  }
   kill();
   ::unsetenv("AGNOCAST_DAEMON_UID");
   if (testing::Test::HasFailure()) std::fprintf(stderr, "agnocastd wrote:\n%s", log().c_str());
