@@ -58,7 +58,7 @@ void say_ready() {
 [[noreturn]] void be_stream() {
   Node node("stream");
   const auto publisher = create_publisher<Sample>(node, topic_of_stream, QoS(stream_depth));
-  while (publisher->get_subscription_count() == 0) ::usleep(200);
+  while (publisher->get_linked_subscription_count() == 0) ::usleep(200);
   say_ready();
   timespec next{};
   ::clock_gettime(CLOCK_MONOTONIC, &next);

@@ -49,7 +49,7 @@ class Bench {
         publisher_(node_.create_publisher<Cloud>("/bench/calls", depth)),
         subscription_(node_.create_subscription<Cloud>("/bench/calls", depth)) {}
 
-  bool is_matched() const { return publisher_->get_subscription_count() == 1; }
+  bool is_matched() const { return publisher_->get_linked_subscription_count() == 1; }
 
   void turn() {
     borrow_ns.push_back(

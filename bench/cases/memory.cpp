@@ -115,7 +115,8 @@ class Owner {
     if (command == "steady") return steady(milliseconds(a), milliseconds(b));
     if (command == "spike") return spike(a);
     if (command == "murmur") return murmur(milliseconds(a)), std::vector<double>{};
-    if (command == "matched") return {static_cast<double>(publisher_->get_subscription_count())};
+    if (command == "matched")
+      return {static_cast<double>(publisher_->get_linked_subscription_count())};
     throw std::runtime_error("unknown command " + command);
   }
 

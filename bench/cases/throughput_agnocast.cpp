@@ -56,7 +56,7 @@ class AgnocastSender final : public Sender {
       : node_(node_name("sender")),
         publisher_(node_.create_publisher<T>(carriage.topic, QoS(carriage.depth))),
         receivers_(carriage.receivers) {}
-  bool is_matched() override { return publisher_->get_subscription_count() == receivers_; }
+  bool is_matched() override { return publisher_->get_linked_subscription_count() == receivers_; }
   std::byte* prepare() override {
     if (!loan_) loan_ = publisher_->borrow_loaned_message();
     return loan_->bytes;

@@ -18,7 +18,7 @@ class AgnocastSender final : public CloudSender {
       : node_(std::string(lidar.name) + "_ring_outlier_filter"),
         publisher_(node_.create_publisher<Cloud>(topic_of(lidar), QoS(edge_depth))) {}
 
-  bool is_matched() override { return publisher_->get_subscription_count() == 1; }
+  bool is_matched() override { return publisher_->get_linked_subscription_count() == 1; }
   Cloud& borrow() override {
     loan_ = publisher_->borrow_loaned_message();
     return *loan_;

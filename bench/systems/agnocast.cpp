@@ -31,7 +31,7 @@ class CloudSender final : public Sender {
         node_("bench_sender"),
         publisher_(node_.create_publisher<Cloud>(carriage.topic, carriage.depth)) {}
 
-  bool is_matched() override { return publisher_->get_subscription_count() >= receivers_; }
+  bool is_matched() override { return publisher_->get_linked_subscription_count() >= receivers_; }
   std::byte* prepare() override {
     message_ = publisher_->borrow_loaned_message();
     message_->data.resize(bytes_);

@@ -237,6 +237,14 @@ SharedHeap UntypedPublisher::heap() const noexcept {
 std::size_t UntypedPublisher::subscription_count() const noexcept {
   return endpoint_ != nullptr ? endpoint_->subscription_count() : 0;
 }
+std::size_t UntypedPublisher::local_subscription_count() const noexcept {
+  using Readers = PublisherEndpoint::Readers;
+  return endpoint_ != nullptr ? endpoint_->subscription_count(Readers::local) : 0;
+}
+std::size_t UntypedPublisher::linked_subscription_count() const noexcept {
+  using Readers = PublisherEndpoint::Readers;
+  return endpoint_ != nullptr ? endpoint_->subscription_count(Readers::linked) : 0;
+}
 
 bool UntypedPublisher::wait_for_all_acked(Patience patience) const noexcept {
   if (endpoint_ == nullptr) return true;

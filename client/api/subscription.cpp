@@ -242,6 +242,9 @@ std::uint64_t UntypedSubscription::lost() const noexcept {
 std::size_t UntypedSubscription::publisher_count() const noexcept {
   return endpoint_ != nullptr ? endpoint_->publisher_count() : 0;
 }
+std::size_t UntypedSubscription::linked_publisher_count() const noexcept {
+  return endpoint_ != nullptr ? endpoint_->publisher_count(true) : 0;
+}
 std::uint64_t UntypedSubscription::callback_exception_count() const noexcept {
   return source_ != nullptr ? source_->exception_count.load(std::memory_order_relaxed) : 0;
 }

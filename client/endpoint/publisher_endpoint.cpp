@@ -4,6 +4,7 @@
 #include <client/endpoint/publisher_work.hpp>
 #include <client/endpoint/twice_owned.hpp>
 #include <client/process/forked_child.hpp>
+#include <dataplane/board_look.hpp>
 
 #include <algorithm>
 #include <utility>
@@ -261,7 +262,7 @@ bool PublisherEndpoint::is_linked(const Attached& attached) const noexcept {
              .load(std::memory_order_acquire) == identity_.core.generation;
 }
 
-// Reports a match when the subscription has linked: before, it may still miss messages.
+// Reports a match when the subscription has linked: then each process has mapped the other.
 void PublisherEndpoint::note_links() noexcept {
   if (!is_served()) return;
   std::size_t linked = 0;
@@ -359,15 +360,18 @@ std::uint64_t PublisherEndpoint::allocated_count() const noexcept {
   return (core_ != nullptr ? core_->allocated_count() : 0) +
          (successor_ != nullptr ? successor_->allocated_count() : 0);
 }
-std::size_t PublisherEndpoint::subscription_count() const noexcept {
+std::size_t PublisherEndpoint::subscription_count(Readers readers) const noexcept {
   if (!is_served()) return 0;
   std::shared_ptr<PublisherEndpoint> successor;
   {
     const std::lock_guard lock(mutex_);
-    if (!moved_) return linked_count();
+    // Nobody writes the board of a session whose daemon's store is lost.
+    if (!moved_)
+      return readers == Readers::linked || is_alone_ ? linked_count(readers)
+                                                     : matched_count(readers);
     successor = successor_;
   }
-  return successor != nullptr ? successor->subscription_count() : 0;
+  return successor != nullptr ? successor->subscription_count(readers) : 0;
 }
 std::vector<std::uint64_t> PublisherEndpoint::reader_persistent_ids() const {
   if (!is_served()) return {};
@@ -379,10 +383,23 @@ std::vector<std::uint64_t> PublisherEndpoint::reader_persistent_ids() const {
   }
   return successor != nullptr ? successor->reader_persistent_ids() : linked_persistent_ids(false);
 }
-std::size_t PublisherEndpoint::linked_count() const noexcept {
-  return static_cast<std::size_t>(
-      std::count_if(attached_.begin(), attached_.end(),
-                    [this](const Attached& attached) { return is_linked(attached); }));
+std::size_t PublisherEndpoint::matched_count(Readers readers) const noexcept {
+  const Core::Identity& own = identity_.core;
+  return dataplane::matching_subscriptions(
+      own.topic, {own.qos, own.client},
+      [&](std::uint64_t index, const dataplane::BoardEndpoint& reader) {
+        return (readers != Readers::local || reader.of.client == own.client) &&
+               core_->withdrawal(index, reader.generation) == abi::Withdrawal::none;
+      });
+}
+std::size_t PublisherEndpoint::linked_count(Readers readers) const noexcept {
+  const auto counts = [&](const Attached& attached) {
+    if (!is_linked(attached)) return false;
+    if (readers != Readers::local) return true;
+    const auto reader = dataplane::active_subscription(identity_.core.topic, attached.index);
+    return reader && reader->of.client == identity_.core.client;
+  };
+  return static_cast<std::size_t>(std::count_if(attached_.begin(), attached_.end(), counts));
 }
 bool PublisherEndpoint::awaits_link() const noexcept {
   const std::lock_guard lock(mutex_);
@@ -511,6 +528,7 @@ void PublisherEndpoint::remove_dead_subscriptions() {
   std::vector<EndpointId> dead;
   {
     const std::lock_guard lock(mutex_);
+    is_alone_ = true;
     for (const Attached& attached : attached_) {
       if (!attached.peer->is_alive()) dead.push_back({attached.index, attached.generation});
     }

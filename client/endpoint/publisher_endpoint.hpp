@@ -171,8 +171,11 @@ class PublisherEndpoint {
   /// Returns whether the daemon has freed the index and nothing is left to destroy.
   bool is_over() const noexcept;
   std::uint64_t allocated_count() const noexcept;
-  /// Returns how many subscriptions receive new messages: mapped here, and linked there.
-  std::size_t subscription_count() const noexcept;
+  enum class Readers : std::uint8_t { all, local, linked };
+  /// Returns how many subscriptions receive new messages: they match, and are not withdrawn. One
+  /// counts as soon as its creation is answered. `local`: those of this process alone. `linked`:
+  /// those that are mapped here, and have linked.
+  std::size_t subscription_count(Readers readers = Readers::all) const noexcept;
   /// Returns their persistent endpoint ids.
   std::vector<std::uint64_t> reader_persistent_ids() const;
   /// Returns whether a mapped subscription has not linked yet. run_errands() must look again soon,
@@ -263,7 +266,8 @@ class PublisherEndpoint {
   void replace_doorbell(const Subscription& subscription, PeerDoorbell doorbell) noexcept;
   bool is_linked(const Attached& attached) const noexcept;
   void note_links() noexcept;
-  std::size_t linked_count() const noexcept;  // under the mutex
+  std::size_t matched_count(Readers readers) const noexcept;  // under the mutex
+  std::size_t linked_count(Readers readers) const noexcept;   // likewise
   std::vector<std::uint64_t> linked_persistent_ids(bool living) const;
 
   Identity identity_;
@@ -281,7 +285,8 @@ class PublisherEndpoint {
 
   const std::shared_ptr<EndpointEvents> events_;
   Departure departure_;
-  LeaseWatch lease_;  // under the mutex, like the next ones
+  LeaseWatch lease_;       // under the mutex, like the next ones
+  bool is_alone_ = false;  // the daemon of its session is gone for good
   bool moved_ = false;
   std::shared_ptr<PublisherEndpoint> successor_;  // null with `moved_`: this one was abandoned
   std::atomic<bool> has_ended_{false};

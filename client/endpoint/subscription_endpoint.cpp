@@ -3,6 +3,7 @@
 #include <client/endpoint/subscription_endpoint.hpp>
 #include <client/process/forked_child.hpp>
 #include <client/process/steps.hpp>
+#include <dataplane/board_look.hpp>
 
 #include <algorithm>
 #include <new>
@@ -410,16 +411,29 @@ std::uint64_t SubscriptionEndpoint::unreachable() const noexcept {
   return sum;
 }
 
-std::size_t SubscriptionEndpoint::publisher_count() const noexcept {
-  if (is_forked_child()) return 0;
+std::size_t SubscriptionEndpoint::publisher_count(bool linked) const noexcept {
+  if (!is_served()) return 0;
   const std::lock_guard lock(mutex_);
-  return with_successors_locked([this] {
-    std::size_t count = 0;
+  return with_successors_locked([&] {
+    std::size_t count = 0, links = 0;
+    for (std::size_t age = 0; age < successors_.size(); ++age) links += in_age(age).links_.size();
+    const SubscriptionEndpoint& newest = in_age(successors_.size());
+    // Nobody writes the board of a session whose daemon's store is lost, and while publishers move
+    // to the next daemon, one may be on both boards.
+    if (!linked && links == 0 && !newest.is_alone_ && !newest.has_finished_)
+      return newest.matched_count();
     for (std::size_t age = 0; age <= successors_.size(); ++age) {
       for (const auto& link : in_age(age).links_) count += !link->ceased_ && !has_next(*link, age);
     }
     return count;
   });
+}
+
+std::size_t SubscriptionEndpoint::matched_count() const noexcept {
+  const auto own = dataplane::active_subscription(self_.topic, self_.index);
+  return own && own->generation == self_.generation
+             ? dataplane::matching_publishers(self_.topic, own->of)
+             : 0;
 }
 
 /// Returns whether a newer session has a queue of the same publisher: while publishers move, one

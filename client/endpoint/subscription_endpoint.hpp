@@ -278,8 +278,9 @@ class SubscriptionEndpoint {
   std::uint64_t lost() const noexcept;
   std::uint64_t malformed() const noexcept;
   std::uint64_t unreachable() const noexcept;
-  /// Returns the number of publishers that are mapped and not gone.
-  std::size_t publisher_count() const noexcept;
+  /// Returns the number of publishers that match and are not gone. One counts as soon as its
+  /// creation is answered; `linked`: as soon as it is mapped here, and linked.
+  std::size_t publisher_count(bool linked = false) const noexcept;
   /// Also counts publishers that are gone and still have something here.
   std::size_t link_count() const noexcept;
   /// Calls `see(persistent_id, is_gone)` for publishers that are not gone, and for gone ones with
@@ -359,6 +360,7 @@ class SubscriptionEndpoint {
   void absorb(SubscriptionEndpoint& successor) noexcept;
   bool has_former(const Link& link, std::size_t age) const noexcept;
   bool has_next(const Link& link, std::size_t age) const noexcept;
+  std::size_t matched_count() const noexcept;  // of this session alone
   bool takes_part() const noexcept;
   using Book = journal::AnnouncementBook<SharedMemory>;
   void drop_beyond_depth() noexcept;

@@ -101,7 +101,7 @@ class Work {
     line >> whom >> count;
     const bool matched = eventually([&] {
       if (whom == "dds") return dds_ != nullptr && dds_->is_matched();
-      return (whom == "cloud" ? clouds_ : timed_)->get_subscription_count() == count;
+      return (whom == "cloud" ? clouds_ : timed_)->get_linked_subscription_count() == count;
     });
     if (!matched && whom == "dds") {
       // The comparison is not the purpose of the demo: it goes on without.

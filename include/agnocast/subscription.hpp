@@ -119,6 +119,8 @@ class AGNOCAST_PUBLIC UntypedSubscription {
   Block* take(std::size_t count = 1) noexcept;
   std::uint64_t lost() const noexcept;
   std::size_t publisher_count() const noexcept;
+  /// Of these, returns how many this process has mapped.
+  std::size_t linked_publisher_count() const noexcept;
   std::uint64_t callback_exception_count() const noexcept;
   MatchedInfo matched_status() noexcept;
   IncompatibleQosInfo incompatible_qos_status() noexcept;
@@ -226,9 +228,14 @@ class SubscriptionBase {
  public:
   /// Returns the number of messages dropped because this subscription's depth was exceeded.
   std::uint64_t get_lost_count() const noexcept { return untyped_->lost(); }
-  /// Returns the number of matched publishers that this process maps, a moment ago. Dead
-  /// publishers do not count, though their messages are still delivered.
+  /// Returns the number of matched publishers. One counts as soon as its creation has returned, in
+  /// any process; a dead one does not, though its messages are still delivered. Costs a look at
+  /// each place of the topic, microseconds at most; allocates nothing.
   std::size_t get_publisher_count() const noexcept { return untyped_->publisher_count(); }
+  /// Of these, returns how many this process has mapped. For measurements and tests.
+  std::size_t get_linked_publisher_count() const noexcept {
+    return untyped_->linked_publisher_count();
+  }
   /// Returns the number of exceptions thrown by callbacks of this subscription in a
   /// BackgroundExecutor, which cannot pass them on. In others they leave spin() instead and are
   /// not counted.

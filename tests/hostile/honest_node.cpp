@@ -75,9 +75,10 @@ class HonestNode {
     if (what == "collisions")
       return std::to_string(publisher_->get_heap_collision_status().total_count);
     if (what == "matched")
-      return std::to_string((publisher_ != nullptr ? publisher_->get_subscription_count() : 0) +
-                            (subscription_ != nullptr ? subscription_->get_publisher_count() : 0) +
-                            (watched_ != nullptr ? watched_->get_publisher_count() : 0));
+      return std::to_string(
+          (publisher_ != nullptr ? publisher_->get_linked_subscription_count() : 0) +
+          (subscription_ != nullptr ? subscription_->get_linked_publisher_count() : 0) +
+          (watched_ != nullptr ? watched_->get_linked_publisher_count() : 0));
     if (what == "forget-gap") return largest_gap_ns_.store(0), "ok";
     if (what == "state") return state();
     return "unknown " + what;

@@ -69,7 +69,7 @@ class RelayNode {
       if (line >> text) std::thread([this, text] { tell(text); }).detach();
       return "ok";
     }
-    if (what == "matched") return std::to_string(publisher_->get_subscription_count());
+    if (what == "matched") return std::to_string(publisher_->get_linked_subscription_count());
     if (what == "state")
       return std::to_string(read_) + ' ' + std::to_string(relayed_) + ' ' +
              std::to_string(refused_) + ' ' + std::to_string(strange_);

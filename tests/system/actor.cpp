@@ -55,7 +55,7 @@ class Actor {
     if (what == "take") return take(subscriptions_.at(id));
     if (what == "release") return release(subscriptions_.at(id), line);
     if (what == "matched")
-      return std::to_string(publishers_.at(id).publisher->get_subscription_count());
+      return std::to_string(publishers_.at(id).publisher->get_linked_subscription_count());
     if (what == "unpub") return publishers_.erase(id), "ok";
     if (what == "unsub") return unsubscribe(id);
     if (what == "run_pub") return run_publisher(id, line);

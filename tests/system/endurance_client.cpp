@@ -50,8 +50,8 @@ class Client {
     line >> what;
     if (what == "heap") return heap();
     if (what == "links")
-      return std::to_string(publisher_ != nullptr ? publisher_->get_subscription_count()
-                                                  : subscription_->get_publisher_count());
+      return std::to_string(publisher_ != nullptr ? publisher_->get_linked_subscription_count()
+                                                  : subscription_->get_linked_publisher_count());
     std::string topic;
     std::uint64_t count = 0;
     if (what == "pub")

@@ -44,9 +44,9 @@ class Counting {
         publisher_(create_publisher<Sheaf>(node_, topic_, QoS(1))) {
     for (std::size_t i = 0; i < subscriptions; ++i)
       subscriptions_.push_back(create_subscription<Sheaf>(node_, topic_, QoS(batch)));
-    while (publisher_->get_subscription_count() < subscriptions) ::usleep(1000);
+    while (publisher_->get_linked_subscription_count() < subscriptions) ::usleep(1000);
     for (const auto& subscription : subscriptions_) {
-      while (subscription->get_publisher_count() < 1) ::usleep(1000);
+      while (subscription->get_linked_publisher_count() < 1) ::usleep(1000);
     }
   }
 

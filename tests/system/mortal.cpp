@@ -66,8 +66,8 @@ class Mortal {
     if (what == "events")
       return std::to_string(event_calls_.load()) + " " + std::to_string(event_current_.load());
     if (what == "matched")
-      return std::to_string(publisher_ != nullptr ? publisher_->get_subscription_count()
-                                                  : subscription_->get_publisher_count());
+      return std::to_string(publisher_ != nullptr ? publisher_->get_linked_subscription_count()
+                                                  : subscription_->get_linked_publisher_count());
     if (what == "active")
       return std::to_string(publisher_ != nullptr && publisher_->is_active()) + " " +
              std::to_string(subscription_ != nullptr && subscription_->is_active());

@@ -56,8 +56,8 @@ class Subject {
           [this](const ipc_shared_ptr<const Specimen>&) { received_.fetch_add(1); });
       return "ok";
     }
-    if (what == "subs") return std::to_string(publisher_->get_subscription_count());
-    if (what == "pubs") return std::to_string(subscription_->get_publisher_count());
+    if (what == "subs") return std::to_string(publisher_->get_linked_subscription_count());
+    if (what == "pubs") return std::to_string(subscription_->get_linked_publisher_count());
     if (what == "received") return std::to_string(received_.load());
     if (what == "publish") return publish(line);
     if (what == "take") return take(line);

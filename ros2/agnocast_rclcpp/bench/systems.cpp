@@ -53,7 +53,7 @@ class AgnocastSender final : public Sender {
         node_(make_node("bench_sender")),
         publisher_(agnocast::create_publisher<Cloud>(node_, carriage.topic, qos_of(carriage))) {}
 
-  bool is_matched() override { return publisher_->get_subscription_count() >= receivers_; }
+  bool is_matched() override { return publisher_->get_linked_subscription_count() >= receivers_; }
   std::byte* prepare() override {
     message_ = publisher_->borrow_loaned_message();
     return resized(*message_, bytes_);

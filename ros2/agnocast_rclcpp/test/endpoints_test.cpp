@@ -79,7 +79,7 @@ TEST_F(EndpointsTest, ANodeMayKeepAsManyMessagesAsItsQueueIsLongAndIsWarnedAtMor
       node_, "kept", 100,
       [&](std::shared_ptr<const String> message) { kept.push_back(std::move(message)); });
   const auto publisher = agnocast::create_publisher<String>(node_, "kept", 100);
-  ASSERT_TRUE(spin_until([&] { return publisher->get_subscription_count() == 1; }));
+  ASSERT_TRUE(spin_until([&] { return publisher->get_linked_subscription_count() == 1; }));
   for (int i = 0; i < 100; ++i) ASSERT_EQ(publisher->publish(String()).code, agnocast::Errc::ok);
   EXPECT_TRUE(spin_until([&] { return kept.size() == 100; })) << kept.size();
   EXPECT_EQ(warnings.lines(), "");
@@ -111,7 +111,7 @@ TEST_F(EndpointsTest, QosIsReportedAndTakenMessagesAreAcknowledged) {
 
   const auto publisher = agnocast::create_publisher<String>(node_, "reliable", 10);
   const auto reliable = agnocast::create_subscription<String>(node_, "reliable", 10, ignore);
-  ASSERT_TRUE(spin_until([&] { return publisher->get_subscription_count() == 1; }));
+  ASSERT_TRUE(spin_until([&] { return publisher->get_linked_subscription_count() == 1; }));
   (void)publisher->publish(String());
   EXPECT_FALSE(publisher->wait_for_all_acked(10ms));
   EXPECT_TRUE(spin_until([&] { return publisher->wait_for_all_acked(0s); }));
@@ -129,7 +129,8 @@ TEST_F(EndpointsTest, OneSpinSomeCallsEachEndpointOnce) {
         i < 3 ? rclcpp::SubscriptionOptions() : reentrant));
   }
   const auto publisher = agnocast::create_publisher<String>(node_, "topic", 10);
-  ASSERT_TRUE(spin_until([&] { return publisher->get_subscription_count() == heard.size(); }));
+  ASSERT_TRUE(
+      spin_until([&] { return publisher->get_linked_subscription_count() == heard.size(); }));
   executor_->spin_some();  // Jazzy's first one takes in what was created, and calls nothing
   for (int i = 0; i < 4; ++i) (void)publisher->publish(String());
   executor_->spin_some();
@@ -153,7 +154,7 @@ TEST_F(EndpointsTest, OneSpinSomeCallsNoEndpointTwice) {
     publishers.push_back(agnocast::create_publisher<String>(node_, topic, 10));
   }
   for (const auto& publisher : publishers)
-    ASSERT_TRUE(spin_until([&] { return publisher->get_subscription_count() == 1; }));
+    ASSERT_TRUE(spin_until([&] { return publisher->get_linked_subscription_count() == 1; }));
   const auto publish = [&](std::size_t i) { (void)publishers[i]->publish(String()); };
   executor_->spin_some();  // Jazzy's first one takes in what was created, and calls nothing
   for (const std::size_t i : {1, 2}) publish(i);
@@ -192,7 +193,7 @@ TEST_F(EndpointsTest, CallbacksTakeTheMessageInEveryForm) {
     of_ros = info;
   });
   const auto publisher = agnocast::create_publisher<String>(node_, "topic", 10);
-  ASSERT_TRUE(spin_until([&] { return publisher->get_subscription_count() == 6; }));
+  ASSERT_TRUE(spin_until([&] { return publisher->get_linked_subscription_count() == 6; }));
   const auto before = rclcpp::Clock(RCL_SYSTEM_TIME).now().nanoseconds();
   auto loan = publisher->borrow_loaned_message();
   loan->data = "1";
@@ -227,7 +228,7 @@ TEST_F(EndpointsTest, SubNodesAndLifecycleNodesHaveTheNamesOfRclcpp) {
                                                                   [&](const Message&) { ++heard; });
   const auto publisher = agnocast::create_publisher<String>(lifecycle, "~/own", 10);
   EXPECT_STREQ(publisher->get_topic_name(), "/space/lifecycle/own");
-  ASSERT_TRUE(spin_until([&] { return publisher->get_subscription_count() == 1; }));
+  ASSERT_TRUE(spin_until([&] { return publisher->get_linked_subscription_count() == 1; }));
   (void)publisher->publish(String());
   EXPECT_TRUE(spin_until([&] { return heard == 1; }));
 }
@@ -354,7 +355,7 @@ TEST_F(EndpointsTest, MissedDeadlinesAreToldAsRclcppTellsThem) {
   int received = 0;
   const auto subscription = agnocast::create_subscription<String>(
       node_, "topic", qos, [&](const Message&) { ++received; }, of_subscription);
-  EXPECT_TRUE(spin_until([&] { return publisher->get_subscription_count() == 1; }));
+  EXPECT_TRUE(spin_until([&] { return publisher->get_linked_subscription_count() == 1; }));
   EXPECT_EQ(offered, 0) << "the first period begins with the first message";
   publisher->publish(publisher->borrow_loaned_message());
   EXPECT_TRUE(spin_until([&] { return received == 1 && offered >= 2 && requested >= 2; }));
@@ -445,7 +446,7 @@ TEST_F(EndpointsTest, GenericEndpointsFindTypesByName) {
         heard = static_cast<const String*>(message.get())->data;
       });
   const auto publisher = agnocast::create_publisher<String>(node_, "topic", 10);
-  ASSERT_TRUE(spin_until([&] { return publisher->get_subscription_count() == 1; }));
+  ASSERT_TRUE(spin_until([&] { return publisher->get_linked_subscription_count() == 1; }));
   String message;
   message.data = "words";
   (void)publisher->publish(message);
@@ -458,7 +459,7 @@ TEST_F(EndpointsTest, OptionsOfAgnocastAreTakenAsWell) {
       node_, "topic", 10, [&](const Message&) { ++heard; },
       agnocast::SubscriptionOptions().hold_quota(3).depth_per_publisher());
   const auto publisher = agnocast::create_publisher<String>(node_, "topic", 10);
-  ASSERT_TRUE(spin_until([&] { return publisher->get_subscription_count() == 1; }));
+  ASSERT_TRUE(spin_until([&] { return publisher->get_linked_subscription_count() == 1; }));
   (void)publisher->publish(String());
   EXPECT_TRUE(spin_until([&] { return heard == 1; }));
 }
@@ -472,7 +473,7 @@ TEST_F(EndpointsTest, PublicationsOfTheProcessAreIgnoredOnRequest) {
   const auto ignores = agnocast::create_subscription<String>(
       node_, "topic", 10, [&](const Message&) { ++ignored; }, options);
   const auto publisher = agnocast::create_publisher<String>(node_, "topic", 10);
-  ASSERT_TRUE(spin_until([&] { return publisher->get_subscription_count() == 1; }));
+  ASSERT_TRUE(spin_until([&] { return publisher->get_linked_subscription_count() == 1; }));
   (void)publisher->publish(String());
   EXPECT_TRUE(spin_until([&] { return heard == 1; }));
   EXPECT_EQ(ignored, 0);
@@ -482,7 +483,7 @@ TEST_F(EndpointsTest, PublicationsOfTheProcessAreIgnoredOnRequest) {
 TEST_F(EndpointsTest, PollingSubscriptionsNeedNoSpin) {
   const auto subscription = agnocast::create_subscription<String>(node_, "topic", rclcpp::QoS(1));
   const auto publisher = agnocast::create_publisher<String>(node_, "topic", 10);
-  ASSERT_TRUE(eventually([&] { return publisher->get_subscription_count() == 1; }));
+  ASSERT_TRUE(eventually([&] { return publisher->get_linked_subscription_count() == 1; }));
   (void)publisher->publish(String());
   EXPECT_TRUE(eventually([&] { return subscription->take_data() != nullptr; }));
 }

@@ -14,6 +14,7 @@
 #include <mutex>
 #include <set>
 #include <utility>
+#include <vector>
 
 namespace agnocastlib {
 namespace {
@@ -45,16 +46,6 @@ struct KeptGroups {
 };
 KeptGroups& kept_groups() {
   static auto* const all = new KeptGroups;
-  return *all;
-}
-
-/// Never destroyed, for endpoints in statics.
-struct Locals {
-  std::mutex mutex;
-  std::map<std::uint64_t, std::size_t> counts;  // by persistent id
-};
-Locals& locals() {
-  static auto* const all = new Locals;
   return *all;
 }
 
@@ -109,26 +100,6 @@ rmw_gid_t gid_of(std::uint64_t persistent_id) noexcept {
   static_assert(sizeof persistent_id <= RMW_GID_STORAGE_SIZE);
   std::memcpy(gid.data, &persistent_id, sizeof persistent_id);
   return gid;
-}
-
-LocalSubscription::LocalSubscription(std::uint64_t persistent_id) : persistent_id_(persistent_id) {
-  if (is_forked_child()) return;
-  const std::lock_guard lock(locals().mutex);
-  ++locals().counts[persistent_id_];
-}
-LocalSubscription::~LocalSubscription() {
-  if (is_forked_child()) return;
-  const std::lock_guard lock(locals().mutex);
-  const auto found = locals().counts.find(persistent_id_);
-  if (found != locals().counts.end() && --found->second == 0) locals().counts.erase(found);
-}
-
-std::size_t count_local(const std::vector<std::uint64_t>& persistent_ids) {
-  if (is_forked_child()) return 0;
-  const std::lock_guard lock(locals().mutex);
-  std::size_t count = 0;
-  for (const std::uint64_t id : persistent_ids) count += id != 0 ? locals().counts.count(id) : 0;
-  return count;
 }
 
 }  // namespace agnocastlib

@@ -39,7 +39,7 @@ TEST_F(EndpointsTest, CallbacksTakeTheMessageInEveryForm) {
   add([&](const agnocast::ipc_shared_ptr<const String>& m) { heard.insert("const " + m->data); });
   add(std::bind(&Listener::callback, &listener, std::placeholders::_1));
   const auto publisher = agnocast::create_publisher<String>(node_.get(), "topic", 10);
-  ASSERT_TRUE(spin_until([&] { return publisher->get_intra_subscription_count() == 5; }));
+  ASSERT_TRUE(spin_until([&] { return publisher->get_linked_subscription_count() == 5; }));
   publish(*publisher, "1");
   EXPECT_TRUE(spin_until([&] { return heard.size() == 4 && !listener.heard.empty(); }));
   EXPECT_THAT(heard,
@@ -56,7 +56,7 @@ TEST_F(EndpointsTest, EndpointsAreMadeByConstructorsToo) {
   agnocast::Publisher<String> publisher(node_.get(), "topic", rclcpp::QoS(1),
                                         agnocast::PublisherOptions{});
   EXPECT_STREQ(publisher.get_topic_name(), "/topic");
-  ASSERT_TRUE(spin_until([&] { return publisher.get_intra_subscription_count() == 1; }));
+  ASSERT_TRUE(spin_until([&] { return publisher.get_linked_subscription_count() == 1; }));
   publish(publisher, "text");
   EXPECT_TRUE(spin_until([&] { return heard == "text"; }));
 }
@@ -66,7 +66,7 @@ TEST_F(EndpointsTest, SubscriptionsOfThisProcessAreCountedApart) {
   EXPECT_EQ(publisher->get_subscription_count(), 0u);
   EXPECT_EQ(publisher->get_intra_subscription_count(), 0u);
   auto polling = agnocast::create_subscription<String>(node_.get(), "topic", 1);
-  ASSERT_TRUE(eventually([&] { return publisher->get_intra_subscription_count() == 1; }));
+  ASSERT_TRUE(eventually([&] { return publisher->get_linked_subscription_count() == 1; }));
   EXPECT_EQ(publisher->get_subscription_count(), 0u) << "none in another process";
   polling.reset();
   EXPECT_TRUE(eventually([&] { return publisher->get_intra_subscription_count() == 0; }));
@@ -90,7 +90,7 @@ TEST_F(EndpointsTest, PublicationsOfTheProcessAreIgnoredOnRequest) {
   agnocast::TakeSubscription<String> ignores(node_.get(), "topic", rclcpp::QoS(10), options);
   agnocast::TakeSubscription<String> hears(node_.get(), "topic", rclcpp::QoS(10));
   const auto publisher = agnocast::create_publisher<String>(node_.get(), "topic", 10);
-  ASSERT_TRUE(eventually([&] { return publisher->get_intra_subscription_count() == 1; }));
+  ASSERT_TRUE(eventually([&] { return publisher->get_linked_subscription_count() == 1; }));
   publish(*publisher, "text");
   EXPECT_TRUE(hears.take());
   EXPECT_FALSE(ignores.take());
@@ -100,7 +100,7 @@ TEST_F(EndpointsTest, TakeGivesTheOldestOrTheSame) {
   const auto subscription =
       std::make_shared<agnocast::TakeSubscription<String>>(node_.get(), "topic", rclcpp::QoS(10));
   const auto publisher = agnocast::create_publisher<String>(node_.get(), "topic", 10);
-  ASSERT_TRUE(eventually([&] { return publisher->get_intra_subscription_count() == 1; }));
+  ASSERT_TRUE(eventually([&] { return publisher->get_linked_subscription_count() == 1; }));
   EXPECT_FALSE(subscription->take());
   EXPECT_FALSE(subscription->take(true));
   for (const char* text : {"1", "2", "3", "4"}) publish(*publisher, text);
@@ -120,7 +120,7 @@ TEST_F(EndpointsTest, AsManyMessagesAsTheDepthMayBeHeld) {
     agnocast::TakeSubscription<String> subscription(node_.get(), topic, rclcpp::QoS(depth),
                                                     options);
     const auto publisher = agnocast::create_publisher<String>(node_.get(), topic, 10);
-    EXPECT_TRUE(eventually([&] { return publisher->get_intra_subscription_count() == 1; }));
+    EXPECT_TRUE(eventually([&] { return publisher->get_linked_subscription_count() == 1; }));
     std::vector<agnocast::ipc_shared_ptr<const String>> held;
     for (int i = 0; i < 200; ++i) {
       publish(*publisher, "text");
@@ -152,7 +152,7 @@ TEST_F(EndpointsTest, AForkedChildIsLeftAlone) {
   const auto publisher = agnocast::create_publisher<String>(node_.get(), "topic", 1);
   auto polling = std::make_unique<agnocast::PollingSubscriber<String>>(node_.get(), "topic");
   const auto client = agnocast::create_client<std_srvs::srv::Trigger>(node_.get(), "service");
-  ASSERT_TRUE(eventually([&] { return publisher->get_intra_subscription_count() == 1; }));
+  ASSERT_TRUE(eventually([&] { return publisher->get_linked_subscription_count() == 1; }));
   const auto other = agnocast::create_publisher<String>(node_.get(), "other", 1);
   auto foreign = other->borrow_loaned_message();
   EXPECT_EQ(status_of_child([&] {
@@ -173,7 +173,7 @@ TEST_F(EndpointsTest, PollingGivesTheNewest) {
   const auto subscription =
       agnocast::create_subscription<String>(node_.get(), "topic", rclcpp::QoS(1));
   const auto publisher = agnocast::create_publisher<String>(node_.get(), "topic", 1);
-  ASSERT_TRUE(eventually([&] { return publisher->get_intra_subscription_count() == 1; }));
+  ASSERT_TRUE(eventually([&] { return publisher->get_linked_subscription_count() == 1; }));
   EXPECT_FALSE(subscription->take_data());
   publish(*publisher, "1");
   publish(*publisher, "2");
@@ -202,7 +202,8 @@ TEST_F(EndpointsTest, AGroupExcludesCallbacksOfBothKinds) {
   const auto to_ours = agnocast::create_publisher<String>(node_.get(), "ours", 100);
   const auto to_theirs = node_->create_publisher<String>("theirs", 100);
   ASSERT_TRUE(eventually([&] {
-    return to_ours->get_intra_subscription_count() == 1 && to_theirs->get_subscription_count() == 1;
+    return to_ours->get_linked_subscription_count() == 1 &&
+           to_theirs->get_subscription_count() == 1;
   }));
   executor_->remove_node(node_);
   agnocast::MultiThreadedAgnocastExecutor executor(rclcpp::ExecutorOptions(), 2, 2);
@@ -229,7 +230,7 @@ TEST_F(EndpointsTest, AGroupThatNobodyKeepsServesItsSubscription) {
       node_.get(), "topic", 10, [&](const Message&) { ++heard; }, options);
   options.callback_group.reset();
   const auto publisher = agnocast::create_publisher<String>(node_.get(), "topic", 10);
-  ASSERT_TRUE(spin_until([&] { return publisher->get_intra_subscription_count() == 1; }));
+  ASSERT_TRUE(spin_until([&] { return publisher->get_linked_subscription_count() == 1; }));
   publish(*publisher, "text");
   EXPECT_TRUE(spin_until([&] { return heard == 1; }));
   subscription.reset();

@@ -31,7 +31,7 @@ class Both {
     to_ours_ = agnocast::create_publisher<String>(&node, name + "/ours", 10);
     to_theirs_ = node.rclcpp::Node::create_publisher<String>(name + "/theirs", 10);
     EXPECT_TRUE(eventually([&] {
-      return to_ours_->get_intra_subscription_count() == 1 &&
+      return to_ours_->get_linked_subscription_count() == 1 &&
              to_theirs_->get_subscription_count() == 1;
     }));
   }

@@ -33,7 +33,7 @@ TEST(FullHeapTest, IsLoggedOnceASecond) {
     keeps.reset();
     const auto other = node->create_publisher<String>("other", 1);
     const auto subscription = node->create_subscription<String>("other", 1);
-    ASSERT_TRUE(eventually([&] { return other->get_intra_subscription_count() == 1; }));
+    ASSERT_TRUE(eventually([&] { return other->get_linked_subscription_count() == 1; }));
     EXPECT_TRUE(eventually([&] {
       publish(*other, large);
       return static_cast<bool>(subscription->take_data());

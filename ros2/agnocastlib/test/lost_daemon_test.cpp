@@ -18,7 +18,7 @@ TEST(LostDaemonTest, IsLogged) {
     const auto node = std::make_shared<agnocast::Node>("node");
     const auto publisher = node->create_publisher<String>("topic", 1);
     const auto subscription = node->create_subscription<String>("topic", 1);
-    ASSERT_TRUE(eventually([&] { return publisher->get_intra_subscription_count() == 1; }));
+    ASSERT_TRUE(eventually([&] { return publisher->get_linked_subscription_count() == 1; }));
     const auto start = std::chrono::steady_clock::now();
     {
       agnocast::AgnocastOnlySingleThreadedExecutor executor;

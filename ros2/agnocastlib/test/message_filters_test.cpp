@@ -99,7 +99,7 @@ TYPED_TEST(Policies, GiveTheSetsOfUpstream) {
   const auto to_b = agnocast::create_publisher<Temperature>(this->node_.get(), "shared/b", depth);
   ASSERT_TRUE(this->spin_until([&] {
     return to_dds_a->get_subscription_count() == 1 && to_dds_b->get_subscription_count() == 1 &&
-           to_a->get_intra_subscription_count() == 1 && to_b->get_intra_subscription_count() == 1;
+           to_a->get_linked_subscription_count() == 1 && to_b->get_intra_subscription_count() == 1;
   }));
   std::mt19937 random(1);
   for (int i = 0; i < 40; ++i) {
@@ -137,7 +137,7 @@ TEST_F(MessageFiltersTest, ExactTimeTellsOfSetsThatAreDropped) {
   const auto subscription = std::make_shared<agnocast::TakeSubscription<Temperature>>(
       node_.get(), "topic", rclcpp::QoS(depth));
   const auto publisher = agnocast::create_publisher<Temperature>(node_.get(), "topic", depth);
-  ASSERT_TRUE(eventually([&] { return publisher->get_intra_subscription_count() == 1; }));
+  ASSERT_TRUE(eventually([&] { return publisher->get_linked_subscription_count() == 1; }));
   send(*publisher, 1);
   send(*publisher, 2);
   const Pointer one = subscription->take(), two = subscription->take();
@@ -162,14 +162,14 @@ TEST_F(MessageFiltersTest, FiltersHoldMessagesAndPassThemOn) {
   pass.registerCallback(
       [&](const Event& event) { events.push_back(event.getMessage()->temperature); });
   const auto publisher = agnocast::create_publisher<Temperature>(node_.get(), "topic", depth);
-  ASSERT_TRUE(eventually([&] { return publisher->get_intra_subscription_count() == 1; }));
+  ASSERT_TRUE(eventually([&] { return publisher->get_linked_subscription_count() == 1; }));
   send(*publisher, 7);
   ASSERT_TRUE(spin_until([&] { return !events.empty(); }));
   source.unsubscribe();
   EXPECT_EQ(source.getSubscriber(), nullptr);
   EXPECT_EQ(kept->temperature, 7) << "the message is held";
   source.subscribe();
-  ASSERT_TRUE(eventually([&] { return publisher->get_intra_subscription_count() == 1; }));
+  ASSERT_TRUE(eventually([&] { return publisher->get_linked_subscription_count() == 1; }));
   send(*publisher, 8);
   EXPECT_TRUE(spin_until([&] { return events.size() == 2; }));
   EXPECT_EQ(events, (std::vector<double>{7, 8}));
@@ -180,7 +180,7 @@ TEST_F(MessageFiltersTest, AFilterMayHold256Messages) {
   std::vector<Pointer> kept;
   source.registerCallback([&](const Pointer& message) { kept.push_back(message); });
   const auto publisher = agnocast::create_publisher<Temperature>(node_.get(), "topic", depth);
-  ASSERT_TRUE(eventually([&] { return publisher->get_intra_subscription_count() == 1; }));
+  ASSERT_TRUE(eventually([&] { return publisher->get_linked_subscription_count() == 1; }));
   for (int i = 0; i < 256; ++i) {
     send(*publisher, i);
     ASSERT_TRUE(spin_until([&] { return kept.size() == static_cast<std::size_t>(i) + 1; }));
@@ -205,7 +205,7 @@ TEST_F(MessageFiltersTest, NodesOfAgnocastAreTaken) {
   const auto to_a = node->create_publisher<Temperature>("a", depth);
   const auto to_b = node->create_publisher<Temperature>("b", depth);
   ASSERT_TRUE(spin_until([&] {
-    return to_a->get_intra_subscription_count() == 1 && to_b->get_intra_subscription_count() == 1;
+    return to_a->get_linked_subscription_count() == 1 && to_b->get_intra_subscription_count() == 1;
   }));
   for (int i = 0; i < 5; ++i) {
     send(*to_a, 100 * i);

@@ -74,7 +74,7 @@ TEST_F(NodesTest, ParametersAndEndpointsWork) {
   const auto node = std::make_shared<agnocast::Node>("node", "/space");
   const auto source = node->create_publisher<String>("elsewhere", rclcpp::QoS(10));
   const auto answers = node->create_subscription<String>("out", rclcpp::QoS(1));
-  ASSERT_TRUE(eventually([&] { return source->get_intra_subscription_count() == 1; }));
+  ASSERT_TRUE(eventually([&] { return source->get_linked_subscription_count() == 1; }));
   EXPECT_EQ(node->count_publishers("elsewhere"), 1u);
   EXPECT_EQ(node->count_subscribers("elsewhere"), 1u);
   EXPECT_EQ(node->count_subscribers("/nobody"), 0u);

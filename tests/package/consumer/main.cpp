@@ -39,8 +39,8 @@ int main() {
   }
   unsigned long long adopted = 0;
   unsigned right = 0;
-  while ((*subscription)->get_publisher_count() == 0 || (*publisher)->get_subscription_count() == 0)
-    continue;
+  // Each take below is to find the message at once.
+  while ((*publisher)->get_linked_subscription_count() == 0) continue;
   for (std::uint16_t number = 1; number <= 100; ++number) {
     auto map = (*publisher)->borrow_loaned_message();
     map->name = "a map that has a name which is too long for the string object itself";

@@ -49,8 +49,7 @@ class Publisher : public core::Publisher<MessageT> {
   }
   /// Returns the number of subscriptions in this process.
   std::uint32_t get_intra_subscription_count() const {
-    return static_cast<std::uint32_t>(
-        agnocastlib::count_local(this->untyped().reader_persistent_ids()));
+    return static_cast<std::uint32_t>(this->untyped().local_subscription_count());
   }
   /// Unique on this host. Valid as long as the publisher.
   const rmw_gid_t& get_gid() const noexcept { return gid_; }

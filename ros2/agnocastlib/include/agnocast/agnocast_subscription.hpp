@@ -27,8 +27,7 @@ class Subscription : public core::Subscription<MessageT> {
   template <class NodeT, class Func>
   Subscription(NodeT* node, const std::string& topic_name, const rclcpp::QoS& qos, Func&& callback,
                const SubscriptionOptions& options = {})
-      : Base(make(node, topic_name, qos, std::forward<Func>(callback), options)),
-        local_(this->untyped().persistent_id()) {}
+      : Base(make(node, topic_name, qos, std::forward<Func>(callback), options)) {}
 
  private:
   template <class NodeT, class Func>
@@ -39,8 +38,6 @@ class Subscription : public core::Subscription<MessageT> {
     return *core::create_subscription<MessageT>(*node, topic, qos, std::forward<Func>(callback),
                                                 agnocastlib::translate(options));
   }
-
-  agnocastlib::LocalSubscription local_;
 };
 
 /// A subscription without a callback. Needs no executor. Any thread may call any function.
@@ -55,7 +52,7 @@ class TakeSubscription : public core::Subscription<MessageT> {
   template <class NodeT>
   TakeSubscription(NodeT* node, const std::string& topic_name, const rclcpp::QoS& qos,
                    const SubscriptionOptions& options = {})
-      : Base(make(node, topic_name, qos, options)), local_(this->untyped().persistent_id()) {}
+      : Base(make(node, topic_name, qos, options)) {}
 
   /// False: returns the oldest unread message, empty if there is none. True: returns the newest
   /// message, also if it was taken before, and skips those in between. The subscription holds the
@@ -84,7 +81,6 @@ class TakeSubscription : public core::Subscription<MessageT> {
 
   std::mutex mutex_;
   ipc_shared_ptr<const MessageT> last_;
-  agnocastlib::LocalSubscription local_;
 };
 
 /// Gives the newest message. Any thread may call any function.

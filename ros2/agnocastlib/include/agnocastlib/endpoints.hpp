@@ -17,7 +17,6 @@
 #include <cstddef>
 #include <cstdint>
 #include <string>
-#include <vector>
 
 namespace agnocast {
 
@@ -63,20 +62,6 @@ void keep_group(const rclcpp::node_interfaces::NodeBaseInterface::SharedPtr& nod
 
 /// Returns an id that no other publisher of this host has. Also in a forked child.
 rmw_gid_t gid_of(std::uint64_t persistent_id) noexcept;
-
-/// Counts a subscription of this process as long as it lives.
-class LocalSubscription {
- public:
-  explicit LocalSubscription(std::uint64_t persistent_id);
-  ~LocalSubscription();
-  LocalSubscription(const LocalSubscription&) = delete;
-  LocalSubscription& operator=(const LocalSubscription&) = delete;
-
- private:
-  const std::uint64_t persistent_id_;
-};
-/// Returns how many of `persistent_ids` are subscriptions of this process. Any thread.
-std::size_t count_local(const std::vector<std::uint64_t>& persistent_ids);
 
 /// Throws std::runtime_error if the library of the kernel-module system is in this process: see
 /// exclusion.cpp. Called whenever an endpoint is created. Any thread.

@@ -26,7 +26,7 @@ TEST_F(Peer, HasRoomForTheBridgesMessagesOfAFixedSize) {
   const auto subscription = create_subscription<Bool>(PlainNode(), topic() + "_in", 10);
   ASSERT_TRUE(answers("matched r", "1"));
   meet<Kind<Bool, SeeString>>(subscription);
-  ASSERT_TRUE(other_.eventually([&] { return publisher->get_subscription_count() == 1; }));
+  ASSERT_TRUE(other_.eventually([&] { return publisher->get_linked_subscription_count() == 1; }));
   for (const bool data : {true, false, true}) {
     auto loan = publisher->borrow_loaned_message();
     loan->data = data;
@@ -57,7 +57,7 @@ TEST_F(Peer, ExchangesMessagesOfAMegabyteUnchanged) {
   // Cyclone DDS treats a message that is in transit, in fragments, at the first heartbeat as
   // history.
   meet<StringKind>(subscription, "letters w 0 " + std::to_string(letters));
-  ASSERT_TRUE(other_.eventually([&] { return publisher->get_subscription_count() == 1; }));
+  ASSERT_TRUE(other_.eventually([&] { return publisher->get_linked_subscription_count() == 1; }));
   for (std::uint64_t number = 0; number < 5; ++number) {
     const std::string data = letters_of(number, letters);
     auto loan = publisher->borrow_loaned_message();
@@ -170,7 +170,8 @@ TEST_F(KilledPeer, ReceivesAndIsReceivedAgainAfterEitherSideWasKilled) {
   // Endpoints of dead peers go when their leases end; only those of living ones are left.
   EXPECT_TRUE(other_.eventually([&] {
     return killed_->ask("matched r") == "1" && killed_->ask("matched w") == "1" &&
-           publisher_->get_subscription_count() == 1 && subscription_->get_publisher_count() == 1;
+           publisher_->get_linked_subscription_count() == 1 &&
+           subscription_->get_linked_publisher_count() == 1;
   })) << killed_->ask("matched r")
       << " no message comes in; " << killed_->ask("matched w") << " readers";
 }

@@ -34,7 +34,8 @@ TYPED_TEST(PeerOf, ReceivesEveryMemberOfMessagesPublishedHere) {
   const auto publisher = create_publisher<typename K::M>(PlainNode(), this->topic(), 10);
   ASSERT_TRUE(this->answers("matched r", "1"));
   // The bridge has matched the publisher as well.
-  ASSERT_TRUE(this->other_.eventually([&] { return publisher->get_subscription_count() == 1; }));
+  ASSERT_TRUE(
+      this->other_.eventually([&] { return publisher->get_linked_subscription_count() == 1; }));
   for (std::uint64_t number = 0; number < message_count; ++number) {
     SCOPED_TRACE(number);
     const std::string published = this->template publish<K>(publisher, number);
@@ -248,7 +249,7 @@ TEST_F(Peer, ThatIsStoppedBlocksAKeepAllPublisherAndNoOtherAndLosesNothing) {
   make("reader r " + dds_topic() + " String all");
   const auto publisher = create_publisher<String>(PlainNode(), topic(), QoS(1).keep_all(50));
   ASSERT_TRUE(answers("matched r", "1"));
-  ASSERT_TRUE(other_.eventually([&] { return publisher->get_subscription_count() == 1; }));
+  ASSERT_TRUE(other_.eventually([&] { return publisher->get_linked_subscription_count() == 1; }));
   DdsReader& beside = other_.reads<String>(dds_topic() + "_beside", {});
   const auto free = create_publisher<String>(PlainNode(), topic() + "_beside", QoS(1).keep_all(50));
   ASSERT_TRUE(other_.eventually([&] { return is_out(beside, *free); }));
@@ -291,7 +292,7 @@ TEST_F(Peer, ReceivesAllOfAKeepAllPublisherInOrderAlthoughItReadsSlowly) {
   make("reader r " + dds_topic() + " String all");
   const auto publisher = create_publisher<String>(PlainNode(), topic(), QoS(1).keep_all(50));
   ASSERT_TRUE(answers("matched r", "1"));
-  ASSERT_TRUE(other_.eventually([&] { return publisher->get_subscription_count() == 1; }));
+  ASSERT_TRUE(other_.eventually([&] { return publisher->get_linked_subscription_count() == 1; }));
   std::uint64_t sent = 0, got = 0;
   const auto publish_some = [&] {
     for (; sent < count; ++sent) {

@@ -94,7 +94,7 @@ TEST_F(Bounds, OfAReaderThatDoesNotAcknowledgeAffectItsWritersAlone) {
   ASSERT_EQ(peer->ask("reader " + dds_topic() + " " + dds_type_name<String>() + " reliable all"),
             "made");
   auto first = create_publisher<String>(PlainNode(), topic(), QoS(1));
-  ASSERT_TRUE(other_.eventually([&] { return first->get_subscription_count() == 1; }));
+  ASSERT_TRUE(other_.eventually([&] { return first->get_linked_subscription_count() == 1; }));
   ASSERT_TRUE(publish(*first, "met"));
   ASSERT_NE(peer->ask("take " + dds_topic()), "(nothing)");
   ASSERT_EQ(::kill(peer->pid(), SIGSTOP), 0);

@@ -57,16 +57,18 @@ TEST_F(Flat, TenThousandEndpointsOfBothSidesComeAndGoAndLeaveNothing) {
     }));
     // Every route exists on this side as well.
     ASSERT_TRUE(other_.eventually([&] {
-      return std::all_of(publishers.begin(), publishers.end(),
-                         [](const auto& one) { return one->get_subscription_count() == 1; }) &&
-             std::all_of(subscriptions.begin(), subscriptions.end(),
-                         [](const auto& one) { return one->get_publisher_count() == of_each; });
+      return std::all_of(
+                 publishers.begin(), publishers.end(),
+                 [](const auto& one) { return one->get_linked_subscription_count() == 1; }) &&
+             std::all_of(subscriptions.begin(), subscriptions.end(), [](const auto& one) {
+               return one->get_linked_publisher_count() == of_each;
+             });
     }));
     other_.forget();
     // No messages flow any more; publishers stay announced as long as they exist.
     ASSERT_TRUE(other_.eventually([&] {
       return std::all_of(publishers.begin(), publishers.end(),
-                         [](const auto& one) { return one->get_subscription_count() == 0; });
+                         [](const auto& one) { return one->get_linked_subscription_count() == 0; });
     }));
     publishers.clear();
     subscriptions.clear();
@@ -129,9 +131,9 @@ TEST_F(Flat, WithoutMessagesTheBridgeSleepsAndTheLibrarysThreadsWakeOnceASecond)
   }
   ASSERT_TRUE(other_.eventually([&] {
     return std::all_of(publishers.begin(), publishers.end(),
-                       [](const auto& one) { return one->get_subscription_count() == 1; }) &&
+                       [](const auto& one) { return one->get_linked_subscription_count() == 1; }) &&
            std::all_of(subscriptions.begin(), subscriptions.end(),
-                       [](const auto& one) { return one->get_publisher_count() == 1; });
+                       [](const auto& one) { return one->get_linked_publisher_count() == 1; });
   }));
   // New threads settle first, which may take a slow machine longer.
   std::string counted;

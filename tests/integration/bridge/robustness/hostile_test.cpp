@@ -48,7 +48,7 @@ class HostileDds : public BridgeTest {
     writer_ = &other_.writes("rt" + beside() + "_in", string_type, keep_last(100));
     ASSERT_TRUE(other_.eventually([&] {
       return reader_->matched() == 1 && writer_->matched() == 1 &&
-             out_->get_subscription_count() == 1 && is_still_bridging();
+             out_->get_linked_subscription_count() == 1 && is_still_bridging();
     }));
   }
   static std::string status_path() { return daemon->directory() + "/hostile.sock"; }
@@ -282,7 +282,7 @@ TEST_F(HostileDds, WrongTypesUnderRightNamesAreReportedAndRightOnesGoOn) {
     return count == 2;
   }));
   DdsReader& reader = other_.reads<String>(dds_topic(), keep_last(10));
-  EXPECT_TRUE(other_.eventually([&] { return publisher->get_subscription_count() == 2; }));
+  EXPECT_TRUE(other_.eventually([&] { return publisher->get_linked_subscription_count() == 2; }));
   EXPECT_TRUE(other_.eventually([&] { return reader.matched() == 1; }));
   EXPECT_TRUE(is_still_bridging());
 }

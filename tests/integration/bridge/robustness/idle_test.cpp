@@ -73,7 +73,7 @@ class Idle : public BridgeTest {
     ASSERT_TRUE(other_.eventually([&] {
       for (std::size_t i = 0; i < count; ++i) {
         if (!is_out(*readers_[i], *publishers_[i]) || writers_[i]->matched() != 1 ||
-            subscriptions_[i]->get_publisher_count() != 1)
+            subscriptions_[i]->get_linked_publisher_count() != 1)
           return false;
       }
       return true;

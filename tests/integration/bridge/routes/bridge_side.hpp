@@ -186,7 +186,7 @@ class BridgeTest : public testing::Test {
   /// Returns whether both sides have matched: later messages arrive.
   static bool is_out(const DdsReader& reader, const PublisherBase& publisher,
                      std::size_t subscriptions = 1) {
-    return reader.matched() == 1 && publisher.get_subscription_count() == subscriptions;
+    return reader.matched() == 1 && publisher.get_linked_subscription_count() == subscriptions;
   }
   /// Each test has topics of its own, so that none sees another's endpoints.
   std::string topic() const {

@@ -351,11 +351,11 @@ TEST_F(BridgeTest, PassesDeadlinesAndLifespansOn) {
   other_.writes(dds_topic() + "_in", test::dds_type_name<String>(), with_deadline(1h));
   auto fits = create_subscription<String>(PlainNode(), topic() + "_in", QoS(5).deadline(1h));
   auto strict = create_subscription<String>(PlainNode(), topic() + "_in", QoS(5).deadline(59min));
-  EXPECT_TRUE(other_.eventually([&] { return fits->get_publisher_count() == 1; }));
+  EXPECT_TRUE(other_.eventually([&] { return fits->get_linked_publisher_count() == 1; }));
   EXPECT_TRUE(other_.eventually([&] {
     return strict->get_incompatible_qos_status().last_policy_kind == QosPolicyKind::deadline;
   }));
-  EXPECT_EQ(strict->get_publisher_count(), 0u);
+  EXPECT_EQ(strict->get_linked_publisher_count(), 0u);
 }
 
 TEST_F(BridgeTest, AnnouncesAPublisherAndReadsItOnlyForAReaderInDds) {
@@ -388,7 +388,7 @@ TEST_F(BridgeTest, AnnouncesAPublisherAndReadsItOnlyForAReaderInDds) {
     EXPECT_TRUE(publisher->publish(std::move(loan)));
   };
   for (int round = 1; round <= 2; ++round) {
-    EXPECT_EQ(publisher->get_subscription_count(), 0u) << "the bridge subscribes for nobody";
+    EXPECT_EQ(publisher->get_linked_subscription_count(), 0u) << "the bridge subscribes for nobody";
     const Guid before = *writers().begin();
     say("history " + std::to_string(round));
     {
@@ -402,12 +402,13 @@ TEST_F(BridgeTest, AnnouncesAPublisherAndReadsItOnlyForAReaderInDds) {
         EXPECT_EQ(heard->data, "history " + std::to_string(i)) << "each once, in its order";
         EXPECT_EQ(other_.last().writer, before) << "not from the announced writer";
       }
-      ASSERT_TRUE(other_.eventually([&] { return publisher->get_subscription_count() == 1; }));
+      ASSERT_TRUE(
+          other_.eventually([&] { return publisher->get_linked_subscription_count() == 1; }));
       EXPECT_EQ(other_.take<String>(reader, std::chrono::milliseconds(300)), nullptr);
       other_.forget();
     }
     ASSERT_TRUE(other_.eventually([&] {
-      return publisher->get_subscription_count() == 0 && writers().size() == 1 &&
+      return publisher->get_linked_subscription_count() == 0 && writers().size() == 1 &&
              !writers().contains(before);
     })) << "the bridge announces a writer again once nobody reads";
   }

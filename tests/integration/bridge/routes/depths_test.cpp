@@ -47,8 +47,8 @@ class Depths : public BridgeTest {
   bool hears(DdsReader& reader, Publisher<String>& one, Publisher<String>& other,
              std::size_t local_readers) {
     if (!other_.eventually([&] {
-          return one.get_subscription_count() == local_readers &&
-                 other.get_subscription_count() == local_readers;
+          return one.get_linked_subscription_count() == local_readers &&
+                 other.get_linked_subscription_count() == local_readers;
         }))
       return false;
     bool from_one = false, from_other = false;
@@ -140,7 +140,7 @@ TEST_F(Depths, OfANewPublisherLoseNoneOfItsFirstMessages) {
   for (int round = 0; round < 20; ++round) {
     auto next =
         create_publisher<String>(PlainNode(), topic(), static_cast<std::size_t>(11 + round));
-    ASSERT_TRUE(other_.eventually([&] { return next->get_subscription_count() > 0; }));
+    ASSERT_TRUE(other_.eventually([&] { return next->get_linked_subscription_count() > 0; }));
     for (int i = 0; i < 5; ++i) ASSERT_TRUE(publish(*next, std::to_string(i)));
     SCOPED_TRACE(round);
     ASSERT_NO_FATAL_FAILURE(take_numbers(reader, 5));
@@ -157,7 +157,8 @@ TEST_F(Depths, OfANewPublisherAreNotThoseOfAShallowerLocalReader) {
     // The first one of a depth makes a local reader, the second one finds it.
     all.push_back(create_publisher<String>(PlainNode(), topic(), 10 + round / 2));
     const Publisher<String>& next = *all.back();
-    ASSERT_TRUE(other_.eventually([&] { return next.get_subscription_count() == 2 + round / 2; }));
+    ASSERT_TRUE(
+        other_.eventually([&] { return next.get_linked_subscription_count() == 2 + round / 2; }));
     stop();
     for (int i = 0; i < 5; ++i) ASSERT_TRUE(publish(*all.back(), std::to_string(i)));
     go_on();
@@ -172,7 +173,7 @@ TEST_F(Depths, OfANewKeepAllPublisherBlockItAndLoseNothing) {
   ASSERT_TRUE(other_.eventually([&] { return is_out(reader, *first); }));
   for (int round = 0; round < 20; ++round) {
     auto next = create_publisher<String>(PlainNode(), topic(), QoS(1).keep_all(10));
-    ASSERT_TRUE(other_.eventually([&] { return next->get_subscription_count() == 1; }));
+    ASSERT_TRUE(other_.eventually([&] { return next->get_linked_subscription_count() == 1; }));
     for (int i = 0; i < 40; ++i) {
       const auto deadline = std::chrono::steady_clock::now() + patience;
       while (!publish(*next, std::to_string(i)))

@@ -330,7 +330,7 @@ TEST_F(Api, DepthCountsOverAllPublishersOrForEachOne) {
   auto each =
       create_subscription<Cloud>(node, "depths", qos, SubscriptionOptions().depth_per_publisher());
   for (const auto& publisher : publishers)
-    ASSERT_TRUE(test::eventually([&] { return publisher->get_subscription_count() == 2; }));
+    ASSERT_TRUE(test::eventually([&] { return publisher->get_linked_subscription_count() == 2; }));
   using testing::ElementsAre;
   using testing::Pair;
   EXPECT_THAT(drain(*together), ElementsAre(Pair(4, ElementsAre(2, 3))));
@@ -397,10 +397,10 @@ TEST_F(Api, BestAvailableMatchesAllQos) {
   EXPECT_FALSE(QoS(best).is_transient_local());
   auto undemanding = create_subscription<Cloud>(node, "best", QoS(best));
   auto publisher = create_publisher<Cloud>(node, "best", QoS(1).best_effort());
-  EXPECT_TRUE(test::eventually([&] { return undemanding->get_publisher_count() == 1; }));
+  EXPECT_TRUE(test::eventually([&] { return undemanding->get_linked_publisher_count() == 1; }));
   auto demanding = create_subscription<Cloud>(node, "best_too", QoS(1).reliable());
   auto offering = create_publisher<Cloud>(node, "best_too", QoS(best));
-  EXPECT_TRUE(test::eventually([&] { return demanding->get_publisher_count() == 1; }));
+  EXPECT_TRUE(test::eventually([&] { return demanding->get_linked_publisher_count() == 1; }));
   auto strict = create_subscription<Cloud>(node, "best", QoS(best).reliable());
   EXPECT_TRUE(test::eventually([&] {
     return strict->get_incompatible_qos_status().total_count == 1;
@@ -520,9 +520,9 @@ TEST_F(Api, AnEndedPublisherIsNotCountedAlthoughItsMessagesRemain) {
   auto subscription = create_subscription<Cloud>(node, "gone", QoS(5));
   auto publisher = create_publisher<Cloud>(node, "gone", 1);
   ASSERT_TRUE(publisher->publish(publisher->borrow_loaned_message()));
-  ASSERT_TRUE(test::eventually([&] { return subscription->get_publisher_count() == 1; }));
+  ASSERT_TRUE(test::eventually([&] { return subscription->get_linked_publisher_count() == 1; }));
   publisher.reset();
-  EXPECT_TRUE(test::eventually([&] { return subscription->get_publisher_count() == 0; }));
+  EXPECT_TRUE(test::eventually([&] { return subscription->get_linked_publisher_count() == 0; }));
   EXPECT_TRUE(take_soon(*subscription));
 }
 

@@ -34,8 +34,8 @@ class Deadline : public test::SuiteDaemon {
             const SubscriptionOptions& of_subscription = {}) {
     publisher = node.create_publisher<Number>(own("topic"), qos, of_publisher);
     subscription = node.create_subscription<Number>(own("topic"), qos, of_subscription);
-    ASSERT_TRUE(test::eventually([&] { return publisher->get_subscription_count() == 1; }));
-    ASSERT_TRUE(test::eventually([&] { return subscription->get_publisher_count() == 1; }));
+    ASSERT_TRUE(test::eventually([&] { return publisher->get_linked_subscription_count() == 1; }));
+    ASSERT_TRUE(test::eventually([&] { return subscription->get_linked_publisher_count() == 1; }));
   }
   void publish() {
     published_after = Clock::now();
@@ -104,7 +104,7 @@ TEST_F(Deadline, IsNotMissedWhileMessagesCome) {
 TEST_F(Deadline, AnyPublisherKeepsThatOfASubscription) {
   meet(QoS(10).deadline(1h));
   const auto other = node.create_publisher<Number>(own("topic"), QoS(10).deadline(period));
-  ASSERT_TRUE(test::eventually([&] { return other->get_subscription_count() == 1; }));
+  ASSERT_TRUE(test::eventually([&] { return other->get_linked_subscription_count() == 1; }));
   ASSERT_TRUE(other->publish(other->borrow_loaned_message()));
   EXPECT_TRUE(
       test::eventually([&] { return other->get_deadline_missed_status().total_count >= 2; }));
@@ -116,7 +116,7 @@ TEST_F(Deadline, OfAnEndedPublisherGoesOn) {
   meet(QoS(10).deadline(period));
   publish();
   publisher.reset();
-  ASSERT_TRUE(test::eventually([&] { return subscription->get_publisher_count() == 0; }));
+  ASSERT_TRUE(test::eventually([&] { return subscription->get_linked_publisher_count() == 0; }));
   wait_for(2);
   EXPECT_TRUE(has_missed_all([&] { return subscription->get_deadline_missed_status(); }));
   while (subscription->take()) {

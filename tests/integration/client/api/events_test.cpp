@@ -197,7 +197,7 @@ TEST_F(Events, CallbacksRunInTheExecutorAndReportEarlierEvents) {
   executor.add_node(node);
   SecondProcess other({"publish", own("topic"), "1bv", "0"});
   auto witness = node.create_subscription<Number>(own("topic"), qos_of("1bv"));
-  ASSERT_TRUE(eventually([&] { return witness->get_publisher_count() == 1; }));
+  ASSERT_TRUE(eventually([&] { return witness->get_linked_publisher_count() == 1; }));
   Told<IncompatibleQosInfo> told;
   auto subscription = node.create_subscription<Number>(
       own("topic"), qos_of("1rv"),
@@ -252,10 +252,10 @@ TEST_F(Events, ASubscriptionMayIgnoreThePublishersOfItsProcess) {
   const auto remote = node.create_subscription<Number>(
       own("topic"), qos, SubscriptionOptions().ignore_local_publications());
   const auto publisher = node.create_publisher<Number>(own("topic"), qos);
-  ASSERT_TRUE(eventually([&] { return publisher->get_subscription_count() == 1; }));
+  ASSERT_TRUE(eventually([&] { return publisher->get_linked_subscription_count() == 1; }));
   SecondProcess other({"publish", own("topic"), "10rv", "3"});
-  ASSERT_TRUE(eventually([&] { return remote->get_publisher_count() == 1; }));
-  EXPECT_EQ(all->get_publisher_count(), 2u);
+  ASSERT_TRUE(eventually([&] { return remote->get_linked_publisher_count() == 1; }));
+  EXPECT_EQ(all->get_linked_publisher_count(), 2u);
   auto loan = publisher->borrow_loaned_message();
   loan->value = 99;
   ASSERT_TRUE(publisher->publish(std::move(loan)));
@@ -267,7 +267,7 @@ TEST_F(Events, ASubscriptionMayIgnoreThePublishersOfItsProcess) {
   }));
   EXPECT_THAT(by_all, testing::UnorderedElementsAre(1, 2, 3, 99));
   EXPECT_THAT(by_remote, testing::ElementsAre(1, 2, 3));
-  EXPECT_EQ(publisher->get_subscription_count(), 1u);
+  EXPECT_EQ(publisher->get_linked_subscription_count(), 1u);
   EXPECT_EQ(publisher->get_incompatible_qos_status().total_count, 0);
 }
 

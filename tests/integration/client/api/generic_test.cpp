@@ -295,7 +295,7 @@ TEST_F(Generic, ALoanThatOutlivesItsPublisherIsRefusedByOtherTypes) {
 TEST_F(Generic, MessagesOfABatchHaveTheirTable) {
   auto subscription = create_generic_subscription(node, "batch", "std_msgs/Header", QoS(5));
   auto publisher = create_publisher<std_msgs::msg::Header>(node, "batch", 5);
-  ASSERT_TRUE(test::eventually([&] { return publisher->get_subscription_count() == 1; }));
+  ASSERT_TRUE(test::eventually([&] { return publisher->get_linked_subscription_count() == 1; }));
   for (std::int32_t i = 1; i <= 3; ++i) {
     auto loan = publisher->borrow_loaned_message();
     loan->stamp.sec = i;

@@ -34,8 +34,8 @@ class LivelinessTest : public test::SuiteDaemon {
             const SubscriptionOptions& of_subscription = {}) {
     publisher = node.create_publisher<Number>(own("topic"), qos, of_publisher);
     subscription = node.create_subscription<Number>(own("topic"), qos, of_subscription);
-    ASSERT_TRUE(eventually([&] { return publisher->get_subscription_count() == 1; }));
-    ASSERT_TRUE(eventually([&] { return subscription->get_publisher_count() == 1; }));
+    ASSERT_TRUE(eventually([&] { return publisher->get_linked_subscription_count() == 1; }));
+    ASSERT_TRUE(eventually([&] { return subscription->get_linked_publisher_count() == 1; }));
   }
   bool counts(int alive, int not_alive) {
     const LivelinessChangedInfo info = subscription->get_liveliness_changed_status();
@@ -108,7 +108,7 @@ TEST_F(LivelinessTest, EachPublisherIsCounted) {
   meet(manual(lease));
   const auto brief = node.create_publisher<Number>(own("topic"), manual(1ms));
   const auto other = node.create_publisher<Number>(own("topic"), manual(lease));
-  EXPECT_TRUE(eventually([&] { return subscription->get_publisher_count() == 3; }));
+  EXPECT_TRUE(eventually([&] { return subscription->get_linked_publisher_count() == 3; }));
   EXPECT_TRUE(eventually([&] { return counts(0, 3); }));
   EXPECT_TRUE(eventually([&] { return other->assert_liveliness() && counts(1, 2); }));
 }

@@ -166,7 +166,7 @@ TEST_F(Nodes, MayBeDerivedFromAndUseTheirMembersInCallbacks) {
   Node node("asker");
   auto answers = node.create_subscription<Number>("out", 10);
   auto questions = node.create_publisher<Number>("in", 10);
-  ASSERT_TRUE(eventually([&] { return answers->get_publisher_count() == 1; }));
+  ASSERT_TRUE(eventually([&] { return answers->get_linked_publisher_count() == 1; }));
   for (std::uint64_t value : {7u, 8u}) {
     auto question = questions->borrow_loaned_message();
     question->value = value;

@@ -207,7 +207,7 @@ TEST_F(Publishing, ALoanThatOutlivesItsPublisherBelongsToNoOther) {
 TEST_F(Publishing, AMessageOfTheCallerIsCopiedOnceAndStaysTheCallers) {
   auto subscription = create_subscription<Parts>(node, "copy", QoS(5));
   auto publisher = create_publisher<Parts>(node, "copy", 5);
-  ASSERT_TRUE(test::eventually([&] { return publisher->get_subscription_count() == 1; }));
+  ASSERT_TRUE(test::eventually([&] { return publisher->get_linked_subscription_count() == 1; }));
   Parts parts;
   parts.parts.assign(3, Part(1000));
   parts_copied = 0;
@@ -247,7 +247,7 @@ TEST_F(Publishing, AMessageOfTheCallerIsCopiedOnceAndStaysTheCallers) {
 TEST_F(Publishing, ACopyWaitsForAKeepAllReaderLikeAMessage) {
   auto subscription = create_subscription<Parts>(node, "copies", QoS(1).keep_all(1));
   auto publisher = create_publisher<Parts>(node, "copies", QoS(1).keep_all(1));
-  ASSERT_TRUE(test::eventually([&] { return publisher->get_subscription_count() == 1; }));
+  ASSERT_TRUE(test::eventually([&] { return publisher->get_linked_subscription_count() == 1; }));
   Parts parts;
   parts.parts.assign(1, Part(1000));
   while (publisher->publish(parts)) ASSERT_LT(parts_copied, 1000);
@@ -261,7 +261,7 @@ TEST_F(Publishing, ACopyWaitsForAKeepAllReaderLikeAMessage) {
 TEST_F(Publishing, KeepAllBlocksAndPublishForWaitsForTheReader) {
   auto subscription = create_subscription<Moody>(node, "all", QoS(1).keep_all(3));
   auto publisher = create_publisher<Moody>(node, "all", QoS(1).keep_all(3));
-  ASSERT_TRUE(test::eventually([&] { return publisher->get_subscription_count() == 1; }));
+  ASSERT_TRUE(test::eventually([&] { return publisher->get_linked_subscription_count() == 1; }));
   std::uint8_t number = 0;
   PublishResult result;
   auto message = foreign(number);
@@ -309,7 +309,7 @@ TEST_F(Publishing, WaitsUntilEachReliableReaderHasTakenAll) {
   EXPECT_TRUE(publisher->wait_for_all_acked()) << "nobody has to receive it";
   auto slow = create_subscription<Moody>(node, "acked", QoS(2));
   auto lossy = create_subscription<Moody>(node, "acked", QoS(10).best_effort());
-  ASSERT_TRUE(test::eventually([&] { return publisher->get_subscription_count() == 2; }));
+  ASSERT_TRUE(test::eventually([&] { return publisher->get_linked_subscription_count() == 2; }));
   publish(3);
   EXPECT_FALSE(publisher->wait_for_all_acked(seconds(0)));
   ASSERT_TRUE(take_soon(slow));
@@ -338,7 +338,7 @@ TEST_F(Publishing, WaitsUntilEachReliableReaderHasTakenAll) {
 TEST_F(Publishing, AFullHeapIsReportedUntilReadersRelease) {
   auto subscription = create_subscription<Moody>(node, "full", QoS(100));
   auto publisher = create_publisher<Moody>(node, "full", 100);
-  ASSERT_TRUE(test::eventually([&] { return publisher->get_subscription_count() == 1; }));
+  ASSERT_TRUE(test::eventually([&] { return publisher->get_linked_subscription_count() == 1; }));
   std::deque<ipc_shared_ptr<const Moody>> held;
   ipc_shared_ptr<Moody> loan;
   PublishResult result;
@@ -380,7 +380,7 @@ TEST_F(Publishing, AFullHeapIsReportedUntilReadersRelease) {
 /// Fills the heap. Returns the published messages, which it holds.
 std::deque<ipc_shared_ptr<const Moody>> fill_heap(const Publisher<Moody>::SharedPtr& publisher,
                                                   const Subscription<Moody>::SharedPtr& reader) {
-  EXPECT_TRUE(test::eventually([&] { return publisher->get_subscription_count() == 1; }));
+  EXPECT_TRUE(test::eventually([&] { return publisher->get_linked_subscription_count() == 1; }));
   std::deque<ipc_shared_ptr<const Moody>> held;
   for (;;) {
     auto loan = publisher->borrow_loaned_message();

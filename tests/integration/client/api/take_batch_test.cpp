@@ -77,7 +77,8 @@ class TakeBatch : public test::SuiteDaemon {
     while (publishers.size() < publisher_count)
       publishers.push_back(create_publisher<Block>(node, topic_, qos));
     for (const auto& publisher : publishers)
-      ASSERT_TRUE(test::eventually([&] { return publisher->get_subscription_count() == 2; }));
+      ASSERT_TRUE(
+          test::eventually([&] { return publisher->get_linked_subscription_count() == 2; }));
   }
   /// Publishes `first` to `last`, each by a random publisher.
   void publish_all(std::uint64_t first, std::uint64_t last) {
@@ -103,7 +104,7 @@ std::uint64_t inversions_of(PlainNode& node, const std::string& topic, std::size
   while (publishers.size() < 8)
     publishers.push_back(create_publisher<Block>(node, topic, QoS(100)));
   for (const auto& publisher : publishers)
-    EXPECT_TRUE(test::eventually([&] { return publisher->get_subscription_count() == 1; }));
+    EXPECT_TRUE(test::eventually([&] { return publisher->get_linked_subscription_count() == 1; }));
   std::thread publishes([&] {
     for (std::uint64_t value = 1; value <= count; ++value) {
       auto loan = publishers[value % publishers.size()]->borrow_loaned_message();
@@ -226,8 +227,8 @@ TEST_F(TakeBatch, GivesAllMessagesOfAnEndedPublisher) {
   ASSERT_NO_FATAL_FAILURE(begin(2, QoS(20)));
   publish_all(1, 20);
   publishers.pop_back();
-  ASSERT_TRUE(test::eventually([&] { return batched->get_publisher_count() == 1; }));
-  ASSERT_TRUE(test::eventually([&] { return singly->get_publisher_count() == 1; }));
+  ASSERT_TRUE(test::eventually([&] { return batched->get_linked_publisher_count() == 1; }));
+  ASSERT_TRUE(test::eventually([&] { return singly->get_linked_publisher_count() == 1; }));
   EXPECT_EQ(in_batches(*batched, 6), one_by_one(*singly));
   publish_all(21, 21);
   EXPECT_THAT(in_batches(*batched, 6), ElementsAre(21));

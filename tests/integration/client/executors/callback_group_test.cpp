@@ -47,7 +47,7 @@ TEST_F(CallbackGroups, AGroupThatIsInNoExecutorRunsNothing) {
   std::atomic<int> got{0};
   auto subscription = two.subscribe(0, own("topic"), [&](const Message&) { ++got; });
   auto publisher = two.node.create_publisher<Number>(own("topic"), 1000);
-  ASSERT_TRUE(eventually([&] { return subscription->get_publisher_count() == 1; }));
+  ASSERT_TRUE(eventually([&] { return subscription->get_linked_publisher_count() == 1; }));
   publish(*publisher, 1);
   std::this_thread::sleep_for(50ms);
   EXPECT_EQ(got, 0);
@@ -102,7 +102,7 @@ TEST_F(CallbackGroups, NodesBeyondTheWaitSetsOfAProcessShareThem) {
   }
   std::thread one([&] { executor.spin(); }), two([&] { other.spin(); });
   auto publisher = nodes.front()->create_publisher<Number>(own("topic"), 1);
-  EXPECT_TRUE(eventually([&] { return publisher->get_subscription_count() == count; }));
+  EXPECT_TRUE(eventually([&] { return publisher->get_linked_subscription_count() == count; }));
   for (int value = 1; value <= 5; ++value) {
     publish(*publisher, static_cast<std::uint64_t>(value));
     EXPECT_TRUE(eventually([&] {
@@ -170,7 +170,7 @@ TEST_F(CallbackGroups, SeveralThreadsRunDifferentGroupsAtOnceAndOneGroupNever) {
   executor.add_node(two.node);
   {
     const SpinningThread spinning(executor);
-    ASSERT_TRUE(eventually([&] { return publisher->get_subscription_count() == 4; }));
+    ASSERT_TRUE(eventually([&] { return publisher->get_linked_subscription_count() == 4; }));
     for (std::uint64_t value = 1; value <= 200; ++value) {
       publish(*publisher, value);
       std::this_thread::sleep_for(std::chrono::microseconds(value * 7 % 300));
@@ -191,7 +191,7 @@ TEST_F(CallbackGroups, AReentrantGroupRunsOneSubscriptionInSeveralThreads) {
     if (eventually([&] { return inside >= 2; })) ++met;
   });
   auto publisher = two.node.create_publisher<Number>(own("topic"), 1000);
-  ASSERT_TRUE(eventually([&] { return subscription->get_publisher_count() == 1; }));
+  ASSERT_TRUE(eventually([&] { return subscription->get_linked_publisher_count() == 1; }));
   MultiThreadedExecutor executor(2);
   executor.add_node(two.node);
   const SpinningThread spinning(executor);
@@ -213,8 +213,9 @@ TEST_F(CallbackGroups, ACallbackIsolatedExecutorGivesEachGroupItsThread) {
       two.subscribe(1, own("second"), [&](const Message& number) { seen[1].add(number->value); });
   auto to_first = two.node.create_publisher<Number>(own("first"), 10);
   auto to_second = two.node.create_publisher<Number>(own("second"), 10);
-  ASSERT_TRUE(eventually(
-      [&] { return first->get_publisher_count() == 1 && second->get_publisher_count() == 1; }));
+  ASSERT_TRUE(eventually([&] {
+    return first->get_linked_publisher_count() == 1 && second->get_linked_publisher_count() == 1;
+  }));
   CallbackIsolatedExecutor executor;
   executor.add_node(two.node);
   {
@@ -227,7 +228,7 @@ TEST_F(CallbackGroups, ACallbackIsolatedExecutorGivesEachGroupItsThread) {
     auto third = two.node.create_subscription<Number>(
         own("second"), 10, [&](const Message& number) { seen[2].add(number->value); },
         SubscriptionOptions().callback_group(third_group));
-    ASSERT_TRUE(eventually([&] { return third->get_publisher_count() == 1; }));
+    ASSERT_TRUE(eventually([&] { return third->get_linked_publisher_count() == 1; }));
     publish(*to_second, 2);
     EXPECT_TRUE(eventually([&] { return seen[1].count() == 2 && seen[2].count() == 1; }));
     third.reset();
@@ -256,7 +257,7 @@ void leaves_spin(const std::string& name, const std::string& topic) {
   auto publisher = node.create_publisher<Number>(topic, 10);
   Made executor;
   executor.add_node(node);
-  ASSERT_TRUE(eventually([&] { return subscription->get_publisher_count() == 1; }));
+  ASSERT_TRUE(eventually([&] { return subscription->get_linked_publisher_count() == 1; }));
   auto number = publisher->borrow_loaned_message();
   ASSERT_TRUE(publisher->publish(std::move(number)));
   EXPECT_THROW(executor.spin(), std::runtime_error);

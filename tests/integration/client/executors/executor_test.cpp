@@ -48,7 +48,7 @@ TEST_F(Executors, NothingRunsUntilAnExecutorThatHasTheNodeSpins) {
       own("topic"), 10, [&](const Message& number) { seen.add(number->value); },
       SubscriptionOptions().matched_callback([&](MatchedInfo&) { ++events; }));
   auto publisher = node.create_publisher<Number>(own("topic"), 10);
-  ASSERT_TRUE(eventually([&] { return subscription->get_publisher_count() == 1; }));
+  ASSERT_TRUE(eventually([&] { return subscription->get_linked_publisher_count() == 1; }));
   for (std::uint64_t value = 1; value <= 3; ++value) publish(*publisher, value);
   BackgroundExecutor other;
   SingleThreadedExecutor executor;
@@ -112,7 +112,7 @@ TEST_F(Executors, ACancelDuringTheLastCallbackAppliesToTheNextSpin) {
         executor.cancel();
       });
   auto publisher = node.create_publisher<Number>(own("topic"), 10);
-  ASSERT_TRUE(eventually([&] { return subscription->get_publisher_count() == 1; }));
+  ASSERT_TRUE(eventually([&] { return subscription->get_linked_publisher_count() == 1; }));
   for (std::uint64_t value = 1; value <= 4; ++value) publish(*publisher, value);
   executor.spin_once();
   executor.spin();
@@ -232,9 +232,9 @@ TEST_F(Executors, EachSubscriptionRunsInEachCycle) {
   auto to_b = fast.create_publisher<Number>(own("b"), 10);
   auto to_c = fast.create_publisher<Number>(own("c"), 10);
   for (auto* publisher : {&to_a, &to_b, &to_c})
-    ASSERT_TRUE(eventually([&] { return (*publisher)->get_subscription_count() == 1; }));
+    ASSERT_TRUE(eventually([&] { return (*publisher)->get_linked_subscription_count() == 1; }));
   for (auto* subscription : {&a, &b, &c})
-    ASSERT_TRUE(eventually([&] { return (*subscription)->get_publisher_count() == 1; }));
+    ASSERT_TRUE(eventually([&] { return (*subscription)->get_linked_publisher_count() == 1; }));
   for (std::uint64_t value = 1; value <= 4; ++value) publish(*to_a, value);
   for (std::uint64_t value = 1; value <= 2; ++value) publish(*to_b, value);
   for (std::uint64_t value = 1; value <= 3; ++value) publish(*to_c, value);
@@ -393,7 +393,7 @@ TEST_F(Executors, NodesOfOtherTypesAreKnownByTheirName) {
   executor.add_node(node);  // before its first subscription
   auto subscription = create_subscription<Number>(
       node.get(), own("topic"), 10, [&](const Message& number) { seen.add(number->value); });
-  ASSERT_TRUE(eventually([&] { return subscription->get_publisher_count() == 1; }));
+  ASSERT_TRUE(eventually([&] { return subscription->get_linked_publisher_count() == 1; }));
   publish(*publisher, 1);
   executor.spin_once();
   EXPECT_EQ(seen.values, up_to(1));
@@ -422,7 +422,7 @@ TEST_F(Executors, ACallbackMayMoveItsNodeAndEndItsSubscription) {
   });
   auto publisher = node.create_publisher<Number>(own("topic"), 10);
   executor.add_node(node);
-  ASSERT_TRUE(eventually([&] { return subscription->get_publisher_count() == 1; }));
+  ASSERT_TRUE(eventually([&] { return subscription->get_linked_publisher_count() == 1; }));
   for (std::uint64_t value = 1; value <= 3; ++value) publish(*publisher, value);
   executor.spin_all(0s);
   EXPECT_EQ(seen.values, up_to(1));
@@ -536,7 +536,7 @@ TEST_F(Executors, ABackgroundExecutorRunsCallbacksInItsThreadWhileItLives) {
       },
       SubscriptionOptions().callback_group(group));
   auto publisher = node.create_publisher<Number>(own("topic"), 10);
-  ASSERT_TRUE(eventually([&] { return subscription->get_publisher_count() == 1; }));
+  ASSERT_TRUE(eventually([&] { return subscription->get_linked_publisher_count() == 1; }));
   {
     BackgroundExecutor executor;
     EXPECT_TRUE(executor.is_spinning());

@@ -235,7 +235,7 @@ TEST(Addresses, AMessageBegunBeforeTheHeapMovedIsCopied) {
                         "; it goes on in another window; it has another mapping at "
                         "0x0000300000200000, 2097152 bytes: 300000200000-300000201000 r--p"));
   EXPECT_EQ(publisher->get_heap_collision_status().total_count_change, 0);
-  ASSERT_TRUE(test::eventually([&] { return publisher->get_subscription_count() == 1; }));
+  ASSERT_TRUE(test::eventually([&] { return publisher->get_linked_subscription_count() == 1; }));
   PublishResult result = publisher->publish(std::move(begun));
   ASSERT_TRUE(result) << sentence_of(result.code);
   EXPECT_GE(result.adopted_bytes, 100'000u);

@@ -127,7 +127,7 @@ TEST_F(HeapReturns, ASpikeBesideTrafficThatKeepsItsMemory) {
   EXPECT_TRUE(in_own_process([] {
     const auto publisher = publisher_with("3");
     const auto subscription = create_subscription<Bulk>(PlainNode(), "bulk", QoS(1));
-    ASSERT_TRUE(eventually([&] { return publisher->get_subscription_count() == 1; }));
+    ASSERT_TRUE(eventually([&] { return publisher->get_linked_subscription_count() == 1; }));
     for (int i = 0; i < 5; ++i) publish_one(*publisher, subscription);
     const std::uint64_t before = resident_bytes();
     spike(*publisher);

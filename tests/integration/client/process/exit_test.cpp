@@ -151,7 +151,7 @@ TEST_F(Exiting, NoMessageIsDestroyedByTheControlThreadAfterExit) {
   EXPECT_EQ(run([](AtExit& at_exit) {
               auto subscription = create_subscription<Ping>(PlainNode(), "ping", QoS(10));
               auto publisher = create_publisher<Ping>(PlainNode(), "ping", 1);
-              while (publisher->get_subscription_count() == 0)
+              while (publisher->get_linked_subscription_count() == 0)
                 std::this_thread::sleep_for(std::chrono::milliseconds(1));
               if (!publisher->publish(publisher->borrow_loaned_message())) ::_exit(3);
               auto held = take_soon(subscription);

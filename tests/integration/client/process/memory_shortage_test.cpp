@@ -153,7 +153,7 @@ TEST_F(MemoryShortageOnce, DestroyingNeedsNoMemory) {
   auto subscription = node->create_subscription<Number>("/d", 10);
   auto publisher = node->create_publisher<Number>("/d", 10);
   ASSERT_NO_FATAL_FAILURE(lose());
-  ASSERT_TRUE(eventually([&] { return publisher->get_subscription_count() == 1; }));
+  ASSERT_TRUE(eventually([&] { return publisher->get_linked_subscription_count() == 1; }));
   fails_at = always;
   failing_thread = "user";
   subscription.reset();
@@ -165,7 +165,7 @@ TEST_F(MemoryShortageOnce, DestroyingNeedsNoMemory) {
 TEST_F(MemoryShortageOnce, ABatchTakesAsManyAsItHasMemoryForAndLeavesTheRestUnread) {
   auto subscription = node->create_subscription<Number>("/f", 40);
   auto publisher = node->create_publisher<Number>("/f", 40);
-  ASSERT_TRUE(eventually([&] { return publisher->get_subscription_count() == 1; }));
+  ASSERT_TRUE(eventually([&] { return publisher->get_linked_subscription_count() == 1; }));
   std::uint64_t published = 0, expected = 1;
   std::vector<ipc_shared_ptr<const Number>> batch(40);
   const auto publish = [&](std::size_t count) {
@@ -293,7 +293,7 @@ TEST_P(MemoryShortage, LosesNothing) {
     }
   };
   const auto is_matched = [](const Stream& stream) {
-    return stream.publisher->get_subscription_count() == 1;
+    return stream.publisher->get_linked_subscription_count() == 1;
   };
 
   // Counts the allocations when none fails.

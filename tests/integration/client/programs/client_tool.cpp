@@ -99,7 +99,9 @@ class Tool {
     if (what == "state") return state();
     if (what == "fork") return fork_child();
     if (what == "connect") return connect();
-    if (what == "matched") return std::to_string(publisher_->subscription_count());
+    if (what == "matched")
+      return std::to_string(publisher_->subscription_count(PublisherEndpoint::Readers::linked));
+    if (what == "counted") return std::to_string(publisher_->subscription_count());
     if (what == "unsub") {
       Context::instance().destroy(subscription_);
       subscription_.reset();

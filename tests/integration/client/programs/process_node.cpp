@@ -204,7 +204,7 @@ struct Endpoints {
   }
   /// Triggers all places.
   void use() {
-    wait_until([this] { return publisher->get_subscription_count() == 1; });
+    wait_until([this] { return publisher->get_linked_subscription_count() == 1; });
     (void)client->wait_for_service(20s);
     publish();
     ask();
@@ -238,7 +238,7 @@ int signals(const std::string& place) {
   if (place == "destructor") {
     // Held while it leaves the history, released while nobody publishes.
     auto holder = all.first.create_subscription<Ping>("ping", QoS(10));
-    wait_until([&] { return all.publisher->get_subscription_count() == 2; });
+    wait_until([&] { return all.publisher->get_linked_subscription_count() == 2; });
     is_own_thread = true;
     when_destroyed = all.places[place];
     all.publish();
@@ -326,7 +326,7 @@ int main_ends(const std::string& what) {
     // The node publishes to itself, for ever.
     all.subscription = all.first.create_subscription<Ping>(
         "ping", QoS(10), [&all](const Message&) { all.publish(); });
-    wait_until([&] { return all.publisher->get_subscription_count() == 1; });
+    wait_until([&] { return all.publisher->get_linked_subscription_count() == 1; });
     all.publish();
   }
   tell("main ends");
@@ -422,14 +422,14 @@ int mutual() {
   auto publisher = left.create_publisher<Ping>("ping", QoS(10));
   one = left.create_subscription<Ping>("ping", QoS(10), destroys(other));
   other = right.create_subscription<Ping>("ping", QoS(10), destroys(one));
-  wait_until([&] { return publisher->get_subscription_count() == 2; });
+  wait_until([&] { return publisher->get_linked_subscription_count() == 2; });
   (void)publisher->publish(publisher->borrow_loaned_message());
   wait_until([&] { return over == 2; });
   // Both nodes go on.
   std::atomic<int> heard{0};
   one = left.create_subscription<Ping>("ping", QoS(10), [&](const Message&) { ++heard; });
   other = right.create_subscription<Ping>("ping", QoS(10), [&](const Message&) { ++heard; });
-  wait_until([&] { return publisher->get_subscription_count() == 2; });
+  wait_until([&] { return publisher->get_linked_subscription_count() == 2; });
   (void)publisher->publish(publisher->borrow_loaned_message());
   wait_until([&] { return heard == 2; });
   tell("both are destroyed");

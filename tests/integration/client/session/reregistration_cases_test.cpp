@@ -80,8 +80,8 @@ void ReregistrationCases::two_publishers_and_two_subscriptions(char durability) 
   }
   const auto matched = [&](std::size_t count) {
     return eventually([&] {
-      return publishers[0]->get_subscription_count() == count &&
-             publishers[1]->get_subscription_count() == count;
+      return publishers[0]->get_linked_subscription_count() == count &&
+             publishers[1]->get_linked_subscription_count() == count;
     });
   };
   ASSERT_TRUE(matched(2));
@@ -120,7 +120,7 @@ void ReregistrationCases::two_publishers_and_two_subscriptions(char durability) 
     EXPECT_EQ(got[r][1], range(1, last)) << r;
     EXPECT_EQ(got[r][2], range(1, last)) << r;
     EXPECT_EQ(readers[r]->get_lost_count(), 0u);
-    EXPECT_EQ(readers[r]->get_publisher_count(), 2u);
+    EXPECT_EQ(readers[r]->get_linked_publisher_count(), 2u);
   }
 }
 
@@ -130,7 +130,7 @@ TEST_F(ReregistrationCases, ChildrenOfForkDisturbNothingAndGetErrors) {
   const auto publisher = node.create_publisher<Number>("/forks", 1000);
   ClientTool other(socket());
   ASSERT_EQ(other.ask("connect"), "ok");
-  ASSERT_TRUE(eventually([&] { return publisher->get_subscription_count() == 1; }));
+  ASSERT_TRUE(eventually([&] { return publisher->get_linked_subscription_count() == 1; }));
   std::uint64_t published = 0;
   publish(*publisher, ++published);
   const auto held = reader->take();
@@ -173,7 +173,7 @@ TEST_F(ReregistrationCases, ChildrenOfForkDisturbNothingAndGetErrors) {
       EXPECT_EQ(executes.wait(), 0) << "a program inherits nothing";
       made += 2;
     } while (connection_state() != ConnectionState::connected ||
-             publisher->get_subscription_count() != 1);
+             publisher->get_linked_subscription_count() != 1);
   }
   std::printf("%llu children\n", static_cast<unsigned long long>(made));
   EXPECT_EQ(other.ask("sub /x 1"), "ok");
@@ -201,8 +201,8 @@ TEST_F(ReregistrationCases, ARefusedEndpointKeepsNoOtherFromMoving) {
   const auto reader_of_deep = node.create_subscription<Number>("/deep", 10);
   const auto reader_of_first = node.create_subscription<Number>("/first", 10);
   const auto both = [&] {
-    return first->get_subscription_count() == 1 && deep->get_subscription_count() == 1 &&
-           last->get_subscription_count() == 1;
+    return first->get_linked_subscription_count() == 1 &&
+           deep->get_linked_subscription_count() == 1 && last->get_linked_subscription_count() == 1;
   };
   ASSERT_TRUE(eventually(both));
   const auto each = [&](std::uint64_t value) {
@@ -220,7 +220,7 @@ TEST_F(ReregistrationCases, ARefusedEndpointKeepsNoOtherFromMoving) {
   const auto newcomer = node.create_subscription<Number>("/first", 10);
   const auto of_refused = node.create_subscription<Number>("/deep", 10);
   const auto other = node.create_subscription<Number>("/last", 10);
-  EXPECT_TRUE(eventually([&] { return first->get_subscription_count() == 2; }));
+  EXPECT_TRUE(eventually([&] { return first->get_linked_subscription_count() == 2; }));
   each(3);
   const auto number = newcomer->take();
   EXPECT_TRUE(number && number->value == 3);
@@ -228,8 +228,8 @@ TEST_F(ReregistrationCases, ARefusedEndpointKeepsNoOtherFromMoving) {
   // A daemon that allows it: everything moves.
   lose();
   EXPECT_TRUE(eventually([&] {
-    return first->get_subscription_count() == 2 && deep->get_subscription_count() == 2 &&
-           last->get_subscription_count() == 2;
+    return first->get_linked_subscription_count() == 2 &&
+           deep->get_linked_subscription_count() == 2 && last->get_linked_subscription_count() == 2;
   }));
   each(4);
   const auto heard = of_refused->take();
@@ -249,7 +249,8 @@ TEST_F(ReregistrationCases, MessagesOfARefusedPublisherInANewWindowReachNobody) 
   test::SecondProcess reader({"blocks", "/refused", "50rv"}),
       of_opaque({"blocks", "/opaque", "50rv"});
   ASSERT_TRUE(eventually([&] {
-    return refused->get_subscription_count() == 1 && opaque->get_subscription_count() == 1;
+    return refused->get_linked_subscription_count() == 1 &&
+           opaque->get_linked_subscription_count() == 1;
   }));
   const auto publish_block = [](auto& publisher, std::uint64_t value) {
     auto block = publisher->borrow_loaned_message();
@@ -278,7 +279,7 @@ TEST_F(ReregistrationCases, MessagesOfARefusedPublisherInANewWindowReachNobody) 
   // A daemon that allows it learns of all windows.
   lose();
   const auto newcomer = node.create_subscription<Block>("/refused", 50);
-  ASSERT_TRUE(eventually([&] { return refused->get_subscription_count() == 1; }));
+  ASSERT_TRUE(eventually([&] { return refused->get_linked_subscription_count() == 1; }));
   EXPECT_TRUE(eventually([&] { return publish_block(refused, 100) == Errc::ok; }));
   EXPECT_TRUE(eventually([&] {
     const auto block = newcomer->take();
@@ -337,7 +338,7 @@ TEST_F(ReregistrationCases, ACallbackThreadThatHoldsAllItMayUsesNoProcessor) {
       },
       options);
   const auto publisher = talker.create_publisher<Number>("/kept", 10);
-  ASSERT_TRUE(eventually([&] { return publisher->get_subscription_count() == 1; }));
+  ASSERT_TRUE(eventually([&] { return publisher->get_linked_subscription_count() == 1; }));
   const auto count = [&] {
     const std::lock_guard lock(kept.mutex);
     return kept.values.size();
@@ -346,7 +347,7 @@ TEST_F(ReregistrationCases, ACallbackThreadThatHoldsAllItMayUsesNoProcessor) {
   ASSERT_TRUE(eventually([&] { return count() == 2; }));
   lose();
   const auto newcomer = talker.create_subscription<Number>("/kept", 10);
-  ASSERT_TRUE(eventually([&] { return publisher->get_subscription_count() == 2; }));
+  ASSERT_TRUE(eventually([&] { return publisher->get_linked_subscription_count() == 2; }));
   EXPECT_FALSE(publisher->wait_for_all_acked(std::chrono::seconds(0)))
       << "three messages are unread in the queue from before";
   for (std::uint64_t value = 6; value <= 8; ++value) publish(*publisher, value);

@@ -71,14 +71,14 @@ TEST_F(ReregistrationOfNodes, CallbacksAreWokenWhereverTheySleep) {
     ASSERT_TRUE(newest);
     EXPECT_EQ(newest->value, value);
     lose();
-    EXPECT_TRUE(eventually([&] { return publisher->get_subscription_count() == 3; }));
+    EXPECT_TRUE(eventually([&] { return publisher->get_linked_subscription_count() == 3; }));
   }
   executor.cancel();
   spins.join();
   EXPECT_EQ(in_background.values, range(1, value));
   EXPECT_EQ(by_executor.values, range(1, value));
   EXPECT_EQ(one->get_lost_count(), 0u);
-  EXPECT_TRUE(eventually([&] { return one->get_publisher_count() == 1; }));
+  EXPECT_TRUE(eventually([&] { return one->get_linked_publisher_count() == 1; }));
 }
 
 // Each message of history that their publisher moves rings the callbacks, and they read the queue
@@ -103,7 +103,7 @@ TEST_F(ReregistrationOfNodes, HistoryArrivesOnceWhileItIsMoved) {
   Listener* const listeners[] = {&keeps_history, &keeps_none, &keeps_one};
   std::uint64_t value = 0;
   const auto publish_one = [&] {
-    EXPECT_TRUE(eventually([&] { return publisher->get_subscription_count() == 3; }));
+    EXPECT_TRUE(eventually([&] { return publisher->get_linked_subscription_count() == 3; }));
     publish(*publisher, ++value);
     for (Listener* const listener : listeners)
       EXPECT_TRUE(eventually([&] { return listener->seen.count() >= value; })) << value;
@@ -128,7 +128,7 @@ TEST_F(ReregistrationOfNodes, LoansAndHeldMessagesStayValid) {
   Node node("holder");
   const auto subscription = node.create_subscription<Number>("/held", 10);
   const auto publisher = node.create_publisher<Number>("/held", 10);
-  ASSERT_TRUE(eventually([&] { return publisher->get_subscription_count() == 1; }));
+  ASSERT_TRUE(eventually([&] { return publisher->get_linked_subscription_count() == 1; }));
   publish(*publisher, 1);
   auto held = subscription->take();
   ASSERT_TRUE(held);
@@ -136,7 +136,7 @@ TEST_F(ReregistrationOfNodes, LoansAndHeldMessagesStayValid) {
   loan->value = 2;
   for (int round = 0; round < 2; ++round) {
     lose();
-    ASSERT_TRUE(eventually([&] { return publisher->get_subscription_count() == 1; }));
+    ASSERT_TRUE(eventually([&] { return publisher->get_linked_subscription_count() == 1; }));
     EXPECT_EQ(held->value, 1u);
   }
   const PublishResult published = publisher->publish(std::move(loan));

@@ -78,7 +78,7 @@ TEST(CtlLive, CountsAdoptedAndLostMessages) {
   const auto kept = [&] {
     return run_ctl(daemon.socket_path(), {"topic", "info", "/kept", "-j"}).json()["publishers"][0];
   };
-  ASSERT_TRUE(test::eventually([&] { return hasty->get_subscription_count() == 1; }));
+  ASSERT_TRUE(test::eventually([&] { return hasty->get_linked_subscription_count() == 1; }));
   int refused = 0;
   for (int i = 0; i < 5; ++i) {
     const PublishResult result = hasty->publish(std::make_unique<Cloud>());

@@ -160,7 +160,7 @@ TEST_F(CtlTopic, EchoPrintsTheMessagesOfATypedNode) {
 TEST_F(CtlTopic, EchoWaitsForATopicOfAGivenTypeAndGoesOn) {
   SteeredProcess echo(command({"topic", "echo", "/later", "std_msgs/msg/String", "-n", "3"}), {});
   auto publisher = create_publisher<String>(node, "/later", QoS(10));
-  ASSERT_TRUE(eventually([&] { return publisher->get_subscription_count() == 1; }));
+  ASSERT_TRUE(eventually([&] { return publisher->get_linked_subscription_count() == 1; }));
   publish(*publisher, text("one"));
   EXPECT_EQ(echo.answer(), "data: one");
   EXPECT_EQ(echo.answer(), "---");
@@ -192,7 +192,7 @@ TEST_F(CtlTopic, EchoShowsAUserDefinedClassOnlyAsRawBytes) {
 TEST_F(CtlTopic, EchoRequestsTheQosThatAllPublishersOffer) {
   auto best_effort = create_publisher<String>(node, "/mixed", QoS(5).best_effort());
   SteeredProcess echo(command({"topic", "echo", "/mixed", "--once"}), {});
-  ASSERT_TRUE(eventually([&] { return best_effort->get_subscription_count() == 1; }));
+  ASSERT_TRUE(eventually([&] { return best_effort->get_linked_subscription_count() == 1; }));
   publish(*best_effort, text("x"));
   EXPECT_EQ(echo.answer(), "data: x");
   EXPECT_EQ(echo.finish(), 0);
@@ -235,7 +235,7 @@ TEST_F(CtlTopic, PubReachesATypedNodeWithoutACopy) {
   EXPECT_THAT(pub.answer(), MatchesRegex("publishing #1: \\{header: \\{stamp: \\{sec: [0-9]+, .*"));
   ::kill(pub.pid(), SIGINT);
   EXPECT_EQ(pub.finish(), 0);
-  EXPECT_TRUE(eventually([&] { return subscription->get_publisher_count() == 0; }));
+  EXPECT_TRUE(eventually([&] { return subscription->get_linked_publisher_count() == 0; }));
 }
 
 TEST_F(CtlTopic, PubSendsTheRequestedNumberOfMessages) {
@@ -317,7 +317,7 @@ TEST_F(CtlTopic, DelayShowsTheAgeOfTheStamp) {
   auto publisher = create_publisher<PointCloud2>(node, "/stamped", QoS(10));
   SteeredProcess delay(command({"topic", "delay", "/stamped", "-w", "3"}), {});
   SteeredProcess for_programs(command({"topic", "delay", "/stamped", "-j"}), {});
-  ASSERT_TRUE(eventually([&] { return publisher->get_subscription_count() == 2; }));
+  ASSERT_TRUE(eventually([&] { return publisher->get_linked_subscription_count() == 2; }));
   for (int i = 0; i < 5; ++i) {
     PointCloud2 message;
     message.header.stamp.sec = static_cast<std::int32_t>(::time(nullptr) - 1000);
@@ -349,10 +349,10 @@ TEST_F(CtlTopic, ASignalEndsThemCleanly) {
   auto publisher = create_publisher<String>(node, "/signalled", QoS(1));
   for (const int signal : {SIGINT, SIGTERM}) {
     SteeredProcess echo(command({"topic", "echo", "/signalled"}), {});
-    ASSERT_TRUE(eventually([&] { return publisher->get_subscription_count() == 1; }));
+    ASSERT_TRUE(eventually([&] { return publisher->get_linked_subscription_count() == 1; }));
     ::kill(echo.pid(), signal);
     EXPECT_EQ(echo.finish(), 0);
-    EXPECT_TRUE(eventually([&] { return publisher->get_subscription_count() == 0; }));
+    EXPECT_TRUE(eventually([&] { return publisher->get_linked_subscription_count() == 0; }));
   }
   // Still waiting for the topic, or for subscriptions.
   SteeredProcess pub(command({"topic", "pub", "-1", "/lonely", "std_msgs/msg/String"}), {});
