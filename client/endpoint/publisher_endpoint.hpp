@@ -174,7 +174,7 @@ class PublisherEndpoint {
   enum class Readers : std::uint8_t { all, local, linked };
   /// Returns how many subscriptions receive new messages: they match, and are not withdrawn. One
   /// counts as soon as its creation is answered. `local`: those of this process alone. `linked`:
-  /// those that are mapped here, and have linked.
+  /// those that are mapped here, and have linked; also those that have left and hold a message.
   std::size_t subscription_count(Readers readers = Readers::all) const noexcept;
   /// Returns their persistent endpoint ids.
   std::vector<std::uint64_t> reader_persistent_ids() const;

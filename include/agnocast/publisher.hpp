@@ -162,9 +162,10 @@ class AGNOCAST_PUBLIC UntypedPublisher {
   const QoS& qos() const noexcept { return qos_; }
   bool wait_for_all_acked(Patience patience) const noexcept;
   std::size_t subscription_count() const noexcept;
-  /// Of these, returns how many are of this process, and how many have mapped this publisher and
-  /// are mapped here (a few milliseconds later).
+  /// Of these, returns how many are of this process.
   std::size_t local_subscription_count() const noexcept;
+  /// Returns how many have mapped this publisher and are mapped here; also those that have left,
+  /// until they hold no message.
   std::size_t linked_subscription_count() const noexcept;
   std::uint64_t callback_exception_count() const noexcept;
   MatchedInfo matched_status() noexcept;
@@ -225,8 +226,9 @@ class PublisherBase {
   /// One counts as soon as its creation has returned, in any process. Costs a look at each place
   /// of the topic, microseconds at most; allocates nothing.
   std::size_t get_subscription_count() const noexcept { return untyped_->subscription_count(); }
-  /// Of these, returns how many have mapped this publisher's memory and are mapped here, which
-  /// takes some milliseconds: they can take the next message at once. For measurements and tests.
+  /// Returns how many subscriptions have mapped this publisher's memory and are mapped here, which
+  /// takes some milliseconds: they can take the next message at once. One that has left counts
+  /// until it holds no message. For measurements and tests.
   std::size_t get_linked_subscription_count() const noexcept {
     return untyped_->linked_subscription_count();
   }
