@@ -29,7 +29,7 @@ std::uint64_t realtime_ns() noexcept {
 
 }  // namespace
 
-// Whoever is put off a processor between two reads gets a wrong offset.
+// A thread that is put off its processor between two reads gets a wrong offset.
 std::uint64_t MessageInfo::source_timestamp() const noexcept {
   constexpr std::uint64_t apart_max_ns = 10'000;
   constexpr int tries_max = 8;

@@ -41,7 +41,7 @@ class ControlWake {
     return std::make_shared<const ControlWake>(std::move(eventfd));
   }
 
-  /// Its thread has ended. Whoever may still use it wakes the thread that has it next, for nothing;
+  /// Its thread has ended. A thread that still uses it wakes the one that has it next, for nothing;
   /// so its number is never somebody else's.
   static void give_back(std::shared_ptr<const ControlWake> wake) {
     Unused& unused = immortal<Unused>();
