@@ -34,8 +34,9 @@ std::optional<BoardEndpoint> active_endpoint(Field field) noexcept {
   return found;
 }
 
-inline std::optional<BoardEndpoint> active_publisher(const region::TopicWords<SharedMemory>& topic,
-                                                     std::uint64_t index) noexcept {
+template <class M>
+std::optional<BoardEndpoint> active_publisher(const region::TopicWords<M>& topic,
+                                              std::uint64_t index) noexcept {
   return active_endpoint<abi::PublisherEntry>([&](std::size_t offset) {
     return topic.publisher(index, offset).load(std::memory_order_acquire);
   });

@@ -286,7 +286,7 @@ class PublisherEndpoint {
   const std::shared_ptr<EndpointEvents> events_;
   Departure departure_;
   LeaseWatch lease_;       // under the mutex, like the next ones
-  bool is_alone_ = false;  // the daemon of its session is gone for good
+  bool is_alone_ = false;  // remove_dead_subscriptions() stands in for the daemon
   bool moved_ = false;
   std::shared_ptr<PublisherEndpoint> successor_;  // null with `moved_`: this one was abandoned
   std::atomic<bool> has_ended_{false};

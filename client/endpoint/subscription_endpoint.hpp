@@ -360,7 +360,7 @@ class SubscriptionEndpoint {
   void absorb(SubscriptionEndpoint& successor) noexcept;
   bool has_former(const Link& link, std::size_t age) const noexcept;
   bool has_next(const Link& link, std::size_t age) const noexcept;
-  std::size_t matched_count() const noexcept;  // of this session alone
+  std::size_t matched_count() const noexcept;  // on its own board
   bool takes_part() const noexcept;
   using Book = journal::AnnouncementBook<SharedMemory>;
   void drop_beyond_depth() noexcept;
