@@ -46,13 +46,12 @@ class Reach {
     std::size_t count = 0;
   };
   bool follow(const CdrElements& elements, const std::byte* at, Elements& found) noexcept {
-    // rosidl's functions take a vector, and compute only with the words of this copy.
     const Snapshot<agnocast::detail::VectorEnds> ends(at);
+    const std::size_t stride = elements.element->memory_bytes;
     // Elements at a null address are not searched: they lie nowhere.
     if (note(ends->end == ends->begin || (ends->end > ends->begin && ends->begin != nullptr))) {
-      found.count = elements.table->size_function(&*ends);
-      if (found.count != 0)
-        found.first = static_cast<const std::byte*>(elements.table->get_const_function(&*ends, 0));
+      const auto bytes = static_cast<std::size_t>(ends->end - ends->begin);
+      if (note(bytes % stride == 0) && bytes != 0) found = {ends->begin, bytes / stride};
     }
     return !is_left_ && take(found.first, found.count, elements.element->memory_bytes);
   }
@@ -145,7 +144,7 @@ class Writer {
   std::size_t room() const { return to_.size() - at_; }
   bool put_bytes(const void* bytes, std::size_t count) {
     if (count > room()) return false;
-    std::memcpy(to_.data() + at_, bytes, count);
+    if (count != 0) std::memcpy(to_.data() + at_, bytes, count);  // a text of nothing may be null
     at_ += count;
     return true;
   }

@@ -75,20 +75,24 @@ struct VectorEnds {
 static_assert(sizeof(VectorEnds) == sizeof(std::vector<int>));
 inline bool take_bits(MessageBounds& bounds, const std::vector<bool>& bits) noexcept {
   const auto begin = bits.begin(), end = bits.end();
-  constexpr unsigned bits_of_word = sizeof(*begin._M_p) * 8;
-  if (begin._M_offset != 0 || end._M_offset >= bits_of_word || end._M_p < begin._M_p) return false;
-  const auto words = static_cast<std::size_t>(end._M_p - begin._M_p) + (end._M_offset != 0 ? 1 : 0);
-  return bounds.take(begin._M_p, words, sizeof(*begin._M_p));
+  constexpr std::size_t word = sizeof(*begin._M_p);
+  const auto first = reinterpret_cast<std::uintptr_t>(begin._M_p);
+  const auto last = reinterpret_cast<std::uintptr_t>(end._M_p);
+  // size() computes with pointers to words, so a part of a word has no meaning there.
+  if (first % word != 0 || last % word != 0 || last < first) return false;
+  if (begin._M_offset != 0 || end._M_offset >= word * 8) return false;
+  return bounds.take(begin._M_p, (last - first) / word + (end._M_offset != 0 ? 1 : 0), word);
 }
 #else
 // The layout of vector<bool> in this library is unknown.
 inline bool take_bits(MessageBounds&, const std::vector<bool>&) noexcept { return false; }
 #endif
-/// Returns whether the text lies in the publisher's memory, or (a short string) in the string
-/// object itself, which was checked together with the object that contains it.
+/// Returns whether the text is aligned, and lies in the publisher's memory or (a short string) in
+/// the string object itself, which was checked together with the object that contains it.
 template <class Text>
 bool take_text(MessageBounds& bounds, const Text& text, const void* original) noexcept {
   constexpr std::size_t letter = sizeof(typename Text::value_type);
+  if (reinterpret_cast<std::uintptr_t>(text.data()) % letter != 0) return false;
   const auto at =
       reinterpret_cast<std::uintptr_t>(text.data()) - reinterpret_cast<std::uintptr_t>(original);
   if (at < sizeof(Text) && text.size() <= (sizeof(Text) - at) / letter) return true;

@@ -44,7 +44,16 @@ const test::Schema schema{
     {"relay/msg/Text", {{"data", "string"}}},
     {"relay/msg/Data", {{"data", "uint8[]"}, {"labels", "relay/msg/Label[]"}}},
     {"relay/msg/Label", {{"text", "string"}, {"size", "uint32"}}},
-    {"relay/msg/Bits", {{"values", "bool[]"}}}};
+    {"relay/msg/Bits", {{"values", "bool[]"}}},
+    {"relay/msg/All",
+     {{"text", "string"},
+      {"wide", "wstring"},
+      {"numbers", "float64[]"},
+      {"bits", "bool[]"},
+      {"no_numbers", "float64[]"},
+      {"no_bits", "bool[]"},
+      {"texts", "string[]"},
+      {"label", "relay/msg/Label"}}}};
 
 class Relay : public testing::Test {
  protected:
@@ -189,6 +198,38 @@ TEST_F(Relay, PassesOnlyBitsInThePublishersMemory) {
       << "libstdc++ ignores the bit offset of a vector's beginning";
   EXPECT_FALSE(passes_bits({words, 0, words + 800, ~0U, words + 800}));
   EXPECT_FALSE(passes_bits({words + 800, 0, words, 1, words}));
+  // A part of a word counts as no word, but libstdc++ makes bits of it.
+  const auto* const parts = reinterpret_cast<const std::byte*>(std::uintptr_t{1});
+  EXPECT_FALSE(passes_bits({nullptr, 0, parts, 0, parts}));
+  EXPECT_FALSE(passes_bits({words, 0, words + 1, 0, words + 8}));
+  EXPECT_FALSE(passes_bits({words + 1, 0, words + 9, 0, words + 16}));
+}
+
+TEST_F(Relay, PassesNoLieOfASingleWord) {
+  begin("relay/msg/All");
+  std::byte* const inside = window_ + 8192;
+  set("text", RawString{inside, 20, {}});
+  set("wide", RawString{inside + 64, 20, {}});
+  set("numbers", RawVector{inside + 128, inside + 256, inside + 256});
+  set("bits", RawBits{inside + 256, 0, inside + 264, 3, inside + 264});
+  ASSERT_TRUE(passes());
+  const std::vector<std::byte> truth(window_, window_ + members_->size_of_);
+  int refused = 0;
+  for (std::size_t at = 0; at + 8 <= truth.size(); at += 8) {
+    std::uint64_t word = 0;
+    std::memcpy(&word, truth.data() + at, sizeof word);
+    const auto secret = reinterpret_cast<std::uint64_t>(secret_);
+    for (const std::uint64_t lie :
+         {std::uint64_t{0}, std::uint64_t{1}, std::uint64_t{7}, ~std::uint64_t{0}, word + 1,
+          word - 1, word + 8, word - 8, word + (std::uint64_t{1} << 32), ~word, secret, secret - 1,
+          secret + secret_bytes, reinterpret_cast<std::uint64_t>(window_)}) {
+      SCOPED_TRACE(testing::Message() << "byte " << at << ": " << lie);
+      std::memcpy(window_, truth.data(), truth.size());
+      std::memcpy(window_ + at, &lie, sizeof lie);
+      if (!passes()) ++refused;
+    }
+  }
+  EXPECT_GT(refused, 50);
 }
 
 TEST_F(Relay, PassesNothingOfAMessageOutsideTheWindows) {
