@@ -236,6 +236,9 @@ bool UntypedSubscription::is_active() const noexcept {
 Block* UntypedSubscription::take(std::size_t count) noexcept {
   return endpoint_ != nullptr && count != 0 ? take_blocks(*endpoint_, count) : nullptr;
 }
+bool UntypedSubscription::has_unread() const noexcept {
+  return endpoint_ != nullptr && endpoint_->has_news();
+}
 std::uint64_t UntypedSubscription::lost() const noexcept {
   return endpoint_ != nullptr ? endpoint_->lost() : 0;
 }

@@ -18,6 +18,7 @@
 #include <agnocast/heap.hpp>
 #include <agnocast/ipc_shared_ptr.hpp>
 #include <agnocast/message_traits.hpp>
+#include <agnocast/message_wait.hpp>
 #include <agnocast/node.hpp>
 #include <agnocast/publisher.hpp>
 #include <agnocast/qos.hpp>

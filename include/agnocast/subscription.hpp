@@ -117,6 +117,7 @@ class AGNOCAST_PUBLIC UntypedSubscription {
   /// Takes the oldest unread messages, at most `count`, chained in order by Block::next; null:
   /// none.
   Block* take(std::size_t count = 1) noexcept;
+  bool has_unread() const noexcept;
   std::uint64_t lost() const noexcept;
   std::size_t publisher_count() const noexcept;
   /// Of these, returns how many this process has mapped.
@@ -226,6 +227,9 @@ std::size_t hand_out(Block* chain, Give give) noexcept {
 /// Functions common to all subscriptions. Any thread may call any of them.
 class SubscriptionBase {
  public:
+  /// Returns whether take() may find a message. It finds none after all if the message has expired
+  /// or was given up meanwhile. No system call.
+  bool has_unread() const noexcept { return untyped_->has_unread(); }
   /// Returns the number of messages dropped because this subscription's depth was exceeded.
   std::uint64_t get_lost_count() const noexcept { return untyped_->lost(); }
   /// Returns the number of matched publishers. One counts as soon as its creation has returned, in
