@@ -7,6 +7,7 @@
 #include <signal.h>
 #include <sys/prctl.h>
 #include <sys/wait.h>
+#include <time.h>
 #include <unistd.h>
 
 #include <algorithm>
@@ -64,6 +65,17 @@ struct Pipe {
   ::execvp(arguments[0], arguments.data());
   ::dprintf(STDERR_FILENO, "agnocast-bench: %s: %s\n", arguments[0], std::strerror(errno));
   ::_exit(127);
+}
+
+// Used by a process that computes, not by one that looks at a clock now and then.
+constexpr auto computing_least = std::chrono::milliseconds(50);
+
+/// Returns the processor time that all threads of the process have used.
+std::chrono::nanoseconds computed_by(pid_t process) {
+  clockid_t clock{};
+  timespec used{};
+  if (::clock_getcpuclockid(process, &clock) != 0 || ::clock_gettime(clock, &used) != 0) return {};
+  return std::chrono::seconds(used.tv_sec) + std::chrono::nanoseconds(used.tv_nsec);
 }
 
 int status_of(int wait_status) {
@@ -168,7 +180,9 @@ bool Process::send(std::string_view line) {
 }
 
 std::string Process::line(std::chrono::milliseconds at_most) {
-  const auto end = Clock::now() + at_most;
+  const auto computed_before = computed_by(pid_);
+  auto computed = computed_before;
+  auto end = Clock::now() + at_most;
   for (;;) {
     if (const auto line_end = buffer_.find('\n'); line_end != std::string::npos) {
       std::string line = buffer_.substr(0, line_end);
@@ -177,8 +191,14 @@ std::string Process::line(std::chrono::milliseconds at_most) {
     }
     const auto left = std::chrono::duration_cast<std::chrono::milliseconds>(end - Clock::now());
     pollfd entry{output_, POLLIN, 0};
-    if (left.count() <= 0 || ::poll(&entry, 1, static_cast<int>(left.count())) == 0)
-      throw std::runtime_error(name_ + " has stopped answering");
+    if (left.count() <= 0 || ::poll(&entry, 1, static_cast<int>(left.count())) == 0) {
+      const auto now = computed_by(pid_);
+      const bool computes = now - std::exchange(computed, now) >= computing_least;
+      if (!computes || now - computed_before >= at_most)
+        throw std::runtime_error(name_ + " has stopped answering");
+      end = Clock::now() + at_most;
+      continue;
+    }
     char bytes[4096];
     const ssize_t count = ::read(output_, bytes, sizeof bytes);
     if (count == 0) throw std::runtime_error(name_ + " has ended unexpectedly");

@@ -59,7 +59,7 @@ class Process {
   /// caller ignores SIGPIPE.
   bool send(std::string_view line);
   /// With pipes: returns the next line of its standard output. Throws if it has ended, or after
-  /// `at_most`.
+  /// `at_most`; on a busy machine not before it has computed for that long, or does nothing.
   std::string line(std::chrono::milliseconds at_most = std::chrono::seconds(60));
 
  private:
