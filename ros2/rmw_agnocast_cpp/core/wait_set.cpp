@@ -1,0 +1,153 @@
+// SPDX-License-Identifier: Apache-2.0
+
+#include <ros2/rmw_agnocast_cpp/core/wait_set.hpp>
+
+#include <algorithm>
+#include <new>
+#include <utility>
+
+namespace agnocast::rmw {
+namespace {
+
+// Of all conditions and what they are attached to. One for all: a condition and a wait set may be
+// destroyed at the same time, and whoever triggers needs the sets of a condition for a moment only.
+std::mutex& conditions_mutex() noexcept {
+  static std::mutex* const mutex = new std::mutex;  // objects of static storage end after it
+  return *mutex;
+}
+
+MessageWait::Clock::time_point end_of(std::optional<WaitSet::Duration> timeout) noexcept {
+  using Clock = MessageWait::Clock;
+  const Clock::time_point now = Clock::now();
+  if (!timeout || *timeout > Clock::time_point::max() - now) return Clock::time_point::max();
+  return now + *timeout;
+}
+
+}  // namespace
+
+Condition::~Condition() {
+  const std::lock_guard lock(conditions_mutex());
+  for (WaitSet* const set : waiting_)
+    std::replace(set->attached_.begin(), set->attached_.end(), this,
+                 static_cast<Condition*>(nullptr));
+}
+
+void Condition::trigger() noexcept {
+  const std::lock_guard lock(conditions_mutex());
+  is_triggered_ = true;
+  for (WaitSet* const set : waiting_) {
+    if (set->wait_ != nullptr) set->wait_->wake();
+  }
+}
+
+bool Condition::is_waited_for() const noexcept {
+  const std::lock_guard lock(conditions_mutex());
+  return !waiting_.empty();
+}
+
+Result<std::unique_ptr<MessageWait>> WaitPool::take() {
+  {
+    const std::lock_guard lock(mutex_);
+    if (!free_.empty()) {
+      auto wait = std::move(free_.back());
+      free_.pop_back();
+      return wait;
+    }
+  }
+  return MessageWait::try_create();
+}
+
+void WaitPool::give_back(std::unique_ptr<MessageWait> wait) noexcept {
+  const std::lock_guard lock(mutex_);
+  try {
+    free_.push_back(std::move(wait));
+  } catch (const std::bad_alloc&) {
+    // It ends here.
+  }
+}
+
+WaitSet::~WaitSet() {
+  if (wait_ != nullptr) pool_.give_back(std::move(wait_));
+}
+
+void WaitSet::attach(const Conditions& conditions) {
+  const std::lock_guard lock(conditions_mutex());
+  attached_.reserve(conditions.size());
+  // Reserved before anything is attached that would have to be detached again.
+  for (Condition* const condition : conditions) {
+    if (condition != nullptr) condition->waiting_.reserve(condition->waiting_.size() + 1);
+  }
+  for (Condition* const condition : conditions) {
+    attached_.push_back(condition);
+    if (condition == nullptr) continue;
+    auto& waiting = condition->waiting_;
+    const bool is_repeated = !waiting.empty() && waiting.back() == this;
+    if (!is_repeated) waiting.push_back(this);
+  }
+}
+
+void WaitSet::detach() noexcept {
+  const std::lock_guard lock(conditions_mutex());
+  for (Condition* const condition : attached_) {
+    if (condition != nullptr) std::erase(condition->waiting_, this);
+  }
+  attached_.clear();
+}
+
+bool WaitSet::has_trigger() const noexcept {
+  const std::lock_guard lock(conditions_mutex());
+  return std::any_of(attached_.begin(), attached_.end(), [](const Condition* condition) {
+    return condition != nullptr && condition->is_triggered_;
+  });
+}
+
+/// Notes what is ready, and consumes it. Returns whether anything is.
+bool WaitSet::look(const Readables& readables) noexcept {
+  bool has_any = false;
+  for (std::size_t i = 0; i < readables.size(); ++i) {
+    ready_readables_[i] = readables[i] != nullptr && readables[i]->is_ready();
+    has_any = has_any || ready_readables_[i];
+  }
+  const std::lock_guard lock(conditions_mutex());
+  for (std::size_t i = 0; i < attached_.size(); ++i) {
+    ready_conditions_[i] = attached_[i] != nullptr && attached_[i]->is_triggered_;
+    has_any = has_any || ready_conditions_[i];
+  }
+  // After all: one that repeats is reported at each of its places.
+  for (Condition* const condition : attached_) {
+    if (condition != nullptr) condition->is_triggered_ = false;
+  }
+  return has_any;
+}
+
+Result<bool> WaitSet::wait(const Conditions& conditions, const Readables& readables,
+                           std::optional<Duration> timeout) {
+  const bool looks_only = timeout && *timeout <= Duration::zero();
+  if (!looks_only && wait_ == nullptr) {
+    auto wait = pool_.take();
+    if (!wait) return tl::unexpected<Failure>(wait.error());
+    wait_ = std::move(*wait);
+  }
+  ready_conditions_.assign(conditions.size(), false);
+  ready_readables_.assign(readables.size(), false);
+  attach(conditions);
+  const auto has_any = [&]() noexcept {
+    return has_trigger() ||
+           std::any_of(readables.begin(), readables.end(), [](const Readable* readable) {
+             return readable != nullptr && readable->is_ready();
+           });
+  };
+  const auto end = end_of(timeout);
+  bool is_over = looks_only;
+  bool found = look(readables);
+  // Another thread may take the message that ended the sleep.
+  while (!found && !is_over) {
+    is_over = !wait_->wait_until(end, has_any);
+    found = look(readables);
+  }
+  detach();
+  if (!found && !timeout) return fail(Errc::shut_down, "waiting in a forked child");
+  return found;
+}
+
+}  // namespace agnocast::rmw
