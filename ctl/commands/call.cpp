@@ -131,7 +131,11 @@ Outcome<void> call_service(const Arguments& arguments, Console& console) {
   const bool is_repeated = arguments.has(o::call_rate);
   auto due = Clock::now();
   for (std::size_t count = 0; is_repeated || count < requests->size(); ++count) {
-    if (auto called = caller.call((*requests)[count % requests->size()]); !called) return called;
+    if (auto called = caller.call((*requests)[count % requests->size()]); !called) {
+      // Who ends a series ends it well, at whatever point.
+      if (is_repeated && count != 0 && (*live)->is_ended_by_signal()) return {};
+      return called;
+    }
     if (!write_out()) break;
     if (!is_repeated) continue;
     due = std::max(due + Live::seconds(1 / arguments.real(o::call_rate)), Clock::now());

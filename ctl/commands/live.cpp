@@ -125,6 +125,11 @@ bool Live::run_until(Clock::time_point deadline) {
   }
 }
 
+bool Live::is_ended_by_signal() const {
+  pollfd waited{signals_.get(), POLLIN, 0};
+  return ::poll(&waited, 1, 0) > 0;
+}
+
 bool write_out() {
   if (std::fflush(stdout) == 0 || errno != EPIPE) return true;
   std::FILE* const nowhere = std::freopen("/dev/null", "w", stdout);

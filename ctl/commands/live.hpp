@@ -41,6 +41,7 @@ class Live {
   /// Runs callbacks until the deadline or a call of stop(); returns false if a signal has come.
   bool run_until(Clock::time_point deadline);
   void stop() { is_stopped_ = true; }
+  bool is_ended_by_signal() const;
 
  private:
   Live() = default;
