@@ -252,6 +252,11 @@ class GenericPublisher : public detail::LendingPublisher<std::byte, detail::Code
   using LendingPublisher::publish;
   /// See LendingPublisher::publish.
   PublishResult publish(GenericLoan&& loan) noexcept { return publish(std::move(loan.handle())); }
+  /// Publishes a copy, made in the shared heap, of a message of this type that the caller keeps.
+  /// See Publisher::publish(const T&), but a message of another process is not checked.
+  PublishResult publish_copy_of(const void* message) noexcept {
+    return this->publish_copy(this->copy_in(*static_cast<const std::byte*>(message)));
+  }
   const MessageMembers& members() const noexcept { return *members_; }
 
  private:

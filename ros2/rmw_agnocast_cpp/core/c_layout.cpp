@@ -28,50 +28,50 @@ using CWideText = rosidl_runtime_c__U16String;
 
 constexpr std::size_t unbounded = std::numeric_limits<std::size_t>::max();
 
-// Where a member is, in bytes from the begin of its message or element.
-struct Offsets {
-  std::size_t c = 0, cpp = 0;
-};
-struct Run {
-  Offsets at;
-  std::size_t bytes = 0;
-};
-// Another process may have written any byte; a bool other than 0 and 1 is undefined to read.
-struct Bools {
-  Offsets at;
-  std::size_t count = 0;
-};
-struct Text {
-  Offsets at;
-  std::size_t bound = 0;  // characters
-  std::string member;
-};
-struct WideText {
-  Offsets at;
-  std::size_t bound = 0;
-  std::string member;
-};
-// bool* in C, std::vector<bool> in C++.
-struct Bits {
-  Offsets at;
-  std::size_t bound = 0;
-  const CMember* c = nullptr;
-  std::string member;
-};
-struct Elements {
-  Offsets at;
-  std::size_t fixed_count = 0;  // 0: a sequence
-  std::size_t bound = 0;
-  const CMember* c = nullptr;
-  const MessageMember* cpp = nullptr;
-  std::shared_ptr<const CLayout::Plan> element;
-  std::string member;
-};
-using Step = std::variant<Run, Bools, Text, WideText, Bits, Elements>;
-
 }  // namespace
 
 struct CLayout::Plan {
+  // Where a member is, in bytes from the begin of its message or element.
+  struct Offsets {
+    std::size_t c = 0, cpp = 0;
+  };
+  struct Run {
+    Offsets at;
+    std::size_t bytes = 0;
+  };
+  // Another process may have written any byte; a bool other than 0 and 1 is undefined to read.
+  struct Bools {
+    Offsets at;
+    std::size_t count = 0;
+  };
+  struct Text {
+    Offsets at;
+    std::size_t bound = 0;  // characters
+    std::string member;
+  };
+  struct WideText {
+    Offsets at;
+    std::size_t bound = 0;
+    std::string member;
+  };
+  // bool* in C, std::vector<bool> in C++.
+  struct Bits {
+    Offsets at;
+    std::size_t bound = 0;
+    const CMember* c = nullptr;
+    std::string member;
+  };
+  struct Elements {
+    Offsets at;
+    std::size_t fixed_count = 0;  // 0: a sequence
+    std::size_t bound = 0;
+    const CMember* c = nullptr;
+    const MessageMember* cpp = nullptr;
+    std::shared_ptr<const Plan> element;
+    std::string member;
+  };
+  using Step = std::variant<Run, Bools, Text, WideText, Bits, Elements>;
+
   std::vector<Step> steps;
   Offsets bytes;  // sizeof the message or element
 
@@ -85,6 +85,14 @@ struct CLayout::Plan {
 namespace {
 
 using Plan = CLayout::Plan;
+using Offsets = Plan::Offsets;
+using Run = Plan::Run;
+using Bools = Plan::Bools;
+using Text = Plan::Text;
+using WideText = Plan::WideText;
+using Bits = Plan::Bits;
+using Elements = Plan::Elements;
+using Step = Plan::Step;
 
 const CMembers& nested(const CMember& member) noexcept {
   return *static_cast<const CMembers*>(member.members_->data);

@@ -6,17 +6,10 @@
 // message in one block of memory are replaced by lies.
 
 #include <ros2/rmw_agnocast_cpp/core/c_layout.hpp>
+#include <tests/support/messages/everything_in_c.hpp>
 #include <tests/support/messages/random_message.hpp>
 
-#include <agnocast/rosidl.hpp>
 #include <client/api/message_copy.hpp>
-
-#include <agnocast_test_msgs/msg/detail/everything__rosidl_typesupport_introspection_c.h>
-#include <agnocast_test_msgs/msg/detail/forest__rosidl_typesupport_introspection_c.h>
-#include <agnocast_test_msgs/msg/everything.h>
-#include <agnocast_test_msgs/msg/forest.h>
-#include <agnocast_test_msgs/msg/everything.hpp>
-#include <agnocast_test_msgs/msg/forest.hpp>
 
 #include <rosidl_runtime_c/string_functions.h>
 
@@ -32,24 +25,8 @@ namespace {
 
 using agnocast_test_msgs::msg::Everything;
 using agnocast_test_msgs::msg::Forest;
-
-/// What the test needs to know of a type beside its tables.
-template <class T>
-struct InC;
-
-#define AGNOCAST_IN_C(Name)                                                                                    \
-  template <>                                                                                                  \
-  struct InC<Name> {                                                                                           \
-    using Message = agnocast_test_msgs__msg__##Name;                                                           \
-    static constexpr auto handle =                                                                             \
-        &rosidl_typesupport_introspection_c__get_message_type_support_handle__agnocast_test_msgs__msg__##Name; \
-    static constexpr auto create = &agnocast_test_msgs__msg__##Name##__create;                                 \
-    static constexpr auto destroy = &agnocast_test_msgs__msg__##Name##__destroy;                               \
-    static constexpr auto are_equal = &agnocast_test_msgs__msg__##Name##__are_equal;                           \
-  }
-AGNOCAST_IN_C(Everything);
-AGNOCAST_IN_C(Forest);
-#undef AGNOCAST_IN_C
+using test::InC;
+using test::make_in_c;
 
 template <class T>
 const CMembers& c_members() {
@@ -63,11 +40,6 @@ template <class T>
 const CLayout& layout() {
   static const CLayout made = CLayout::of(c_members<T>(), cpp_members<T>()).value();
   return made;
-}
-template <class T>
-auto make_in_c() {
-  return std::unique_ptr<typename InC<T>::Message, decltype(InC<T>::destroy)>(InC<T>::create(),
-                                                                              InC<T>::destroy);
 }
 template <class T>
 T random_message(std::uint64_t seed) {

@@ -1,0 +1,92 @@
+// SPDX-License-Identifier: Apache-2.0
+
+#include <ros2/rmw_agnocast_cpp/core/topics.hpp>
+
+#include <agnocast/relay.hpp>
+
+#include <array>
+#include <new>
+
+namespace agnocast::rmw {
+
+Result<std::unique_ptr<TopicPublisher>> TopicPublisher::create(const NodeName& node,
+                                                               const std::string& topic,
+                                                               const MessageSupport& support,
+                                                               const QoS& qos) {
+  auto publisher = try_create_generic_publisher(node, topic, support.type(), qos);
+  if (!publisher) return tl::unexpected<Failure>(publisher.error());
+  return std::unique_ptr<TopicPublisher>(new TopicPublisher(support, std::move(*publisher)));
+}
+
+PublishResult TopicPublisher::publish(const void* message) noexcept {
+  if (support_.c_layout() == nullptr) return publisher_->publish_copy_of(message);
+  try {
+    GenericLoan loan = publisher_->borrow_loaned_message();
+    if (!support_.c_layout()->to_cpp(message, loan.get())) return {Errc::invalid_argument, 0};
+    return publisher_->publish(std::move(loan));
+  } catch (const std::bad_alloc&) {
+    return {Errc::heap_exhausted, 0};
+  }
+}
+
+PublishResult TopicPublisher::publish_serialized(std::span<const std::byte> bytes) noexcept {
+  try {
+    GenericLoan loan = publisher_->borrow_loaned_message();
+    const std::array pieces{bytes};
+    if (!bridge::read_cdr(support_.cdr(), pieces, loan.get())) return {Errc::invalid_argument, 0};
+    return publisher_->publish(std::move(loan));
+  } catch (const std::bad_alloc&) {
+    return {Errc::heap_exhausted, 0};
+  }
+}
+
+void* TopicPublisher::borrow() { return loans_.add<void*>(publisher_->borrow_loaned_message()); }
+
+PublishResult TopicPublisher::publish_loaned(void* message) noexcept {
+  GenericLoan loan = loans_.take(message);
+  if (!loan) return {Errc::loan_invalid, 0};
+  return publisher_->publish(std::move(loan));
+}
+
+Result<std::unique_ptr<TopicSubscription>> TopicSubscription::create(
+    const NodeName& node, const std::string& topic, const MessageSupport& support, const QoS& qos,
+    bool ignores_local_publications) {
+  SubscriptionOptions options;
+  options.ignore_local_publications(ignores_local_publications);
+  auto subscription =
+      try_create_generic_subscription(node, topic, support.type(), qos, nullptr, options);
+  if (!subscription) return tl::unexpected<Failure>(subscription.error());
+  return std::unique_ptr<TopicSubscription>(
+      new TopicSubscription(support, std::move(*subscription)));
+}
+
+bool TopicSubscription::take(void* message, MessageInfo& info) {
+  while (const GenericMessage taken = subscription_->take()) {
+    const WindowSet windows = windows_of(taken);
+    if (!support_.to_node(taken.get(), message, windows)) continue;
+    info = taken.info();
+    return true;
+  }
+  return false;
+}
+
+bool TopicSubscription::take_serialized(std::vector<std::byte>& bytes, MessageInfo& info) {
+  while (const GenericMessage taken = subscription_->take()) {
+    const WindowSet windows = windows_of(taken);
+    const std::size_t count = bridge::cdr_bytes(support_.cdr(), taken.get(), &windows);
+    bytes.resize(count);
+    if (count == 0 || !bridge::write_cdr(support_.cdr(), taken.get(), bytes, &windows)) continue;
+    info = taken.info();
+    return true;
+  }
+  return false;
+}
+
+const void* TopicSubscription::take_loaned(MessageInfo& info) {
+  GenericMessage taken = subscription_->take();
+  if (!taken) return nullptr;
+  info = taken.info();
+  return loans_.add<const void*>(std::move(taken));
+}
+
+}  // namespace agnocast::rmw
