@@ -272,6 +272,22 @@ Result<std::shared_ptr<UntypedClient>> UntypedClient::create(const EndpointName&
                                                              const MessageCode& request,
                                                              const CallbackGroup::SharedPtr& group,
                                                              std::function<bool()> is_over) {
+  return make(service, types, qos, request, std::move(is_over), &group);
+}
+Result<std::shared_ptr<UntypedClient>> UntypedClient::create_polled(const EndpointName& service,
+                                                                    const ServiceTypes& types,
+                                                                    const QoS& qos,
+                                                                    const MessageCode& request) {
+  return make(service, types, qos, request, {}, nullptr);
+}
+
+// `group`: null for a polled one.
+Result<std::shared_ptr<UntypedClient>> UntypedClient::make(const EndpointName& service,
+                                                           const ServiceTypes& types,
+                                                           const QoS& qos,
+                                                           const MessageCode& request,
+                                                           std::function<bool()> is_over,
+                                                           const CallbackGroup::SharedPtr* group) {
   const Result<QoS> keeps_all = service_qos(qos);
   if (!keeps_all) return tl::unexpected<Failure>(keeps_all.error());
   auto core = std::make_shared<ClientCore>(service);
@@ -281,18 +297,24 @@ Result<std::shared_ptr<UntypedClient>> UntypedClient::create(const EndpointName&
   core->have(std::move(*requests));
   name.topic = reply_topic(service.topic, core->id());
   const std::weak_ptr<ClientCore> weak = core;
-  auto replies = UntypedSubscription::create(name, types.response, *keeps_all,
-                                             ReplyOptions(group,
-                                                          [weak] {
-                                                            if (const auto client = weak.lock())
-                                                              client->on_change();
-                                                          }),
-                                             [core](Block* block) { core->on_response(block); });
+  const auto on_change = [weak] {
+    if (const auto client = weak.lock()) client->on_change();
+  };
+  auto replies = group != nullptr
+                     ? UntypedSubscription::create(
+                           name, types.response, *keeps_all, ReplyOptions(*group, on_change),
+                           [core](Block* block) { core->on_response(block); })
+                     : UntypedSubscription::create(name, types.response, *keeps_all, {}, nullptr);
   if (!replies) return tl::unexpected<Failure>(replies.error());
   core->have(*replies);
   std::shared_ptr<UntypedClient> client(new UntypedClient(std::move(core), std::move(is_over)));
   client->replies_ = std::move(*replies);
   return client;
+}
+
+void UntypedClient::poll() {
+  while (Block* const block = replies_->take()) core_->on_response(block);
+  core_->on_change();
 }
 
 UntypedClient::~UntypedClient() {

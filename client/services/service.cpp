@@ -280,6 +280,12 @@ class Receptionist {
   bool has_thread_ = false;
 };
 
+/// Makes the block of a request point to what is behind its header.
+void pass_header(Block& block) noexcept {
+  auto* const start = static_cast<std::byte*>(block.message.load(std::memory_order_relaxed));
+  block.message.store(start + sizeof(RequestId), std::memory_order_relaxed);
+}
+
 }  // namespace
 
 ServiceTypes make_service_types(const MessageType& request, const MessageType& response) noexcept {
@@ -316,18 +322,21 @@ Result<std::shared_ptr<UntypedService>> UntypedService::create(
   }
   auto core = std::make_shared<ServiceCore>(service, types.response, *keeps_all, response,
                                             std::move(callback));
+  UntypedSubscription::Callback on_request;
+  if (core->callback() != nullptr && *core->callback() != nullptr) {
+    on_request = [core](Block* block) {
+      pass_header(*block);
+      const auto user = core->callback();
+      if (user == nullptr) {
+        const ipc_shared_ptr<const std::byte> unanswered(block);
+      } else {
+        (*user)(core, block);
+      }
+    };
+  }
   auto requests = UntypedSubscription::create(
       {request_topic(service.topic), service.node}, types.request, *keeps_all,
-      SubscriptionOptions().callback_group(group), [core](Block* block) {
-        auto* const start = static_cast<std::byte*>(block->message.load(std::memory_order_relaxed));
-        block->message.store(start + sizeof(RequestId), std::memory_order_relaxed);
-        const auto user = core->callback();
-        if (user == nullptr) {
-          const ipc_shared_ptr<const std::byte> unanswered(block);
-        } else {
-          (*user)(core, block);
-        }
-      });
+      SubscriptionOptions().callback_group(group), std::move(on_request));
   if (!requests) return tl::unexpected<Failure>(requests.error());
   std::shared_ptr<UntypedService> made(new UntypedService(core));
   Receptionist& receptionist = Receptionist::instance();
@@ -341,6 +350,17 @@ Result<std::shared_ptr<UntypedService>> UntypedService::create(
 }
 
 UntypedService::~UntypedService() { core_->end(); }
+
+Block* UntypedService::take() noexcept {
+  const auto requests = core_->requests();
+  Block* const block = requests != nullptr ? requests->take() : nullptr;
+  if (block != nullptr) pass_header(*block);
+  return block;
+}
+bool UntypedService::has_unread() const noexcept {
+  const auto requests = core_->requests();
+  return requests != nullptr && requests->has_unread();
+}
 
 LenderId UntypedService::lender_of(const ServiceCore& core) noexcept { return core.lender(); }
 

@@ -37,6 +37,10 @@ class AGNOCAST_PUBLIC UntypedClient {
       const EndpointName& service, const ServiceTypes& types, const QoS& qos,
       const MessageCode& request, const CallbackGroup::SharedPtr& group,
       std::function<bool()> is_over);
+  /// The same without a callback group: poll() calls the completions.
+  [[nodiscard]] static Result<std::shared_ptr<UntypedClient>> create_polled(
+      const EndpointName& service, const ServiceTypes& types, const QoS& qos,
+      const MessageCode& request);
   ~UntypedClient();
   UntypedClient(const UntypedClient&) = delete;
   UntypedClient& operator=(const UntypedClient&) = delete;
@@ -55,8 +59,17 @@ class AGNOCAST_PUBLIC UntypedClient {
   std::size_t pending_count() const noexcept;
   std::uint64_t dropped_count() const noexcept;
   bool is_active() const noexcept;
+  /// For a polled client: completes what has been answered, and what nobody can answer any more.
+  /// One thread at a time. Throws what completions throw.
+  void poll();
+  /// Returns whether poll() may find a response. No system call.
+  bool has_unread() const noexcept { return replies_->has_unread(); }
 
  private:
+  [[nodiscard]] static Result<std::shared_ptr<UntypedClient>> make(
+      const EndpointName& service, const ServiceTypes& types, const QoS& qos,
+      const MessageCode& request, std::function<bool()> is_over,
+      const CallbackGroup::SharedPtr* group);
   UntypedClient(std::shared_ptr<ClientCore> core, std::function<bool()> is_over) noexcept
       : core_(std::move(core)), is_over_(std::move(is_over)) {}
   std::shared_ptr<ClientCore> core_;

@@ -29,6 +29,7 @@ class AGNOCAST_PUBLIC UntypedService {
   /// Takes over one reference to a request, which points behind its header.
   using Callback = std::function<void(const std::shared_ptr<ServiceCore>&, Block* request)>;
 
+  /// Without a callback, requests are for take().
   [[nodiscard]] static Result<std::shared_ptr<UntypedService>> create(
       const EndpointName& service, const ServiceTypes& types, const QoS& qos,
       const MessageCode& response, Callback callback, const CallbackGroup::SharedPtr& group);
@@ -45,6 +46,11 @@ class AGNOCAST_PUBLIC UntypedService {
   bool is_active() const noexcept;
   std::size_t refused_client_count() const noexcept;
   Failure last_refusal() const noexcept;
+  /// Takes the oldest unread request, which points behind its header; null: none. For a service
+  /// without a callback.
+  Block* take() noexcept;
+  /// Returns whether take() may find one. No system call.
+  bool has_unread() const noexcept;
 
   /// Returns the publisher of responses to `client`. Never waits. Errors: endpoint_gone (the
   /// client or this service has ended), would_block (the publisher is being created), and the
@@ -122,6 +128,17 @@ class BasicServiceRequest {
   std::shared_ptr<Ticket> ticket_;
 };
 
+/// Returns the request of a block, with the right to answer it. Takes over the block.
+template <class Kind>
+BasicServiceRequest<Kind> request_of(const Kind& kind, const ServiceCore& core, Block* block) {
+  const RequestId id = id_of(static_cast<std::byte*>(block->message.load()));
+  auto message = kind.request(ipc_shared_ptr<const typename Kind::Request>(block));
+  auto ticket = std::make_shared<Ticket>();
+  ticket->id = id;
+  ticket->service = UntypedService::lender_of(core).value();
+  return BasicServiceRequest<Kind>(std::move(message), std::move(ticket));
+}
+
 /// The accepted callbacks of create_service.
 template <class Kind, class Callback, class Request>
 inline constexpr bool fills_response =
@@ -144,8 +161,8 @@ UntypedService::Callback erase_service(const Kind& kind, Callback&& callback) {
                 "agnocast::ServiceRequest<T> alone");
   return [kind, function = std::forward<Callback>(callback)](
              const std::shared_ptr<ServiceCore>& core, Block* block) mutable {
-    const RequestId id = id_of(static_cast<std::byte*>(block->message.load()));
     if constexpr (fills) {
+      const RequestId id = id_of(static_cast<std::byte*>(block->message.load()));
       std::conditional_t<reads, typename Kind::RequestMessage, Writable> request = [&] {
         if constexpr (reads) {
           return kind.request(Read(block));
@@ -158,11 +175,7 @@ UntypedService::Callback erase_service(const Kind& kind, Callback&& callback) {
       function(std::move(request), response);
       if (!responder.send(id, response)) UntypedService::count_undelivered(*core);
     } else {
-      auto message = kind.request(Read(block));  // owns it, also if the callback throws
-      auto ticket = std::make_shared<Ticket>();
-      ticket->id = id;
-      ticket->service = UntypedService::lender_of(*core).value();
-      function(BasicServiceRequest<Kind>(std::move(message), std::move(ticket)));
+      function(request_of(kind, *core, block));
     }
   };
 }

@@ -8,8 +8,7 @@
 #include <ros2/rmw_agnocast_cpp/core/topics.hpp>
 
 #include <agnocast/agnocast.hpp>
-#include <tests/support/messages/everything_in_c.hpp>
-#include <tests/support/messages/random_message.hpp>
+#include <tests/integration/rmw/messages.hpp>
 #include <tests/support/processes/daemon_process.hpp>
 #include <tests/support/processes/suite_daemon.hpp>
 
@@ -27,10 +26,7 @@
 namespace agnocast::rmw {
 namespace {
 
-using agnocast_test_msgs::msg::Everything;
 using test::eventually;
-using test::InC;
-using test::make_in_c;
 
 #if defined(__SANITIZE_ADDRESS__) || defined(__SANITIZE_THREAD__)
 constexpr bool has_hook = false;
@@ -40,29 +36,8 @@ constexpr bool has_hook = !__has_feature(address_sanitizer) && !__has_feature(th
 constexpr bool has_hook = true;
 #endif
 
-/// The value; a test that has none fails with the reason.
-template <class T>
-T valued(Result<T> result) {
-  if (!result) throw Error(result.error());
-  return std::move(*result);
-}
-
-MessageSupport in_c() { return valued(MessageSupport::of(InC<Everything>::handle())); }
-MessageSupport in_cpp() {
-  return valued(
-      MessageSupport::of(rosidl_typesupport_cpp::get_message_type_support_handle<Everything>()));
-}
-Everything random_message(std::uint64_t seed) {
-  Everything message;
-  test::RandomMessages(seed, {false, true}).fill(in_cpp().type().members(), &message);
-  return message;
-}
-/// The same in C.
-auto in_c_of(const Everything& message) {
-  auto made = make_in_c<Everything>();
-  EXPECT_TRUE(in_c().c_layout()->to_c(&message, made.get()));
-  return made;
-}
+MessageSupport in_c() { return c_support<Everything>(); }
+MessageSupport in_cpp() { return cpp_support<Everything>(); }
 
 class RmwTopics : public test::SuiteDaemon {
  protected:
@@ -94,7 +69,7 @@ TEST_F(RmwTopics, NodesInBothLanguagesGetEachMessage) {
   Everything got;
   for (std::uint64_t seed = 0; seed < 50; ++seed) {
     SCOPED_TRACE(seed);
-    const Everything message = random_message(seed);
+    const Everything message = random_message<Everything>(seed);
     const auto message_in_c = in_c_of(message);
     for (const bool is_from_c : {true, false}) {
       const PublishResult published =
@@ -116,7 +91,7 @@ TEST_F(RmwTopics, TypedEndpointsOfThisLibraryTakePart) {
   const auto typed_subscription = other.create_subscription<Everything>(topic, 10);
   const auto from_c = publisher(in_c());
   const auto to_c = subscription(in_c());
-  const Everything message = random_message(3);
+  const Everything message = random_message<Everything>(3);
   const auto message_in_c = in_c_of(message);
   auto got_in_c = make_in_c<Everything>();
   ASSERT_TRUE(typed_publisher->publish(message));
@@ -136,7 +111,7 @@ TEST_F(RmwTopics, TypedEndpointsOfThisLibraryTakePart) {
 TEST_F(RmwTopics, BytesAreMessages) {
   const auto from_c = publisher(in_c());
   const auto to_c = subscription(in_c()), to_cpp = subscription(in_cpp());
-  const Everything message = random_message(5);
+  const Everything message = random_message<Everything>(5);
   std::vector<std::byte> bytes(bridge::cdr_bytes(in_cpp().cdr(), &message));
   ASSERT_TRUE(bridge::write_cdr(in_cpp().cdr(), &message, bytes));
   ASSERT_TRUE(from_c->publish_serialized(bytes));
@@ -176,7 +151,7 @@ TEST_F(RmwTopics, LoansArriveAsTheyAre) {
   ASSERT_TRUE(from->can_lend() && to->can_lend());
   EXPECT_FALSE(publisher(in_c())->can_lend());
   auto* const loan = static_cast<Everything*>(from->borrow());
-  const Everything message = random_message(7);
+  const Everything message = random_message<Everything>(7);
   *loan = message;
   const PublishResult published = from->publish_loaned(loan);
   ASSERT_TRUE(published);
@@ -215,11 +190,11 @@ TEST_F(RmwTopics, MessagesWakeAWaitSet) {
   Everything got;
   auto got_in_c = make_in_c<Everything>();
   EXPECT_FALSE(set.wait({}, {to.get()}, WaitSet::Duration::zero()).value());
-  ASSERT_TRUE(from->publish(in_c_of(random_message(9)).get()));
+  ASSERT_TRUE(from->publish(in_c_of(random_message<Everything>(9)).get()));
   ASSERT_TRUE(set.wait({}, {to.get()}, std::nullopt).value());
   EXPECT_TRUE(set.is_readable_ready(0));
   take(*to, &got);
-  EXPECT_EQ(got, random_message(9));
+  EXPECT_EQ(got, random_message<Everything>(9));
   ASSERT_TRUE(set.wait({}, {to.get(), idle.get()}, std::nullopt).value());
   EXPECT_FALSE(set.is_readable_ready(0));
   EXPECT_TRUE(set.is_readable_ready(1));

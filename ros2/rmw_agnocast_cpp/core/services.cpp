@@ -1,0 +1,132 @@
+// SPDX-License-Identifier: Apache-2.0
+
+#include <ros2/rmw_agnocast_cpp/core/services.hpp>
+
+#include <agnocast/relay.hpp>
+
+#include <algorithm>
+
+namespace agnocast::rmw {
+namespace {
+
+using Kind = agnocast::detail::GenericServiceKind;
+
+Kind kind_of(const ServiceSupport& support) noexcept {
+  return Kind({support.request.type(), support.response.type()});
+}
+
+/// What the other side makes impossible.
+bool is_of_peer(Errc code) noexcept {
+  constexpr Errc of_peer[] = {Errc::no_server, Errc::would_block, Errc::endpoint_gone,
+                              Errc::no_slot};
+  return std::find(std::begin(of_peer), std::end(of_peer), code) != std::end(of_peer);
+}
+
+/// Copies a message of the node into a loan.
+Result<void> fill(const MessageSupport& support, const void* from, GenericLoan& loan) {
+  if (const CLayout* const layout = support.c_layout()) return layout->to_cpp(from, loan.get());
+  support.type().assign(from, loan.get());
+  return {};
+}
+
+}  // namespace
+
+Result<std::unique_ptr<ServiceServer>> ServiceServer::create(const NodeName& node,
+                                                             const std::string& service,
+                                                             const ServiceSupport& support,
+                                                             const QoS& qos) {
+  const Kind kind = kind_of(support);
+  const auto name = agnocast::detail::resolve_service(node, service);
+  if (!name) return tl::unexpected<Failure>(name.error());
+  const auto types = kind.types();
+  if (!types) return tl::unexpected<Failure>(types.error());
+  auto untyped = agnocast::detail::UntypedService::create(
+      *name, *types, qos, kind.response_code().code(), nullptr, nullptr);
+  if (!untyped) return tl::unexpected<Failure>(untyped.error());
+  return std::unique_ptr<ServiceServer>(new ServiceServer(support, std::move(*untyped), kind));
+}
+
+bool ServiceServer::take(void* request, RequestId& id) {
+  while (agnocast::detail::Block* const block = untyped_->take()) {
+    const auto taken = agnocast::detail::request_of(kind_, *untyped_->core(), block);
+    const WindowSet windows = windows_of(taken.message());
+    if (!support_.request.to_node(taken.message().get(), request, windows)) continue;
+    id = taken.id();
+    return true;
+  }
+  return false;
+}
+
+Result<void> ServiceServer::send(const RequestId& id, const void* response) {
+  GenericLoan loan = responder_.borrow();
+  if (Result<void> filled = fill(support_.response, response, loan); !filled) return filled;
+  const PublishResult sent = responder_.send(id, loan);
+  if (sent) return {};
+  if (!is_of_peer(sent.code)) return fail(sent.code, "sending a response");
+  undelivered_.fetch_add(1, std::memory_order_relaxed);
+  return {};
+}
+
+Result<std::unique_ptr<ServiceClient>> ServiceClient::create(const NodeName& node,
+                                                             const std::string& service,
+                                                             const ServiceSupport& support,
+                                                             const QoS& qos) {
+  const Kind kind = kind_of(support);
+  const auto name = agnocast::detail::resolve_service(node, service);
+  if (!name) return tl::unexpected<Failure>(name.error());
+  const auto types = kind.types();
+  if (!types) return tl::unexpected<Failure>(types.error());
+  auto untyped = agnocast::detail::UntypedClient::create_polled(*name, *types, qos,
+                                                                kind.request_code().code());
+  if (!untyped) return tl::unexpected<Failure>(untyped.error());
+  return std::unique_ptr<ServiceClient>(new ServiceClient(support, std::move(*untyped), kind));
+}
+
+bool ServiceClient::is_ready() const noexcept {
+  if (client_.untyped().has_unread()) return true;
+  const std::lock_guard lock(inbox_->mutex);
+  return !inbox_->responses.empty();
+}
+
+Result<std::int64_t> ServiceClient::send(const void* request) {
+  GenericLoan loan = client_.borrow_loaned_request();
+  if (Result<void> filled = fill(support_.request, request, loan); !filled)
+    return tl::unexpected<Failure>(filled.error());
+  const std::int64_t number = last_.fetch_add(1, std::memory_order_relaxed) + 1;
+  const auto sent = client_.try_async_send_request(
+      std::move(loan), [inbox = inbox_, number](const Client::SharedFuture& response) {
+        try {
+          GenericMessage message = response.get();
+          const std::lock_guard lock(inbox->mutex);
+          inbox->responses.push_back({number, std::move(message)});
+        } catch (const Error&) {
+          // Its server has ended: as in DDS, nothing comes.
+        }
+      });
+  if (sent) return number;
+  if (!is_of_peer(sent.error().code)) return tl::unexpected<Failure>(sent.error());
+  dropped_.fetch_add(1, std::memory_order_relaxed);
+  return number;
+}
+
+bool ServiceClient::take(void* response, std::int64_t& number) {
+  {
+    const std::lock_guard lock(polling_);
+    client_.untyped().poll();
+  }
+  for (;;) {
+    Response next;
+    {
+      const std::lock_guard lock(inbox_->mutex);
+      if (inbox_->responses.empty()) return false;
+      next = std::move(inbox_->responses.front());
+      inbox_->responses.pop_front();
+    }
+    const WindowSet windows = windows_of(next.message);
+    if (!support_.response.to_node(next.message.get(), response, windows)) continue;
+    number = next.number;
+    return true;
+  }
+}
+
+}  // namespace agnocast::rmw
