@@ -160,6 +160,9 @@ class CheckedCopy {
         case ros::ROS_TYPE_WSTRING:
           if (!text<std::u16string>(member, from, to)) return false;
           break;
+        case ros::ROS_TYPE_BOOLEAN:  // any other byte is undefined to read
+          *to = std::byte(*from != std::byte{0});
+          break;
         default:
           std::memcpy(to, from, count * stride);
           return true;
