@@ -261,6 +261,9 @@ bool UntypedPublisher::wait_for_all_acked(Patience patience) const noexcept {
 std::uint64_t UntypedPublisher::persistent_id() const noexcept {
   return endpoint_ != nullptr ? endpoint_->persistent_id() : 0;
 }
+std::uint64_t UntypedPublisher::generation() const noexcept {
+  return endpoint_ != nullptr ? endpoint_->present(endpoint_)->identity().generation : 0;
+}
 void UntypedPublisher::announce_persistent_id() noexcept {
   if (endpoint_ != nullptr) endpoint_->announce_persistent_id();
 }

@@ -18,6 +18,7 @@
 #include <rosidl_runtime_c/message_type_support_struct.h>
 
 #include <algorithm>
+#include <chrono>
 #include <cstddef>
 #include <cstdint>
 #include <cstring>
@@ -255,7 +256,20 @@ class GenericPublisher : public detail::LendingPublisher<std::byte, detail::Code
   /// Publishes a copy, made in the shared heap, of a message of this type that the caller keeps.
   /// See Publisher::publish(const T&), but a message of another process is not checked.
   PublishResult publish_copy_of(const void* message) noexcept {
-    return this->publish_copy(this->copy_in(*static_cast<const std::byte*>(message)));
+    return publish_copy_of(message, std::chrono::milliseconds(0));
+  }
+  /// The same, and tries again for `timeout` while the result is would_block: it copies once.
+  template <class Rep, class Period>
+  PublishResult publish_copy_of(const void* message,
+                                std::chrono::duration<Rep, Period> timeout) noexcept {
+    detail::Patience patience(timeout);
+    auto copy = this->copy_in(*static_cast<const std::byte*>(message));
+    for (;;) {
+      // publish_copy() keeps it unless it succeeds.
+      // NOLINTNEXTLINE(bugprone-use-after-move)
+      const PublishResult result = this->publish_copy(std::move(copy));
+      if (result.code != Errc::would_block || !patience.wait()) return result;
+    }
   }
   const MessageMembers& members() const noexcept { return *members_; }
 

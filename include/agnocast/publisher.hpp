@@ -180,6 +180,8 @@ class AGNOCAST_PUBLIC UntypedPublisher {
   std::uint64_t persistent_id() const noexcept;
   /// Returns the persistent ids of the subscriptions that receive messages published from now on.
   std::vector<std::uint64_t> reader_persistent_ids() const;
+  /// Returns what MessageInfo::publisher of its next message is; 0: switched off.
+  std::uint64_t generation() const noexcept;
   /// Registers `watch`, which is notified when matched endpoints change.
   void tell(std::shared_ptr<Watch> watch) noexcept;
 
@@ -207,6 +209,9 @@ class PublisherBase {
   /// revoked).
   bool is_active() const noexcept { return untyped_->is_active(); }
   const char* get_topic_name() const noexcept { return untyped_->topic().c_str(); }
+  /// Returns what MessageInfo::publisher of its next message is: unique among the publishers of
+  /// the daemon's life, another one after the daemon has lost its store. 0: switched off.
+  std::uint64_t get_generation() const noexcept { return untyped_->generation(); }
   /// Returns the QoS that the publisher offers; it converts to an rclcpp::QoS.
   QoS get_actual_qos() const noexcept { return untyped_->qos(); }
   /// Waits until each matched reliable subscription has taken what was published before this call,

@@ -347,16 +347,18 @@ class ToC {
   bool copy(const Text& text, const std::byte* from, std::byte* to) {
     const Snapshot<std::string> source(from);
     if (!is_valid(text, source, from)) return false;
-    allocated(rosidl_runtime_c__String__assignn(reinterpret_cast<CText*>(to), source->data(),
-                                                source->size()));
+    // Null is no text for rosidl, not even for nothing.
+    allocated(rosidl_runtime_c__String__assignn(
+        reinterpret_cast<CText*>(to), source->empty() ? "" : source->data(), source->size()));
     return true;
   }
   bool copy(const WideText& text, const std::byte* from, std::byte* to) {
     const Snapshot<std::u16string> source(from);
     if (!is_valid(text, source, from)) return false;
-    allocated(rosidl_runtime_c__U16String__assignn(
-        reinterpret_cast<CWideText*>(to), reinterpret_cast<const std::uint16_t*>(source->data()),
-        source->size()));
+    const char16_t* const letters = source->empty() ? u"" : source->data();
+    allocated(rosidl_runtime_c__U16String__assignn(reinterpret_cast<CWideText*>(to),
+                                                   reinterpret_cast<const std::uint16_t*>(letters),
+                                                   source->size()));
     return true;
   }
   bool copy(const Bits& bits, const std::byte* from, std::byte* to) {

@@ -15,11 +15,13 @@ Kind kind_of(const ServiceSupport& support) noexcept {
   return Kind({support.request.type(), support.response.type()});
 }
 
-/// What the other side makes impossible.
-bool is_of_peer(Errc code) noexcept {
-  constexpr Errc of_peer[] = {Errc::no_server, Errc::would_block, Errc::endpoint_gone,
-                              Errc::no_slot};
-  return std::find(std::begin(of_peer), std::end(of_peer), code) != std::end(of_peer);
+/// Whether the reason lies in this process, and not with the other side: also agnocastd's refusal
+/// of the publisher of responses to one client is of that client.
+bool is_of_this_process(Errc code) noexcept {
+  constexpr Errc own[] = {Errc::shut_down,       Errc::switched_off,     Errc::revoked,
+                          Errc::heap_exhausted,  Errc::window_exhausted, Errc::loan_invalid,
+                          Errc::user_code_threw, Errc::internal};
+  return std::find(std::begin(own), std::end(own), code) != std::end(own);
 }
 
 /// Copies a message of the node into a loan.
@@ -62,7 +64,7 @@ Result<void> ServiceServer::send(const RequestId& id, const void* response) {
   if (Result<void> filled = fill(support_.response, response, loan); !filled) return filled;
   const PublishResult sent = responder_.send(id, loan);
   if (sent) return {};
-  if (!is_of_peer(sent.code)) return fail(sent.code, "sending a response");
+  if (is_of_this_process(sent.code)) return fail(sent.code, "sending a response");
   undelivered_.fetch_add(1, std::memory_order_relaxed);
   return {};
 }
@@ -92,6 +94,11 @@ Result<std::int64_t> ServiceClient::send(const void* request) {
   GenericLoan loan = client_.borrow_loaned_request();
   if (Result<void> filled = fill(support_.request, request, loan); !filled)
     return tl::unexpected<Failure>(filled.error());
+  {
+    // Ends those whose server has gone; nobody takes for them.
+    const std::lock_guard lock(polling_);
+    client_.untyped().poll();
+  }
   const std::int64_t number = last_.fetch_add(1, std::memory_order_relaxed) + 1;
   const auto sent = client_.try_async_send_request(
       std::move(loan), [inbox = inbox_, number](const Client::SharedFuture& response) {
@@ -104,7 +111,7 @@ Result<std::int64_t> ServiceClient::send(const void* request) {
         }
       });
   if (sent) return number;
-  if (!is_of_peer(sent.error().code)) return tl::unexpected<Failure>(sent.error());
+  if (is_of_this_process(sent.error().code)) return tl::unexpected<Failure>(sent.error());
   dropped_.fetch_add(1, std::memory_order_relaxed);
   return number;
 }

@@ -40,7 +40,8 @@ class ServiceServer final : public Readable {
   bool is_ready() const noexcept override { return untyped_->has_unread(); }
 
   /// Takes the oldest request into the node's message. Returns false, and leaves it, if there is
-  /// none. A request that leads out of its client's memory is dropped. Throws std::bad_alloc.
+  /// none. A request that leads out of its client's memory is dropped, as a message by
+  /// TopicSubscription::take(). Throws std::bad_alloc.
   bool take(void* request, RequestId& id);
   /// Answers a request. Errors: type_refused (a member is longer than its type allows), those of
   /// this process in PublishResult. A client that has gone or does not read is none of them:

@@ -5,9 +5,18 @@
 #include <agnocast/relay.hpp>
 
 #include <array>
+#include <chrono>
+#include <exception>
 #include <new>
 
 namespace agnocast::rmw {
+namespace {
+
+// How long a reliable keep-all subscription that does not read holds up a publisher of its kind:
+// max_blocking_time of a DDS writer (DDS 1.4, 2.2.3.14).
+constexpr std::chrono::milliseconds blocking_time{100};
+
+}  // namespace
 
 Result<std::unique_ptr<TopicPublisher>> TopicPublisher::create(const NodeName& node,
                                                                const std::string& topic,
@@ -19,13 +28,15 @@ Result<std::unique_ptr<TopicPublisher>> TopicPublisher::create(const NodeName& n
 }
 
 PublishResult TopicPublisher::publish(const void* message) noexcept {
-  if (support_.c_layout() == nullptr) return publisher_->publish_copy_of(message);
+  if (support_.c_layout() == nullptr) return publisher_->publish_copy_of(message, blocking_time);
   try {
     GenericLoan loan = publisher_->borrow_loaned_message();
     if (!support_.c_layout()->to_cpp(message, loan.get())) return {Errc::invalid_argument, 0};
-    return publisher_->publish(std::move(loan));
+    return publisher_->publish_for(std::move(loan.handle()), blocking_time);
   } catch (const std::bad_alloc&) {
     return {Errc::heap_exhausted, 0};
+  } catch (const std::exception&) {
+    return {Errc::invalid_argument, 0};  // a sequence longer than any memory
   }
 }
 
@@ -34,9 +45,11 @@ PublishResult TopicPublisher::publish_serialized(std::span<const std::byte> byte
     GenericLoan loan = publisher_->borrow_loaned_message();
     const std::array pieces{bytes};
     if (!bridge::read_cdr(support_.cdr(), pieces, loan.get())) return {Errc::invalid_argument, 0};
-    return publisher_->publish(std::move(loan));
+    return publisher_->publish_for(std::move(loan.handle()), blocking_time);
   } catch (const std::bad_alloc&) {
     return {Errc::heap_exhausted, 0};
+  } catch (const std::exception&) {
+    return {Errc::invalid_argument, 0};  // a sequence longer than any memory
   }
 }
 
@@ -45,7 +58,7 @@ void* TopicPublisher::borrow() { return loans_.add<void*>(publisher_->borrow_loa
 PublishResult TopicPublisher::publish_loaned(void* message) noexcept {
   GenericLoan loan = loans_.take(message);
   if (!loan) return {Errc::loan_invalid, 0};
-  return publisher_->publish(std::move(loan));
+  return publisher_->publish_for(std::move(loan.handle()), blocking_time);
 }
 
 Result<std::unique_ptr<TopicSubscription>> TopicSubscription::create(

@@ -12,6 +12,7 @@
 #pragma once
 
 #include <agnocast/generic.hpp>
+#include <agnocast/heap.hpp>
 #include <agnocast/qos.hpp>
 #include <agnocast/result.hpp>
 #include <ros2/rmw_agnocast_cpp/core/message_support.hpp>
@@ -47,6 +48,7 @@ class Loans {
   /// Keeps it and returns its address. Throws std::bad_alloc.
   template <class Address>
   Address add(Loan loan) {
+    const LoanPause pause;  // the table is private memory
     const Address address = loan.get();
     const std::lock_guard lock(mutex_);
     loans_.emplace(address, std::move(loan));
@@ -75,6 +77,9 @@ class TopicPublisher {
                                                                       const MessageSupport& support,
                                                                       const QoS& qos);
 
+  /// These publish, and wait for a keep-all subscription as long as a DDS writer does (100 ms)
+  /// before they return would_block.
+  ///
   /// Publishes a copy of the node's message. Errors: those of PublishResult; invalid_argument: a
   /// member is longer than its type allows.
   [[nodiscard]] PublishResult publish(const void* message) noexcept;

@@ -169,6 +169,29 @@ TEST_F(RmwTopics, LoansArriveAsTheyAre) {
   EXPECT_EQ(to->take_loaned(info), nullptr);
 }
 
+TEST_F(RmwTopics, AKeepAllSubscriptionHoldsUpItsPublishersForAMoment) {
+  const QoS keeps_all = QoS(2).keep_all(2);
+  const auto from = valued(TopicPublisher::create(node, topic, in_cpp(), keeps_all));
+  const auto from_c = valued(TopicPublisher::create(node, topic, in_c(), keeps_all));
+  const auto to = valued(TopicSubscription::create(node, topic, in_cpp(), keeps_all, false));
+  const Everything message;
+  const auto message_in_c = in_c_of(message);
+  // One more than the bound, because the publisher may commit one before it knows the subscription.
+  const auto publish_until_full = [](const auto& publish) {
+    Errc code = Errc::ok;
+    for (int i = 0; i < 5 && code == Errc::ok; ++i) code = publish().code;
+    return code;
+  };
+  EXPECT_EQ(publish_until_full([&] { return from->publish(&message); }), Errc::would_block);
+  EXPECT_EQ(publish_until_full([&] { return from_c->publish(message_in_c.get()); }),
+            Errc::would_block);
+  EXPECT_EQ(publish_until_full([&] { return from->publish_loaned(from->borrow()); }),
+            Errc::would_block);
+  Everything got;
+  take(*to, &got);
+  EXPECT_EQ(from->publish(&message).code, Errc::ok);
+}
+
 TEST_F(RmwTopics, LoansThatAreNotPublishedEnd) {
   const auto from = publisher(in_cpp());
   void* const first = from->borrow();

@@ -15,6 +15,7 @@
 
 #include <gtest/gtest.h>
 
+#include <cstddef>
 #include <cstring>
 #include <memory>
 #include <string>
@@ -204,6 +205,22 @@ TEST(CLayout, NoLieLeadsOutOfThePublishersMemory) {
   }
   EXPECT_GT(refused, 100);
   ASSERT_TRUE(layout<Everything>().to_c(block.message(), in_c.get(), &window));
+}
+
+TEST(CLayout, ATextOfNothingAtNoAddressIsEmpty) {
+  Block block{Everything()};
+  const WindowSet window = block.window();
+  auto in_c = make_in_c<Everything>();
+  const auto set = [&](std::size_t offset, std::uint64_t word) {
+    std::memcpy(reinterpret_cast<std::byte*>(block.words().data()) + offset, &word, sizeof word);
+  };
+  for (const std::size_t member : {offsetof(Everything, text), offsetof(Everything, wide)}) {
+    set(member, 0);
+    set(member + sizeof(std::uint64_t), 0);
+  }
+  ASSERT_TRUE(layout<Everything>().to_c(block.message(), in_c.get(), &window));
+  EXPECT_STREQ(in_c->text.data, "");
+  EXPECT_EQ(in_c->wide.size, 0u);
 }
 
 TEST(CLayout, BoolsOfAnotherProcessAreZeroOrOne) {

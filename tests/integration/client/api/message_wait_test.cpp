@@ -3,7 +3,8 @@
 // Goal: a thread that waits for messages wakes for each of them, for each wake(), and at its end; a
 // look that comes too early costs nothing but another look.
 // Method: threads of this process, with the real daemon; each step waits for what the other thread
-// has seen, so that a wake-up that is lost stops the test until the next tick of a second.
+// has seen. (A wake-up that is lost is made good by the tick of a second, and only delays the
+// test.)
 
 #include <agnocast/agnocast.hpp>
 #include <tests/integration/client/programs/second_process.hpp>
@@ -136,14 +137,6 @@ TEST_F(MessageWaits, EndAtTheirTime) {
   EXPECT_GE(Clock::now(), end);
   EXPECT_FALSE(wait.wait_until(Clock::time_point::min(), never)) << "a look only";
   EXPECT_TRUE(wait.wait_until(Clock::time_point::min(), [] { return true; }));
-  // A wake() while nobody waits is none for the next wait.
-  wait.wake();
-  int looks = 0;
-  EXPECT_FALSE(wait.wait_until(Clock::now() + std::chrono::milliseconds(30), [&] {
-    ++looks;
-    return false;
-  }));
-  EXPECT_GE(looks, 2);
 }
 
 TEST_F(MessageWaits, DoNotSleepInAForkedChild) {

@@ -1,0 +1,50 @@
+// SPDX-License-Identifier: Apache-2.0
+//
+// GraphWatch: the endpoints of one domain of the host, as the daemon last announced them, and who
+// is told when they change. A thread of its own sleeps on the daemon's announcements
+// (agnocast::Graph), as one of the observers that a user may have.
+#pragma once
+
+#include <agnocast/graph.hpp>
+
+#include <sys/types.h>
+
+#include <condition_variable>
+#include <cstdint>
+#include <functional>
+#include <memory>
+#include <mutex>
+#include <thread>
+
+namespace agnocast::rmw {
+
+class GraphWatch {
+ public:
+  /// Begins to watch. `changed` is called in the thread, after each change of the domain. Throws
+  /// std::system_error.
+  GraphWatch(std::uint64_t domain, std::function<void()> changed);
+  ~GraphWatch();
+  GraphWatch(const GraphWatch&) = delete;
+  GraphWatch& operator=(const GraphWatch&) = delete;
+
+  /// Returns the last state, with the endpoints of the domain. Until there is one the first call
+  /// waits, a second at most; then it is empty.
+  std::shared_ptr<const GraphSnapshot> now() const;
+
+ private:
+  void run() noexcept;
+  bool take(GraphSnapshot next);
+
+  const std::uint64_t domain_;
+  const std::function<void()> changed_;
+  const pid_t process_;
+  Graph graph_;
+  mutable std::mutex mutex_;
+  mutable std::condition_variable came_;
+  mutable bool has_waited_ = false;
+  std::shared_ptr<const GraphSnapshot> last_;  // null before the first
+  bool is_over_ = false;
+  std::thread thread_;
+};
+
+}  // namespace agnocast::rmw

@@ -1,0 +1,74 @@
+// SPDX-License-Identifier: Apache-2.0
+//
+// Goal: a watch of the graph has what the daemon announces, tells each change, and ends while it
+// waits. Method: endpoints of this process come and go, with the real daemon.
+
+#include <ros2/rmw_agnocast_cpp/core/graph_watch.hpp>
+
+#include <agnocast/agnocast.hpp>
+#include <tests/integration/client/programs/second_process.hpp>
+#include <tests/support/processes/daemon_process.hpp>
+#include <tests/support/processes/suite_daemon.hpp>
+
+#include <gtest/gtest.h>
+
+#include <algorithm>
+#include <atomic>
+#include <string>
+
+namespace agnocast::rmw {
+namespace {
+
+using agnocast::test::eventually;
+using agnocast::test::Number;
+
+class GraphWatches : public agnocast::test::SuiteDaemon {
+ protected:
+  static std::ptrdiff_t count(const GraphWatch& watch, const std::string& topic) {
+    const auto snapshot = watch.now();
+    return std::count_if(snapshot->endpoints.begin(), snapshot->endpoints.end(),
+                         [&](const EndpointInfo& endpoint) { return endpoint.topic == topic; });
+  }
+};
+
+TEST_F(GraphWatches, SeeWhatComesAndGoes) {
+  Node node(own("node"));
+  const std::string topic = "/" + own("topic");
+  std::atomic<int> changes{0};
+  const GraphWatch watch(0, [&] { ++changes; });
+  EXPECT_EQ(count(watch, topic), 0);
+  for (int i = 0; i < 3; ++i) {
+    const int before = changes;
+    {
+      const auto publisher = node.create_publisher<Number>(topic, 1);
+      const auto subscription = node.create_subscription<Number>(topic, 1);
+      ASSERT_TRUE(eventually([&] { return count(watch, topic) == 2; }));
+    }
+    ASSERT_TRUE(eventually([&] { return count(watch, topic) == 0; }));
+    ASSERT_TRUE(eventually([&] { return changes > before; }));
+  }
+}
+
+TEST_F(GraphWatches, HaveOneDomain) {
+  Node node(own("node"));
+  const std::string topic = "/" + own("topic");
+  const auto publisher = node.create_publisher<Number>(topic, 1);
+  std::atomic<int> changes{0};
+  const GraphWatch here(0, [] {}), elsewhere(1, [&] { ++changes; });
+  ASSERT_TRUE(eventually([&] { return count(here, topic) == 1; }));
+  EXPECT_EQ(count(elsewhere, topic), 0);
+  const int before = changes;
+  const auto subscription = node.create_subscription<Number>(topic, 1);
+  ASSERT_TRUE(eventually([&] { return count(here, topic) == 2; }));
+  EXPECT_EQ(changes, before) << "nothing of its domain has changed";
+}
+
+TEST_F(GraphWatches, EndWhileTheyWait) {
+  for (int i = 0; i < 20; ++i) {
+    const GraphWatch watch(0, [] {});
+    if (i % 2 == 0) (void)watch.now();
+  }
+}
+
+}  // namespace
+}  // namespace agnocast::rmw
