@@ -91,14 +91,15 @@ bool ServiceClient::is_ready() const noexcept {
 }
 
 Result<std::int64_t> ServiceClient::send(const void* request) {
-  GenericLoan loan = client_.borrow_loaned_request();
-  if (Result<void> filled = fill(support_.request, request, loan); !filled)
-    return tl::unexpected<Failure>(filled.error());
   {
-    // Ends those whose server has gone; nobody takes for them.
+    // Ends those whose server has gone; nobody takes for them. Before the loan: from there on this
+    // thread allocates shared memory, and the inbox is private.
     const std::lock_guard lock(polling_);
     client_.untyped().poll();
   }
+  GenericLoan loan = client_.borrow_loaned_request();
+  if (Result<void> filled = fill(support_.request, request, loan); !filled)
+    return tl::unexpected<Failure>(filled.error());
   const std::int64_t number = last_.fetch_add(1, std::memory_order_relaxed) + 1;
   const auto sent = client_.try_async_send_request(
       std::move(loan), [inbox = inbox_, number](const Client::SharedFuture& response) {
