@@ -3,7 +3,7 @@
 // What the functions of rmw share: the identifier, their checks, errors, and what lies behind the
 // handles.
 //
-//   rmw_context_t  ─▶ Context      one of init … fini: waits, the graph, the nodes
+//   rmw_context_t  ─▶ rmw_context_impl_s   one of init … fini: waits, the graph, the nodes
 //   rmw_node_t     ─▶ NodeData     name, graph guard condition
 //   rmw_publisher_t, rmw_subscription_t, rmw_service_t, rmw_client_t ─▶ …Data: the endpoint of the
 //                                  core, and the QoS that was asked for
@@ -68,10 +68,6 @@ rmw_ret_t guarded(Body&& body) noexcept {
   AGNOCAST_RMW_NOT_NULL(handle);                                                            \
   RMW_CHECK_TYPE_IDENTIFIERS_MATCH(handle, (handle)->implementation_identifier, identifier, \
                                    return RMW_RET_INCORRECT_RMW_IMPLEMENTATION)
-
-struct GuardCondition {
-  Condition condition;
-};
 
 struct NodeData {
   NodeName name;
