@@ -57,6 +57,7 @@ TEST_F(GraphWatches, HaveOneDomain) {
   const GraphWatch here(0, [] {}), elsewhere(1, [&] { ++changes; });
   ASSERT_TRUE(eventually([&] { return count(here, topic) == 1; }));
   EXPECT_EQ(count(elsewhere, topic), 0);
+  ASSERT_TRUE(eventually([&] { return changes == 1; })) << "its first state";
   const int before = changes;
   const auto subscription = node.create_subscription<Number>(topic, 1);
   ASSERT_TRUE(eventually([&] { return count(here, topic) == 2; }));
