@@ -45,8 +45,8 @@ namespace {
 constexpr int patience_ms = 60'000;  // only what fails takes it
 constexpr unsigned pause_us = 2'000;
 
-const char* const default_config =
-    "[daemon]\nsocket_mode = \"0666\"\n"
+const char* const default_config_of_daemon = "[daemon]\nsocket_mode = \"0666\"\n";
+const char* const default_config_of_heap =
     "[heap]\nwindow_bytes = \"64MiB\"\narena_bytes = \"64GiB\"\n" AGNOCAST_TEST_ARENA_BASE;
 
 std::string content_of(const std::string& path) {
@@ -244,8 +244,11 @@ void DaemonProcess::begin(const DaemonOptions& options) {
   socket_path_ = options.socket.empty() ? directory_ + "/run/agnocastd.sock" : options.socket;
   {
     std::ofstream config(directory_ + "/agnocastd.toml");
-    config << with_looks_unlimited((options.config.empty() ? default_config : options.config) +
-                                   options.more_config);
+    const std::string whole =
+        options.config.empty()
+            ? default_config_of_daemon + options.more_daemon_config + default_config_of_heap
+            : options.config;
+    config << with_looks_unlimited(whole + options.more_config);
   }
   if (options.uid) {
     // Others may only look; the daemon's user makes run/ itself.

@@ -40,6 +40,8 @@ struct DaemonOptions {
   std::string config = {};
   /// Appended to that text.
   std::string more_config = {};
+  /// Keys of its table [daemon] for the default configuration.
+  std::string more_daemon_config = {};
   /// Run as this user and group (the test must be root).
   std::optional<uid_t> uid = {};
   std::vector<std::string> arguments = {};

@@ -135,7 +135,9 @@ class BridgeTest : public testing::Test {
     if (daemon) return;
     domain = std::make_unique<Domain>();
     ::setenv("ROS_DOMAIN_ID", std::to_string(domain->id()).c_str(), 1);
-    daemon = std::make_unique<DaemonProcess>();
+    // A test stops its worker, for as long as a loaded machine takes.
+    daemon = std::make_unique<DaemonProcess>(
+        DaemonOptions{.more_daemon_config = "watchdog_seconds = \"off\"\n"});
     ::setenv("AGNOCAST_SOCKET", daemon->socket_path().c_str(), 1);
   }
   void SetUp() override { start_bridge(); }
