@@ -19,7 +19,8 @@ namespace demo {
 namespace {
 
 using Clock = std::chrono::steady_clock;
-constexpr auto patience = std::chrono::minutes(1);
+// A round of latencies takes a second, and minutes where other programs leave it little time.
+constexpr auto patience = std::chrono::minutes(5);
 
 volatile std::sig_atomic_t caught_signal = 0;
 
