@@ -27,6 +27,10 @@ namespace {
 constexpr detail::MessageEnd end_of_block{
     [](const void*, void* block) noexcept { (void)block_heap().deallocate(block); }, nullptr};
 
+tl::unexpected<Failure> lost_state() noexcept {
+  return fail(Errc::started_anew, "agnocastd has lost its state");
+}
+
 }  // namespace
 
 Result<bool> is_switched_off() noexcept {
@@ -184,9 +188,20 @@ Result<void> Context::make_place(WaitSet& wait_set) {
       wait_set, this,
       [this]() -> Result<void> {
         if (!state_.is_alone()) return {};
-        return fail(Errc::started_anew, "agnocastd has lost its state");
+        return lost_state();
       },
       [this](std::uint64_t number, bool again) { return creations_.open_wait_set(number, again); });
+}
+
+Result<void> Context::watch_graph(const abi::wire::WatchGraph& request,
+                                  const Connection::OnLater& on_answer) {
+  return in_present([&](Context& present) -> Result<void> {
+    if (Result<void> connected = present.connect(); !connected) return connected;
+    if (present.state_.is_alone()) return lost_state();
+    present.registration_.connection().request_later(abi::wire::Opcode::watch_graph, request,
+                                                     on_answer);
+    return {};
+  });
 }
 
 // The control thread sends the leave request, now or after it has reconnected.

@@ -88,6 +88,11 @@ class Context {
   /// it.
   [[nodiscard]] Result<std::shared_ptr<WaitSet>> idle_wait_set();
 
+  /// Sends a request for the graph; `on_answer` runs in the control thread with the answer or the
+  /// refusal, across connections.
+  [[nodiscard]] static Result<void> watch_graph(const abi::wire::WatchGraph& request,
+                                                const Connection::OnLater& on_answer);
+
   /// Ends the publisher. Messages that are still read stay until they are released. Returns when
   /// the daemon knows; at once while the daemon is away; after `answer_timeout` while it does not
   /// answer; and at `end` at the latest.

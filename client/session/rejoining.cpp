@@ -13,7 +13,9 @@
 // begins another session (reregistration.hpp), and this one ends when it is unused.
 
 #include <client/process/forked_child.hpp>
+#include <client/session/context.hpp>
 #include <client/session/control_thread.hpp>
+#include <client/session/host_graph.hpp>
 #include <client/session/reregistration.hpp>
 
 #include <base/descriptors/kept_fd.hpp>
@@ -39,6 +41,7 @@ void ControlThread::lose_connection() noexcept {
     ::epoll_ctl(epoll_.get(), EPOLL_CTL_DEL, registration_.connection().fd(), nullptr);
   registration_.connection().end();
   threads_.forget();
+  if (&Context::instance() == context_) HostGraph::instance().connection_ended();
   reconnection_.ended(Reconnection::Clock::now());
   tell_state(reconnection_.is_refused() ? ConnectionState::orphaned
                                         : ConnectionState::reconnecting);

@@ -60,7 +60,7 @@ class Writer {
     body.age_ns = facts.age_ns;
     body.wait_sets = record.wait_sets;
     body.window_count = static_cast<std::uint32_t>(record.window_count);
-    const bool has_region = facts.region != nullptr && request_.without_regions == 0;
+    const bool has_region = facts.region != nullptr;
     body.region_count = has_region ? 1 : 0;
     for (std::uint64_t w = 0; w < record.window_count; ++w)
       body.window[w] = {record.window[w].base, record.window[w].bytes, record.window[w].first};

@@ -33,15 +33,6 @@ void ObserverAnswers::ask(Peer& peer, const LongRequest& request) {
   answers.waiting.push_back(peer.id);
 }
 
-void ObserverAnswers::await_change(Peer& peer, const wire::Dump& request) {
-  peer.awaits_change.reset();
-  if (request.waits != 0 && request.seen == registry_.log().committed_lsn()) {
-    peer.awaits_change = request;
-  } else {
-    ask(peer, request);
-  }
-}
-
 void ObserverAnswers::go_on() {
   const std::uint64_t now = monotonic_ms();
   for (auto& [uid, answers] : answers_) {
@@ -84,17 +75,6 @@ int ObserverAnswers::due_ms() const noexcept {
     due = std::min(due, is_crowded ? 1000 : answers.allowance.due_ms(now));
   }
   return due == UINT64_MAX ? -1 : static_cast<int>(std::min<std::uint64_t>(due, 1000));
-}
-
-void ObserverAnswers::answer_who_awaits_change() {
-  const std::uint64_t lsn = registry_.log().committed_lsn();
-  if (connections_.observer_count() == 0 || lsn == answered_lsn_) return;
-  answered_lsn_ = lsn;
-  for (const auto& [id, peer] : connections_.all()) {
-    if (peer->session.closed() || !peer->awaits_change || peer->awaits_change->seen == lsn)
-      continue;
-    ask(*peer, *std::exchange(peer->awaits_change, std::nullopt));
-  }
 }
 
 void ObserverAnswers::send(Peer& peer, std::vector<Outgoing> packets) {

@@ -1,6 +1,6 @@
 // SPDX-License-Identifier: Apache-2.0
 //
-// ObserverAnswers: long answers to observers: dumps, the journal, dumps that wait for a change.
+// ObserverAnswers: long answers to observers: dumps, the journal.
 //
 // A small request asks for much work, so each user has an allowance of answers; a request beyond
 // it waits, and the answer has the facts of its own time. An answer is made at once; the observer
@@ -37,10 +37,6 @@ class ObserverAnswers {
 
   /// Queues a request; go_on() answers it.
   void ask(Peer& peer, const LongRequest& request);
-  /// The same, as soon as something has changed that the observer has not seen.
-  void await_change(Peer& peer, const wire::Dump& request);
-  /// Queues the requests of observers that await a change, if there was one.
-  void answer_who_awaits_change();
   /// Answers all observers whose user has an allowance left.
   void go_on();
   /// Returns after how many ms go_on() is to be called; -1: no request waits.
@@ -65,7 +61,6 @@ class ObserverAnswers {
   PeerOutput& output_;
   ClientTermination& termination_;
   std::unordered_map<std::uint32_t, Answers> answers_;  // by uid
-  std::uint64_t answered_lsn_ = 0;  // observers that await a change were answered up to here
 };
 
 }  // namespace agnocast::daemon

@@ -58,7 +58,7 @@ Result<void> ObserverRequests::observe(Peer& peer, const wire::Observe& request)
 }
 
 Result<void> ObserverRequests::dump(Peer& peer, const wire::Dump& request) {
-  answers_.await_change(peer, request);
+  answers_.ask(peer, request);
   return {};
 }
 

@@ -68,6 +68,7 @@ Broker::Broker(const BrokerOptions& options, Log& log, Dispatcher& dispatcher, L
       answers_(options_.config.quota, registry_, collector_, connections_, output_, termination_),
       observer_requests_(options_.config.access, registry_, regions_, admission_, connections_,
                          output_, termination_, answers_, log),
+      graph_requests_(registry_, connections_, output_),
       hold_watch_(registry_, regions_),
       unmap_watch_(registry_, regions_, endpoint_manager_.endings(), output_),
       readers_(registry_, doorbells_, log),
@@ -111,6 +112,7 @@ void Broker::fill_request_table() {
   table.add(acknowledgement_requests_, &AcknowledgementRequests::withdrawn);
   table.add(thread_requests_, &ThreadRequests::callback_group);
   table.add(thread_requests_, &ThreadRequests::callback_thread);
+  table.add(graph_requests_, &GraphRequests::watch);
   table.add(observer_requests_, &ObserverRequests::observe);
   table.add(observer_requests_, &ObserverRequests::dump);
   table.add(observer_requests_, &ObserverRequests::read_journal);
@@ -151,7 +153,7 @@ void Broker::tick() {
   thread_requests_.go_on();
   const std::uint64_t now = monotonic_ms();
   if (now - looked_ms_ >= short_interval_ms) look_around(now);  // however many events there are
-  answers_.answer_who_awaits_change();                          // made above and by the events
+  graph_requests_.go_on(now);  // changes were made above and by the events
   answers_.go_on();
 }
 
@@ -168,6 +170,7 @@ void Broker::look_around(std::uint64_t now) {
   output_.end_old(now);
   connections_.give_memory_back();
   answers_.forget_idle_users(now);
+  graph_requests_.forget_idle(now);
   if (now - watched_ms_ >= watch_interval_ms) {
     watched_ms_ = now;
     watch_holds();
@@ -188,7 +191,10 @@ void Broker::announce_what_waits() {
 int Broker::due_ms() const noexcept {
   if (!scheduler_.nobody_waits() || !reaping_.is_empty() || thread_requests_.has_due()) return 0;
   if (acceptor_.pauses()) return short_interval_ms;
-  if (const int due = answers_.due_ms(); due >= 0) return std::min(due, short_interval_ms);
+  const int answers_due = answers_.due_ms(), graph_due = graph_requests_.due_ms(monotonic_ms());
+  if (answers_due >= 0 || graph_due >= 0)
+    return std::min({answers_due >= 0 ? answers_due : short_interval_ms,
+                     graph_due >= 0 ? graph_due : short_interval_ms, short_interval_ms});
   if (connections_.detached_count() > 0 || output_.flushes_later() ||
       endpoint_manager_.has_waiting() || endpoint_manager_.is_announcing() ||
       endpoint_manager_.has_renewed() || endpoint_requests_.has_uncleared())

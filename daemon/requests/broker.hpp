@@ -8,8 +8,8 @@
 //                               → RequestServer → the handler of RequestTable: *_requests.hpp
 //   connection or process ended ClientTermination: keeps the client if its process lives, or reaps
 //   an errand has ended         RequestScheduler: the parked request continues
-//   time passes                 tick(): ReapingQueue, ThreadRequests, ObserverAnswers, periodic
-//                               look_around()
+//   time passes                 tick(): ReapingQueue, ThreadRequests, GraphRequests,
+//                               ObserverAnswers, periodic look_around()
 //   started again               Recovery
 //
 // Handlers share Admission (quotas), AccessControl (rules), AddressConflicts (heaps that collide),
@@ -34,6 +34,7 @@
 #include <daemon/lifecycle/endpoint_manager.hpp>
 #include <daemon/lifecycle/regions.hpp>
 #include <daemon/observers/dump_collector.hpp>
+#include <daemon/observers/graph_requests.hpp>
 #include <daemon/observers/observer_answers.hpp>
 #include <daemon/observers/observer_requests.hpp>
 #include <daemon/requests/acknowledgement_requests.hpp>
@@ -129,6 +130,7 @@ class Broker final {
   DumpCollector collector_;
   ObserverAnswers answers_;
   ObserverRequests observer_requests_;
+  GraphRequests graph_requests_;
   HoldWatch hold_watch_;
   UnmapWatch unmap_watch_;
   ReaderReports readers_;

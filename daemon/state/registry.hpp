@@ -32,6 +32,7 @@
 #include <string>
 #include <string_view>
 #include <unordered_map>
+#include <utility>
 #include <vector>
 
 namespace agnocast::daemon {
@@ -301,6 +302,13 @@ class Registry {
   std::optional<std::uint32_t> next_place(Kind kind, TopicIndex topic,
                                           std::uint32_t index) const noexcept;
 
+  // --- who follows the endpoints
+  /// Begins to note which endpoints change.
+  void note_changed_endpoints() noexcept { notes_changes_ = true; }
+  /// Returns the places of endpoints that may have come, changed state or gone since the last call.
+  /// The death of their process counts.
+  std::vector<EndpointRef> take_changed_endpoints() noexcept { return std::exchange(changed_, {}); }
+
   journal::RedoLog& log() noexcept { return log_; }
   const journal::RedoLog& log() const noexcept { return log_; }
 
@@ -363,6 +371,7 @@ class Registry {
          place = next_place(kind, topic, *place + 1))
       function(*place);
   }
+  void note_change(const EndpointRef& ref);
   void use_place(const EndpointRef& ref);
   /// Gives the memory of its record back when no other record shares the page.
   void vacate_place(const EndpointRef& ref);
@@ -383,6 +392,8 @@ class Registry {
   PerClient<View> views_;
   std::unordered_map<std::string, TopicIndex> topics_;
   Accounts accounts_;
+  bool notes_changes_ = false;
+  std::vector<EndpointRef> changed_;
 };
 
 /// Returns the board's state for an endpoint in this state.

@@ -80,11 +80,13 @@ void Registry::apply(const Record& record) {
     case Type::leave_publisher:
     case Type::free_publisher:
       apply_to_publisher(record);
+      note_change({Kind::publisher, topic_of(record), index_of(record)});
       break;
     case Type::add_subscription:
     case Type::leave_subscription:
     case Type::free_subscription:
       apply_to_subscription(record);
+      note_change({Kind::subscription, topic_of(record), index_of(record)});
       break;
     case Type::announced:
     case Type::unlinked:
@@ -187,6 +189,8 @@ void Registry::apply_to_client(const Record& record) {
       store(client.state, std::max(client.state, ClientState::dead));
       store(death_counter(tables_.header.counters, static_cast<DeathReason>(record.argument[2])),
             record.argument[3]);
+      for (const EndpointRef& ref : endpoints_of(static_cast<ClientIndex>(record.argument[0])))
+        note_change(ref);
       break;
     case Type::client_forgotten: {
       // acknowledge_topic() has removed it from the sets of endpoints.
@@ -307,6 +311,10 @@ void Registry::apply_to_subscription(const Record& record) {
       vacate_place({Kind::subscription, at, index});
       break;
   }
+}
+
+void Registry::note_change(const EndpointRef& ref) {
+  if (notes_changes_) changed_.push_back(ref);
 }
 
 void Registry::use_place(const EndpointRef& ref) {

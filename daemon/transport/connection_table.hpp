@@ -63,14 +63,14 @@ struct Peer {
   bool detached = false;  // without a connection, or revoked, but alive and mapping its region
   bool revoked = false;   // its client is dead in the tables; its packets are ignored
   bool counts_as_observer = false;
-  std::uint64_t parked = 0;                      // it waits for the errand with this ticket
-  bool brings_windows = false;                   // it may, until its first other request
-  std::uint64_t refuses_since_ms = 0;            // since when the kernel refuses them again
-  std::uint64_t asked_ms = 0;                    // observer: when its last answer was made
-  std::optional<wire::Dump> awaits_change = {};  // observer: dump to answer at the next change
-  std::optional<LongRequest> asked = {};         // observer: to answer in its user's slice
-  std::uint64_t looked_ns = 0;                   // when tick() last looked for its region
-  bool looking = false;                          // a thread looks right now
+  std::uint64_t parked = 0;                           // it waits for the errand with this ticket
+  bool brings_windows = false;                        // it may, until its first other request
+  std::uint64_t refuses_since_ms = 0;                 // since when the kernel refuses them again
+  std::uint64_t asked_ms = 0;                         // observer: when its last answer was made
+  std::optional<LongRequest> asked = {};              // observer: to answer in its user's slice
+  std::optional<wire::WatchGraph> awaits_graph = {};  // to answer at the next change of the graph
+  std::uint64_t looked_ns = 0;                        // when tick() last looked for its region
+  bool looking = false;                               // a thread looks right now
   // Before hello: whether the process was looked at, and what it has of a revoked region.
   std::optional<RegionTrace> revoked_trace = {};
   std::unique_ptr<ThreadsOfPeer> threads = {};  // null: it has said nothing of them

@@ -220,6 +220,8 @@ Request decode_callback_thread(Packet packet) {
   return body;
 }
 
+// Accepts any numbers: those of another table are answered with this one.
+Request decode_watch_graph(Packet packet) { return body_of<wire::WatchGraph>(packet); }
 Request decode_observe(Packet packet) { return body_of<wire::Observe>(packet); }
 Request decode_dump(Packet packet) { return body_of<wire::Dump>(packet); }
 // Accepts any numbers: records that do not exist are not sent.
@@ -275,6 +277,7 @@ constexpr Row rows[] = {
     {wire::Opcode::callback_thread, sizeof(wire::CallbackThread), Role::client,
      decode_callback_thread},
     {wire::Opcode::bring_window, sizeof(wire::BringWindow), Role::client, decode_bring, 1},
+    {wire::Opcode::watch_graph, sizeof(wire::WatchGraph), Role::client, decode_watch_graph},
     {wire::Opcode::observe, sizeof(wire::Observe), Role::unknown, decode_observe},
     {wire::Opcode::dump, sizeof(wire::Dump), Role::observer, decode_dump},
     {wire::Opcode::revoke, sizeof(wire::Revoke), Role::observer, decode_revoke},

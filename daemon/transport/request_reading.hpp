@@ -64,9 +64,9 @@ struct Rejected {
 using Request =
     std::variant<wire::Hello, wire::Rejoin, wire::WindowRequest, WaitSetRequest, CreateRequest,
                  LeaveRequest, DrainedRequest, wire::Unlinked, wire::Blocked, wire::Withdrawn,
-                 wire::CallbackGroup, wire::CallbackThread, wire::BringWindow, wire::Observe,
-                 wire::Dump, wire::ReadJournal, wire::Revoke, wire::SetLogLevel, wire::AskAccess,
-                 Rejected>;
+                 wire::CallbackGroup, wire::CallbackThread, wire::WatchGraph, wire::BringWindow,
+                 wire::Observe, wire::Dump, wire::ReadJournal, wire::Revoke, wire::SetLogLevel,
+                 wire::AskAccess, Rejected>;
 
 /// The role of a connection decides which requests it may send: hello or rejoin makes it a client,
 /// observe an observer, for good.

@@ -1,8 +1,8 @@
 // SPDX-License-Identifier: Apache-2.0
 //
 // Graph: lists the publishers and subscriptions of this host in all domains, and reports changes:
-// for bridges, recorders, tools. It observes over a connection of its own, and affects neither
-// matching nor messages.
+// for bridges, recorders, tools. It reads a table that the daemon keeps in shared memory, so any
+// number of processes may watch; it affects neither matching nor messages.
 #pragma once
 
 #include <agnocast/export.hpp>
@@ -45,21 +45,23 @@ struct GraphSnapshot {
   std::vector<EndpointInfo> endpoints;  ///< by topic, publishers before subscriptions
 };
 
-/// One thread at a time, except for interrupt(). Not usable in a forked child.
+/// One thread at a time, except for interrupt().
 class AGNOCAST_PUBLIC Graph {
  public:
-  /// Connects at the first wait(). The socket is $AGNOCAST_SOCKET, or the daemon's default.
+  /// Connects at the first wait(), as the first endpoint of the process does, or uses the
+  /// connection that there is. One descriptor. Throws std::bad_alloc.
   Graph();
   ~Graph();
   Graph(Graph&&) noexcept;
   Graph& operator=(Graph&&) noexcept;
 
   /// The first call, and the first after an error, returns the present state. Later calls sleep
-  /// until something changes and return the whole state again; changes within 10 ms are combined.
-  /// Returns nothing if nothing has changed for `patience`, or after interrupt(). Errors:
+  /// until something changes and return the whole state again; changes within 10 ms are combined,
+  /// those of many watching processes of one user also for longer. Returns nothing if nothing has
+  /// changed for `patience`, or after interrupt(). Cost: reads all endpoints, a KiB each. Errors:
   /// daemon_not_running (no daemon for `patience`; a restart in that time is no error); at once
-  /// permission_denied, layout_mismatch and other refusals of the daemon; protocol_violation. The
-  /// next call connects again.
+  /// those of creating an endpoint: permission_denied, layout_mismatch, revoked, shut_down (a
+  /// forked child) and others. Connecting may last five seconds more. The next call tries again.
   [[nodiscard]] Result<std::optional<GraphSnapshot>> wait(std::chrono::milliseconds patience);
   /// Ends the present wait(), or the next one. Any thread, any signal handler.
   void interrupt() noexcept;

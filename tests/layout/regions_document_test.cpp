@@ -7,6 +7,7 @@
 
 #include <agnocast/abi/board.hpp>
 #include <agnocast/abi/client_region.hpp>
+#include <agnocast/abi/graph_table.hpp>
 
 #include <gmock/gmock.h>
 #include <gtest/gtest.h>
@@ -78,6 +79,15 @@ std::map<std::string, Struct> in_headers() {
       STRUCT(SubscriptionCounters, FIELD(SubscriptionCounters, lost),
              FIELD(SubscriptionCounters, malformed), FIELD(SubscriptionCounters, unreachable),
              FIELD(SubscriptionCounters, persistent_id), FIELD(SubscriptionCounters, expired)),
+      STRUCT(GraphHeader, FIELD(GraphHeader, magic), FIELD(GraphHeader, fingerprint),
+             FIELD(GraphHeader, incarnation), FIELD(GraphHeader, changes),
+             FIELD(GraphHeader, entry_high), FIELD(GraphHeader, missing)),
+      STRUCT(GraphEntry, FIELD(GraphEntry, word), FIELD(GraphEntry, kind),
+             FIELD(GraphEntry, domain), FIELD(GraphEntry, layout_hash), FIELD(GraphEntry, policies),
+             FIELD(GraphEntry, deadline_ns), FIELD(GraphEntry, lifespan_ns),
+             FIELD(GraphEntry, lease_ns), FIELD(GraphEntry, client), FIELD(GraphEntry, pid),
+             FIELD(GraphEntry, uid), FIELD(GraphEntry, reserved), FIELD(GraphEntry, topic),
+             FIELD(GraphEntry, type), FIELD(GraphEntry, node), FIELD(GraphEntry, process)),
   };
 }
 
@@ -137,6 +147,9 @@ TEST(RegionsDocument, HasTheLimitsOfTheHeaders) {
   const auto number = [](std::uint64_t value) { return std::to_string(value); };
   says("| board | 1 | the daemon | every client, observers | " + number(page_bytes) + " + " +
        number(topic_count_max) + " topics × " + number(topic_bytes) + " bytes |");
+  says("| 4096 + " + number(sizeof(GraphEntry)) + " bytes for each of up to " +
+       number(graph_entry_max) + " endpoints |");
+  says("in blocks of " + number(graph_block_entries) + ":");
   says("heap window | 1 to " + number(window_count_max) + " for each");
   says(number(topic_offset(0)) + "  topic 0:  TopicHeader · PublisherEntry[" +
        number(publisher_count_max) + "] · SubscriptionEntry[" + number(subscription_count_max) +

@@ -9,6 +9,7 @@
 
 #include <agnocast/abi/board.hpp>
 #include <agnocast/abi/client_region.hpp>
+#include <agnocast/abi/graph_table.hpp>
 #include <agnocast/abi/limits.hpp>
 #include <agnocast/abi/observe.hpp>
 #include <agnocast/abi/wire.hpp>
@@ -51,7 +52,8 @@ constexpr std::uint64_t fingerprint() noexcept {
           near_slot_count, publisher_count_max, subscription_count_max, orphan_count_max,
           topic_count_max, client_count_max, window_count_max, wait_set_count_max,
           observer_count_max, heap_move_max, blocked_count_max, callback_group_count_max,
-          callback_thread_count_max, callback_spin_count_max, cpu_count_max);
+          callback_thread_count_max, callback_spin_count_max, cpu_count_max, graph_entry_max,
+          graph_block_entries);
   // Packing of words, by the results for probe values.
   sum.add(pack_entry(0x123456789abc, 0xdef0), sequence_of(0xfedcba9876543210),
           slot_of(0xfedcba9876543210), retired_mark, first_sequence_of(0x12345),
@@ -110,6 +112,16 @@ constexpr std::uint64_t fingerprint() noexcept {
           offsetof(SubscriptionEntry, extent), offsetof(SubscriptionEntry, quota),
           offsetof(SubscriptionEntry, wait_set), offsetof(SubscriptionEntry, deadline_ns),
           offsetof(SubscriptionEntry, lease_ns));
+  sum.add(sizeof(GraphHeader), offsetof(GraphHeader, magic), offsetof(GraphHeader, fingerprint),
+          offsetof(GraphHeader, incarnation), offsetof(GraphHeader, changes),
+          offsetof(GraphHeader, entry_high), offsetof(GraphHeader, missing));
+  sum.add(sizeof(GraphEntry), offsetof(GraphEntry, word), offsetof(GraphEntry, kind),
+          offsetof(GraphEntry, domain), offsetof(GraphEntry, layout_hash),
+          offsetof(GraphEntry, policies), offsetof(GraphEntry, deadline_ns),
+          offsetof(GraphEntry, lifespan_ns), offsetof(GraphEntry, lease_ns),
+          offsetof(GraphEntry, client), offsetof(GraphEntry, pid), offsetof(GraphEntry, uid),
+          offsetof(GraphEntry, reserved), offsetof(GraphEntry, topic), offsetof(GraphEntry, type),
+          offsetof(GraphEntry, node), offsetof(GraphEntry, process), graph_entry_offset(3));
   sum.add(sizeof(wire::Header), offsetof(wire::Header, opcode), offsetof(wire::Header, bytes),
           offsetof(wire::Header, request));
   sum.add(sizeof(wire::Hello), offsetof(wire::Hello, header), offsetof(wire::Hello, fingerprint),
@@ -155,6 +167,10 @@ constexpr std::uint64_t fingerprint() noexcept {
   sum.add(sizeof(wire::CallbackThread), offsetof(wire::CallbackThread, header),
           offsetof(wire::CallbackThread, executor), offsetof(wire::CallbackThread, thread),
           offsetof(wire::CallbackThread, is_there));
+  sum.add(sizeof(wire::WatchGraph), offsetof(wire::WatchGraph, header),
+          offsetof(wire::WatchGraph, table), offsetof(wire::WatchGraph, seen));
+  sum.add(sizeof(wire::GraphChanged), offsetof(wire::GraphChanged, header),
+          offsetof(wire::GraphChanged, table), offsetof(wire::GraphChanged, changes));
   sum.add(sizeof(wire::DoorbellsRenewed), offsetof(wire::DoorbellsRenewed, header),
           offsetof(wire::DoorbellsRenewed, wait_set));
   sum.add(sizeof(wire::WaitSetRequest), offsetof(wire::WaitSetRequest, header),
@@ -204,9 +220,7 @@ constexpr std::uint64_t fingerprint() noexcept {
   sum.add(sizeof(wire::Observed), offsetof(wire::Observed, header),
           offsetof(wire::Observed, fingerprint), offsetof(wire::Observed, incarnation),
           offsetof(wire::Observed, client_region_bytes));
-  sum.add(sizeof(wire::Dump), offsetof(wire::Dump, header), offsetof(wire::Dump, seen),
-          offsetof(wire::Dump, waits), offsetof(wire::Dump, without_regions),
-          offsetof(wire::Dump, with_threads));
+  sum.add(sizeof(wire::Dump), offsetof(wire::Dump, header), offsetof(wire::Dump, with_threads));
   sum.add(sizeof(wire::Revoke), offsetof(wire::Revoke, header), offsetof(wire::Revoke, client),
           offsetof(wire::Revoke, generation));
   sum.add(sizeof(wire::ReadJournal), offsetof(wire::ReadJournal, header),
@@ -351,6 +365,7 @@ constexpr std::uint64_t fingerprint() noexcept {
           Opcode::ask_access, Opcode::access_is, wire::ProcessState::connected,
           wire::ProcessState::orphaned, wire::ProcessState::dead, wire::ProcessState::revoked,
           wire::JournalState::applied, wire::JournalState::pending, wire::JournalState::damaged);
+  sum.add(Opcode::watch_graph, Opcode::graph_changed);
   sum.add(Opcode::callback_group, Opcode::callback_thread, Opcode::dump_callback_group,
           Opcode::dump_callback_thread, Opcode::dump_thread_executors, wire::ThreadSetting::no_rule,
           wire::ThreadSetting::due, wire::ThreadSetting::applied, wire::ThreadSetting::not_allowed,

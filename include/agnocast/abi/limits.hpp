@@ -60,6 +60,10 @@ inline constexpr std::uint64_t window_granule_bytes = 2 << 20;
 // Observers of one user. The daemon may have to store one dump for each.
 inline constexpr std::uint32_t observer_count_max = 8;
 
+// Endpoints in the graph table: four times those of 1,000 nodes of rclcpp, which have about 14
+// each. 72 MiB when it is full.
+inline constexpr std::uint32_t graph_entry_max = 65536;
+
 // Wait sets of one process: one line each in the rest of the client region's first page beside the
 // windows. Callback groups share them when there are more.
 inline constexpr std::uint32_t wait_set_count_max = 56;

@@ -41,15 +41,9 @@ struct Observed {
   std::uint64_t incarnation;
   std::uint64_t client_region_bytes;
 };
-/// With `waits`, the daemon answers when its log has passed `seen` (DumpEnd::lsn of the last
-/// dump), so when an endpoint or process has come, gone or changed. A further request of the
-/// observer replaces it.
 struct Dump {
   Header header;
-  std::uint64_t seen;
-  std::uint32_t waits;            // 1: wait for a change
-  std::uint32_t without_regions;  // 1: omit the descriptors of processes
-  std::uint64_t with_threads;     // 1: also callback groups and threads
+  std::uint64_t with_threads;  // 1: also callback groups and threads
 };
 /// Ends the session of a living process as if it had died; the daemon notifies it with `revoked`.
 struct Revoke {

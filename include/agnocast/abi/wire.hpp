@@ -26,6 +26,7 @@
 //   blocked               Blocked            –                   a range of the arena is occupied
 //   callback_group        CallbackGroup      –                   an executor has it, or no longer
 //   callback_thread       CallbackThread     –                   it spins an executor, or no longer
+//   watch_graph           WatchGraph         graph_changed       graph table (read), if it is another
 //   any request may be answered by `refused`
 //   observe, dump,        for observers: see observe.hpp
 //   revoke, read_journal,
@@ -90,6 +91,7 @@ enum class Opcode : std::uint32_t {
   withdrawn = 19,
   callback_group = 20,
   callback_thread = 21,
+  watch_graph = 22,
   // daemon → client: answers
   welcome = 101,
   window_opened = 102,
@@ -113,6 +115,7 @@ enum class Opcode : std::uint32_t {
   dump_callback_group = 120,
   dump_callback_thread = 121,
   dump_thread_executors = 122,
+  graph_changed = 123,
   // daemon → client: unasked
   announce = 201,
   window_announced = 202,
@@ -230,6 +233,20 @@ struct CallbackThread {
   std::uint64_t executor;
   std::uint32_t thread;    // gettid(2)
   std::uint32_t is_there;  // 0: no longer
+};
+/// Asks for the graph table (graph_table.hpp), and to be told of its next change. The daemon answers
+/// at once if its table is not `table`, otherwise when `changes` there is no longer `seen`. A further
+/// request of the process replaces it.
+struct WatchGraph {
+  Header header;
+  std::uint64_t table;  // 0: it has none
+  std::uint64_t seen;   // GraphHeader::changes
+};
+/// `table`: differs from that of every other daemon process, and from 0.
+struct GraphChanged {
+  Header header;
+  std::uint64_t table;
+  std::uint64_t changes;
 };
 /// Requests the process's next heap window; `window` is its number, so that the daemon recognises
 /// a repeated request.

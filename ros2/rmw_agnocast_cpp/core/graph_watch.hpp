@@ -1,8 +1,8 @@
 // SPDX-License-Identifier: Apache-2.0
 //
 // GraphWatch: the endpoints of one domain of the host, as the daemon last announced them, and who
-// is told when they change. A thread of its own sleeps on the daemon's announcements
-// (agnocast::Graph), as one of the observers that a user may have.
+// is told when they change. A thread of its own sleeps until there is something new
+// (agnocast::Graph).
 #pragma once
 
 #include <agnocast/graph.hpp>

@@ -129,6 +129,7 @@ void Scenario::say_right_in_length(Process& process) {
       {Opcode::withdrawn, sizeof(wire::Withdrawn)},
       {Opcode::callback_group, sizeof(wire::CallbackGroup)},
       {Opcode::callback_thread, sizeof(wire::CallbackThread)},
+      {Opcode::watch_graph, sizeof(wire::WatchGraph)},
       {Opcode::observe, sizeof(wire::Observe)},
       {Opcode::dump, sizeof(wire::Dump)},
       {Opcode::revoke, sizeof(wire::Revoke)},

@@ -279,7 +279,7 @@ TEST(DaemonObserver, MaySendNothingElse) {
   EXPECT_EQ(early.wire.hello().refused_text(), "an observer may not take part");
   EXPECT_EQ(early.wire.open_window(0).refused_code(), Errc::protocol_violation);
   EXPECT_EQ(early.wire.create_publisher("/x").refused_code(), Errc::protocol_violation);
-  EXPECT_EQ(early.wire.ask(Opcode::dump, wire::Observe{}).refused_code(), Errc::protocol_violation)
+  EXPECT_EQ(early.wire.ask(Opcode::dump, wire::Revoke{}).refused_code(), Errc::protocol_violation)
       << "of another length";
   EXPECT_EQ(early.dump().processes.size(), 0u) << "the daemon still serves";
   const auto client = greeted_client(daemon);

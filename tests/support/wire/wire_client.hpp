@@ -108,6 +108,15 @@ class WireClient {
     return answer_to(send(opcode, body));
   }
 
+  /// Waits for the answer to this request, which may be `refused`.
+  Incoming answer_to(std::uint64_t request) {
+    for (;;) {
+      auto packet = receive();
+      if (!packet) return {};  // the test has failed already
+      if (packet->header().request == request) return std::move(*packet);
+      unasked_.push_back(std::move(*packet));
+    }
+  }
   /// Sends the request again under an id that was used before.
   template <class Body>
   Incoming ask_again(wire::Opcode opcode, Body body, std::uint64_t request) {
@@ -252,14 +261,6 @@ class WireClient {
   }
 
  private:
-  Incoming answer_to(std::uint64_t request) {
-    for (;;) {
-      auto packet = receive();
-      if (!packet) return {};  // the test has failed already
-      if (packet->header().request == request) return std::move(*packet);
-      unasked_.push_back(std::move(*packet));
-    }
-  }
   bool readable(int timeout_ms) {
     pollfd entry{socket_.fd(), POLLIN, 0};
     return ::poll(&entry, 1, timeout_ms) > 0;

@@ -1,19 +1,18 @@
 // SPDX-License-Identifier: Apache-2.0
 //
 // Goal: agnocast::Graph reports how every endpoint was created, reports again when something has
-// changed and only then, in any incarnation of the daemon, and disturbs nobody. Method: the real
-// daemon; endpoints of raw clients (CtlNode), so that the test determines every fact.
+// changed and only then, in any process and incarnation of the daemon, and disturbs nobody. Method:
+// the real daemon; endpoints of raw clients (CtlNode), so that the test determines every fact.
 
 #include <agnocast/graph.hpp>
 #include <tests/integration/ctl/ctl_node.hpp>
 #include <tests/support/node_process.hpp>
-#include <tests/support/processes/daemon_process.hpp>
+#include <tests/support/processes/suite_daemon.hpp>
 #include <tests/support/wire/wire_dump.hpp>
 
 #include <gmock/gmock.h>
 
 #include <chrono>
-#include <cstdlib>
 #include <optional>
 #include <string>
 #include <thread>
@@ -24,19 +23,16 @@ namespace {
 
 using namespace std::chrono_literals;
 using test::CtlNode;
-using test::DaemonProcess;
 using test::NodeProcess;
-using testing::ElementsAre;
-using testing::IsEmpty;
 using testing::SizeIs;
 
 // Only a failing test waits this long.
 constexpr auto patience = 5min;
 
-class GraphTest : public testing::Test {
+class GraphTest : public test::SuiteDaemon {
  protected:
-  void SetUp() override { ::setenv("AGNOCAST_SOCKET", daemon_.socket_path().c_str(), 1); }
-  void TearDown() override { ::unsetenv("AGNOCAST_SOCKET"); }
+  // Endpoints of the test before may still be leaving.
+  void SetUp() override { until_there_are(0); }
 
   GraphSnapshot changed() {
     auto snapshot = graph_.wait(patience);
@@ -67,13 +63,12 @@ class GraphTest : public testing::Test {
     EXPECT_FALSE(*snapshot) << snapshot->value().endpoints.size() << " endpoints";
   }
 
-  DaemonProcess daemon_;
   Graph graph_;
 };
 
 TEST_F(GraphTest, ReportsHowEveryEndpointWasCreated) {
-  CtlNode talker(daemon_.socket_path(), 0, "talker_process"),
-      listener(daemon_.socket_path(), 7, "listener_process");
+  CtlNode talker(daemon->socket_path(), 0, "talker_process"),
+      listener(daemon->socket_path(), 7, "listener_process");
   abi::Qos kept{9};
   kept.transient_local = true;
   kept.manual_liveliness = true;
@@ -86,7 +81,7 @@ TEST_F(GraphTest, ReportsHowEveryEndpointWasCreated) {
   all.reliable = false;
   const auto subscription = listener.subscription("/points", all, "/listener", "test/msg/Cloud");
 
-  const GraphSnapshot now = changed();
+  const GraphSnapshot now = until_there_are(2);
   ASSERT_THAT(now.endpoints, SizeIs(2));
   const EndpointInfo& first = now.endpoints[0];
   EXPECT_EQ(first.kind, EndpointKind::publisher);
@@ -119,24 +114,23 @@ TEST_F(GraphTest, ReportsHowEveryEndpointWasCreated) {
   EXPECT_EQ(second.qos.liveliness(), Liveliness::automatic);
   EXPECT_EQ(second.generation, subscription.generation);
   EXPECT_NE(second.client, first.client);
-  EXPECT_EQ(now.incarnation, test::wire_dump(daemon_.socket_path()).incarnation);
+  EXPECT_EQ(now.incarnation, test::wire_dump(daemon->socket_path()).incarnation);
 }
 
 TEST_F(GraphTest, ReportsAgainWhenAnEndpointComesLeavesOrDies) {
-  EXPECT_THAT(changed().endpoints, IsEmpty());
   nothing_changes();
-  CtlNode node(daemon_.socket_path());
+  CtlNode node(daemon->socket_path());
   const auto publisher = node.publisher("/points");
   EXPECT_EQ(until_there_are(1).endpoints[0].generation, publisher.generation);
   node.subscription("/points");
   until_there_are(2);
   nothing_changes();
 
-  NodeProcess other(daemon_.socket_path(), [](CtlNode& process) { process.publisher("/others"); });
+  NodeProcess other(daemon->socket_path(), [](CtlNode& process) { process.publisher("/others"); });
   const GraphSnapshot three = until_there_are(3);
-  EXPECT_EQ(three.endpoints[2].topic, "/others");
-  EXPECT_EQ(three.endpoints[2].pid, static_cast<std::uint32_t>(other.pid()));
-  EXPECT_NE(three.endpoints[2].client, three.endpoints[0].client);
+  EXPECT_EQ(three.endpoints[0].topic, "/others");
+  EXPECT_EQ(three.endpoints[0].pid, static_cast<std::uint32_t>(other.pid()));
+  EXPECT_NE(three.endpoints[0].client, three.endpoints[1].client);
   other.kill();
   other.wait();
   until_there_are(2);
@@ -146,10 +140,9 @@ TEST_F(GraphTest, ReportsAgainWhenAnEndpointComesLeavesOrDies) {
 }
 
 TEST_F(GraphTest, WakesForAChangeWhileItWaits) {
-  EXPECT_THAT(changed().endpoints, IsEmpty());
   std::optional<CtlNode> node;
   std::thread comes([&] {
-    node.emplace(daemon_.socket_path());
+    node.emplace(daemon->socket_path());
     node->publisher("/points");
   });
   until_there_are(1);
@@ -157,7 +150,6 @@ TEST_F(GraphTest, WakesForAChangeWhileItWaits) {
 }
 
 TEST_F(GraphTest, EndsItsWaitWhenInterruptedAndLosesNothing) {
-  EXPECT_THAT(changed().endpoints, IsEmpty());
   std::thread interrupts([&] { graph_.interrupt(); });
   const auto ended = graph_.wait(patience);
   interrupts.join();
@@ -165,55 +157,61 @@ TEST_F(GraphTest, EndsItsWaitWhenInterruptedAndLosesNothing) {
   EXPECT_FALSE(*ended);
   graph_.interrupt();  // before the next wait
   EXPECT_FALSE(graph_.wait(patience).value());
-  CtlNode node(daemon_.socket_path());
+  CtlNode node(daemon->socket_path());
   node.publisher("/points");
   until_there_are(1);
 }
 
+TEST_F(GraphTest, ServesAnyNumberOfWatches) {
+  std::vector<Graph> others(20);
+  for (Graph& other : others) EXPECT_TRUE(other.wait(patience).value().has_value());
+  CtlNode node(daemon->socket_path());
+  node.publisher("/points");
+  for (Graph& other : others) {
+    const auto now = other.wait(patience);
+    ASSERT_TRUE(now && *now);
+    EXPECT_EQ((*now)->endpoints.size(), 1u);
+  }
+  EXPECT_EQ(Graph().wait(0ms).value().value().endpoints.size(), 1u) << "the first time at once";
+}
+
 TEST_F(GraphTest, GoesOnAfterARestartOfTheDaemon) {
-  CtlNode node(daemon_.socket_path());
+  CtlNode node(daemon->socket_path());
   const auto publisher = node.publisher("/points");
-  const std::uint64_t incarnation = changed().incarnation;
-  daemon_.kill_worker();
+  const std::uint64_t incarnation = until_there_are(1).incarnation;
+  daemon->kill_worker();
   // Its supervisor starts the next daemon, which has the same tables.
   const GraphSnapshot again =
       changed_until([](const GraphSnapshot& now) { return now.endpoints.size() == 1; });
   EXPECT_EQ(again.incarnation, incarnation);
   EXPECT_EQ(again.endpoints[0].generation, publisher.generation);
+  CtlNode next(daemon->socket_path());
+  next.publisher("/others");
+  until_there_are(2);
+}
+
+TEST_F(GraphTest, ANewWatchAfterARestartSeesThePresent) {
+  std::optional<CtlNode> node(daemon->socket_path());
+  node->publisher("/points");
+  until_there_are(1);
+  node.reset();
+  daemon->kill_worker();
+  // Nobody waited, so nobody was told.
+  const auto deadline = std::chrono::steady_clock::now() + patience;
+  while (Graph().wait(patience).value().value().endpoints.size() != 0)
+    ASSERT_LT(std::chrono::steady_clock::now(), deadline);
 }
 
 TEST_F(GraphTest, IsNoEndpointAndChangesNothing) {
-  CtlNode node(daemon_.socket_path());
+  CtlNode node(daemon->socket_path());
   node.publisher("/points");
-  const auto before = test::wire_dump(daemon_.socket_path());
-  EXPECT_THAT(changed().endpoints, SizeIs(1));
+  const auto before = test::wire_dump(daemon->socket_path());
+  until_there_are(1);
   nothing_changes();
-  const auto after = test::wire_dump(daemon_.socket_path());
+  const auto after = test::wire_dump(daemon->socket_path());
   EXPECT_EQ(after.processes.size(), before.processes.size());
   EXPECT_EQ(after.endpoints.size(), before.endpoints.size());
   EXPECT_EQ(node.wire.poll(), std::nullopt) << "the publisher got a packet";
-}
-
-TEST(Graph, ReportsAMissingDaemonAndConnectsOnceOneRuns) {
-  const std::string directory = test::make_directory();
-  const std::string socket = directory + "/agnocastd.sock";
-  ::setenv("AGNOCAST_SOCKET", socket.c_str(), 1);
-  Graph graph;
-  const auto nobody = graph.wait(1s);
-  ASSERT_FALSE(nobody);
-  EXPECT_EQ(nobody.error().code, Errc::daemon_not_running);
-  {
-    DaemonProcess daemon({.socket = socket});
-    const auto somebody = graph.wait(1s);
-    ASSERT_TRUE(somebody) << somebody.error().what;
-    ASSERT_TRUE(*somebody);
-    EXPECT_THAT((*somebody)->endpoints, IsEmpty());
-  }
-  const auto gone = graph.wait(1s);
-  ASSERT_FALSE(gone);
-  EXPECT_EQ(gone.error().code, Errc::daemon_not_running);
-  ::unsetenv("AGNOCAST_SOCKET");
-  test::remove_directory(directory);
 }
 
 }  // namespace

@@ -61,6 +61,8 @@ TEST(Requests, PassesEveryHonestPacket) {
       decoded(body<wire::Observe>(wire::Opcode::observe), {}, Role::unknown)));
   EXPECT_TRUE(std::holds_alternative<wire::Dump>(
       decoded(body<wire::Dump>(wire::Opcode::dump), {}, Role::observer)));
+  EXPECT_TRUE(std::holds_alternative<wire::WatchGraph>(
+      decoded(body<wire::WatchGraph>(wire::Opcode::watch_graph))));
   const Request created = decoded(honest_create(wire::Opcode::create_subscription));
   const auto* const create = std::get_if<CreateRequest>(&created);
   ASSERT_NE(create, nullptr);

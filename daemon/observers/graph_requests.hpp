@@ -1,0 +1,52 @@
+// SPDX-License-Identifier: Apache-2.0
+//
+// GraphRequests: processes that watch the graph. Each asks for the graph table once, and then to be
+// told of the next change; the packet that tells it says only that there is one. So a process that
+// does not ask again costs nothing more, and many changes cost one packet.
+//
+// A change of one endpoint concerns every process that watches, so a user with many of them has an
+// allowance of such packets; beyond it they wait, and changes meanwhile are told together.
+#pragma once
+
+#include <daemon/observers/graph_table.hpp>
+#include <daemon/state/registry.hpp>
+#include <daemon/transport/allowance.hpp>
+#include <daemon/transport/connection_table.hpp>
+#include <daemon/transport/peer_output.hpp>
+
+#include <cstdint>
+#include <unordered_map>
+#include <vector>
+
+namespace agnocast::daemon {
+
+class GraphRequests {
+ public:
+  GraphRequests(Registry& registry, ConnectionTable& connections, PeerOutput& output) noexcept
+      : table_(registry), connections_(connections), output_(output) {}
+
+  /// Errors: os_failure (the table cannot be made).
+  [[nodiscard]] Result<void> watch(Peer& peer, const wire::WatchGraph& request);
+  /// Brings the table up to date, and tells those who wait for that.
+  void go_on(std::uint64_t now_ms);
+  /// Returns after how many ms go_on() is to be called; -1: nobody is told late.
+  int due_ms(std::uint64_t now_ms) const noexcept;
+  void forget_idle(std::uint64_t now_ms);
+  /// Returns how many endpoints have no entry.
+  std::uint64_t missing() const noexcept { return table_.missing(); }
+
+ private:
+  Peer* present(PeerId id) const;
+  bool tell(Peer& peer, std::uint64_t now_ms);
+  void answer(Peer& peer, const wire::WatchGraph& request, std::vector<SharedFd> fds);
+  Allowance& allowance_of(std::uint32_t uid);
+
+  GraphTable table_;
+  ConnectionTable& connections_;
+  PeerOutput& output_;
+  std::vector<PeerId> waiting_;
+  std::uint64_t told_changes_ = 0;  // all that wait were looked at since this change
+  std::unordered_map<std::uint32_t, Allowance> allowances_;  // by uid
+};
+
+}  // namespace agnocast::daemon
