@@ -288,6 +288,10 @@ std::uint64_t UntypedPublisher::callback_exception_count() const noexcept {
 MatchedInfo UntypedPublisher::matched_status() noexcept {
   return endpoint_ != nullptr ? endpoint_->events().matched_status() : MatchedInfo{};
 }
+std::chrono::steady_clock::time_point UntypedPublisher::event_due() const noexcept {
+  return endpoint_ != nullptr ? endpoint_->events().look_due()
+                              : std::chrono::steady_clock::time_point::max();
+}
 DeadlineMissedInfo UntypedPublisher::deadline_missed_status() noexcept {
   if (endpoint_ == nullptr) return {};
   endpoint_->look_at_times();

@@ -271,6 +271,10 @@ void UntypedSubscription::tell(std::shared_ptr<Watch> watch) noexcept {
 MatchedInfo UntypedSubscription::matched_status() noexcept {
   return endpoint_ != nullptr ? endpoint_->events().matched_status() : MatchedInfo{};
 }
+std::chrono::steady_clock::time_point UntypedSubscription::event_due() const noexcept {
+  return endpoint_ != nullptr ? endpoint_->events().look_due()
+                              : std::chrono::steady_clock::time_point::max();
+}
 DeadlineMissedInfo UntypedSubscription::deadline_missed_status() noexcept {
   if (endpoint_ == nullptr) return {};
   endpoint_->look_at_times();

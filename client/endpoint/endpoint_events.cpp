@@ -73,7 +73,9 @@ void EndpointEvents::begin_deadline(std::uint64_t period_ns) noexcept {
 
 void EndpointEvents::look_at_deadline(std::uint64_t newest_ns) noexcept {
   const std::lock_guard lock(mutex_);
-  now_.deadlines += deadline_.look(monotonic_ns(), newest_ns);
+  const std::uint64_t missed = deadline_.look(monotonic_ns(), newest_ns);
+  if (missed == 0) return;  // a loop that looks must not wake itself
+  now_.deadlines += missed;
   changed();
 }
 
@@ -233,6 +235,8 @@ bool EndpointEvents::look_for_pending() const noexcept {
 void EndpointEvents::changed() noexcept {
   const bool pending = look_for_pending();
   pending_.store(pending, std::memory_order_release);
+  const WaitSet* const polling = polling_.load(std::memory_order_acquire);
+  if (wait_set_ == nullptr && polling != nullptr) polling->wake();
   if (pending && wait_set_ != nullptr) wait_set_->wake();
 }
 

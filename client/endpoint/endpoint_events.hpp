@@ -100,6 +100,11 @@ class EndpointEvents {
   /// From now on a change that has a callback wakes this wait set.
   void wake_for(const detail::EventCallbacks& callbacks,
                 std::shared_ptr<WaitSet> wait_set) noexcept;
+  /// From now on a change of an endpoint without event callbacks wakes this wait set, which never
+  /// ends: for loops that look at counts.
+  static void wake_for_polling(const WaitSet& wait_set) noexcept {
+    polling_.store(&wait_set, std::memory_order_release);
+  }
   /// From now on a change of the matches notifies this watch.
   void tell(std::shared_ptr<Watch> watch) noexcept;
 
@@ -158,8 +163,9 @@ class EndpointEvents {
          quota_reached = false, deadlines = false, liveliness_lost = false,
          liveliness_changed = false, drained = false;
   } wanted_;
-  std::shared_ptr<WaitSet> wait_set_;
+  std::shared_ptr<WaitSet> wait_set_;  // null: no callbacks
   std::shared_ptr<Watch> watch_;
+  inline static constinit std::atomic<const WaitSet*> polling_{nullptr};
 };
 
 }  // namespace agnocast

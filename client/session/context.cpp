@@ -143,6 +143,7 @@ Result<std::shared_ptr<WaitSet>> Context::idle_wait_set() {
     auto made = create_wait_set();
     if (!made) return made;
     idle->wait_set = std::move(*made);
+    EndpointEvents::wake_for_polling(*idle->wait_set);
   }
   return idle->wait_set;
 }

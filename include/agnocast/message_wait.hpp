@@ -17,9 +17,10 @@
 
 namespace agnocast {
 
-/// Sleeps while none of this process's subscriptions without a callback gets a message. One thread
-/// waits on it at a time; any number of them may exist, each with three descriptors. A message that
-/// comes to such a subscription ends the sleep of all of them for the moment of a look.
+/// Sleeps while none of this process's subscriptions without a callback gets a message, and no
+/// count of an endpoint without event callbacks changes (events.hpp). One thread waits on it at a
+/// time; any number of them may exist, each with three descriptors. A message that comes to such a
+/// subscription ends the sleep of all of them for the moment of a look.
 class AGNOCAST_PUBLIC MessageWait {
  public:
   using Clock = std::chrono::steady_clock;
@@ -33,8 +34,9 @@ class AGNOCAST_PUBLIC MessageWait {
   MessageWait& operator=(const MessageWait&) = delete;
 
   /// Sleeps until `is_ready()` is true, or until `end`; returns what it returned last. Calls it
-  /// before the first sleep, and after each message, wake() and second. It must not throw. In a
-  /// forked child it is called once, and nothing sleeps. No system call if it is true at once.
+  /// before the first sleep, and after each message, change of a count, wake() and second. It must
+  /// not throw. In a forked child it is called once, and nothing sleeps. No system call if it is
+  /// true at once.
   template <class Ready>
   bool wait_until(Clock::time_point end, Ready&& is_ready) noexcept {
     const auto look = [&]() noexcept { return static_cast<bool>(is_ready()); };

@@ -171,6 +171,7 @@ class AGNOCAST_PUBLIC UntypedPublisher {
   MatchedInfo matched_status() noexcept;
   IncompatibleQosInfo incompatible_qos_status() noexcept;
   DeadlineMissedInfo deadline_missed_status() noexcept;
+  std::chrono::steady_clock::time_point event_due() const noexcept;
   LivelinessLostInfo liveliness_lost_status() noexcept;
   bool assert_liveliness() noexcept;
   IncompatibleTypeInfo incompatible_type_status() noexcept;
@@ -249,6 +250,11 @@ class PublisherBase {
   }
   DeadlineMissedInfo get_deadline_missed_status() noexcept {
     return untyped_->deadline_missed_status();
+  }
+  /// Returns when a period of the deadline or a lease of the liveliness may end next: a loop that
+  /// looks at these counts looks again then. time_point::max(): there are none.
+  std::chrono::steady_clock::time_point get_event_due() const noexcept {
+    return untyped_->event_due();
   }
   LivelinessLostInfo get_liveliness_lost_status() noexcept {
     return untyped_->liveliness_lost_status();

@@ -126,6 +126,7 @@ class AGNOCAST_PUBLIC UntypedSubscription {
   MatchedInfo matched_status() noexcept;
   IncompatibleQosInfo incompatible_qos_status() noexcept;
   DeadlineMissedInfo deadline_missed_status() noexcept;
+  std::chrono::steady_clock::time_point event_due() const noexcept;
   LivelinessChangedInfo liveliness_changed_status() noexcept;
   IncompatibleTypeInfo incompatible_type_status() noexcept;
   HeapCollisionInfo heap_collision_status() noexcept;
@@ -253,6 +254,11 @@ class SubscriptionBase {
   }
   DeadlineMissedInfo get_deadline_missed_status() noexcept {
     return untyped_->deadline_missed_status();
+  }
+  /// Returns when a period of the deadline or a lease of the liveliness may end next: a loop that
+  /// looks at these counts looks again then. time_point::max(): there are none.
+  std::chrono::steady_clock::time_point get_event_due() const noexcept {
+    return untyped_->event_due();
   }
   LivelinessChangedInfo get_liveliness_changed_status() noexcept {
     return untyped_->liveliness_changed_status();
