@@ -15,6 +15,7 @@
 #include <agnocast/heap.hpp>
 #include <agnocast/qos.hpp>
 #include <agnocast/result.hpp>
+#include <ros2/rmw_agnocast_cpp/core/events.hpp>
 #include <ros2/rmw_agnocast_cpp/core/message_support.hpp>
 #include <ros2/rmw_agnocast_cpp/core/wait_set.hpp>
 
@@ -98,14 +99,16 @@ class TopicPublisher {
   bool give_back(void* message) noexcept { return static_cast<bool>(loans_.take(message)); }
 
   GenericPublisher& endpoint() const noexcept { return *publisher_; }
+  PublisherEvents& events() noexcept { return events_; }
   const MessageSupport& support() const noexcept { return support_; }
 
  private:
   TopicPublisher(MessageSupport support, GenericPublisher::SharedPtr publisher) noexcept
-      : support_(std::move(support)), publisher_(std::move(publisher)) {}
+      : support_(std::move(support)), publisher_(std::move(publisher)), events_(*publisher_) {}
 
   const MessageSupport support_;
   const GenericPublisher::SharedPtr publisher_;
+  PublisherEvents events_;
   Loans<GenericLoan> loans_;
 };
 
@@ -134,13 +137,17 @@ class TopicSubscription final : public Readable {
   bool give_back(const void* message) noexcept { return static_cast<bool>(loans_.take(message)); }
 
   GenericSubscription& endpoint() const noexcept { return *subscription_; }
+  SubscriptionEvents& events() noexcept { return events_; }
 
  private:
   TopicSubscription(MessageSupport support, GenericSubscription::SharedPtr subscription) noexcept
-      : support_(std::move(support)), subscription_(std::move(subscription)) {}
+      : support_(std::move(support)),
+        subscription_(std::move(subscription)),
+        events_(*subscription_) {}
 
   const MessageSupport support_;
   const GenericSubscription::SharedPtr subscription_;
+  SubscriptionEvents events_;
   Loans<GenericMessage> loans_;
 };
 

@@ -23,6 +23,14 @@ MessageWait::Clock::time_point end_of(std::optional<WaitSet::Duration> timeout) 
   return now + *timeout;
 }
 
+MessageWait::Clock::time_point due_of(const WaitSet::Readables& readables) noexcept {
+  auto due = MessageWait::Clock::time_point::max();
+  for (const Readable* const readable : readables) {
+    if (readable != nullptr) due = std::min(due, readable->look_due());
+  }
+  return due;
+}
+
 }  // namespace
 
 Condition::~Condition() {
@@ -142,7 +150,8 @@ Result<bool> WaitSet::wait(const Conditions& conditions, const Readables& readab
   bool found = look(readables);
   // Another thread may take the message that ended the sleep.
   while (!found && !is_over) {
-    is_over = !wait_->wait_until(end, has_any);
+    const auto due = due_of(readables);
+    is_over = !wait_->wait_until(std::min(end, due), has_any) && end <= due;
     found = look(readables);
   }
   detach();

@@ -1,7 +1,7 @@
 // SPDX-License-Identifier: Apache-2.0
 //
-// WaitSet: a thread waits until one of several things is ready: messages of subscriptions, and
-// conditions that other threads trigger (rmw's guard conditions).
+// WaitSet: a thread waits until one of several things is ready: messages of subscriptions, events
+// of endpoints, and conditions that other threads trigger (rmw's guard conditions).
 //
 //   attach to all conditions ── look ── sleep ── look ── … ── detach from all, consume
 //
@@ -49,13 +49,16 @@ class Condition {
 };
 
 /// What is ready while its state says so, and is not consumed by waiting for it: a subscription
-/// without a callback.
+/// without a callback, a count that has changed.
 class Readable {
  public:
+  using Clock = MessageWait::Clock;
   virtual ~Readable() = default;
   /// Called by the thread that waits, also between arming and sleeping: it must see what was
   /// published before that.
   virtual bool is_ready() const noexcept = 0;
+  /// Returns when the time alone may make it ready; time_point::max(): never.
+  virtual Clock::time_point look_due() const noexcept { return Clock::time_point::max(); }
 };
 
 /// The MessageWaits that no wait set uses. Any thread.

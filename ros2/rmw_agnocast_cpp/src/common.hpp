@@ -90,6 +90,9 @@ Data& data_of(const Handle* handle) noexcept {
   return *static_cast<Data*>(handle->data);
 }
 
+/// Returns what a wait set waits for; null: the event is of no type.
+const Readable* readable_of(const rmw_event_t& event) noexcept;
+
 /// Fills in what the profile leaves to this rmw. Returns false, with the error set, if a policy is
 /// unknown.
 bool resolve_qos(const rmw_qos_profile_t& asked, rmw_qos_profile_t& resolved);

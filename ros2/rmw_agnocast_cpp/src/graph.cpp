@@ -205,8 +205,7 @@ rmw_ret_t infos(const rmw_node_t* node, rcutils_allocator_t* allocator, const ch
   RCUTILS_CHECK_ALLOCATOR_WITH_MSG(allocator, "allocator argument is invalid",
                                    return RMW_RET_INVALID_ARGUMENT);
   AGNOCAST_RMW_NOT_NULL(topic);
-  if (const rmw_ret_t wrong = rmw_topic_endpoint_info_array_check_zero(to); wrong != RMW_RET_OK)
-    return wrong;
+  if (rmw_topic_endpoint_info_array_check_zero(to) != RMW_RET_OK) return RMW_RET_INVALID_ARGUMENT;
   return guarded([&] {
     std::vector<EndpointInfo> found;
     for_each_endpoint(node, [&](const EndpointInfo& endpoint, const TopicRole&) {

@@ -23,33 +23,6 @@ const char* copied_text(const std::string& text) noexcept {
   if (copy != nullptr) std::memcpy(copy, text.c_str(), text.size() + 1);
   return copy;
 }
-
-bool resolve_qos(const rmw_qos_profile_t& asked, rmw_qos_profile_t& resolved) {
-  resolved = asked;
-  if (asked.history == RMW_QOS_POLICY_HISTORY_UNKNOWN ||
-      asked.reliability == RMW_QOS_POLICY_RELIABILITY_UNKNOWN ||
-      asked.durability == RMW_QOS_POLICY_DURABILITY_UNKNOWN ||
-      asked.liveliness == RMW_QOS_POLICY_LIVELINESS_UNKNOWN) {
-    RMW_SET_ERROR_MSG("the QoS has an unknown policy");
-    return false;
-  }
-  if (resolved.history == RMW_QOS_POLICY_HISTORY_SYSTEM_DEFAULT)
-    resolved.history = RMW_QOS_POLICY_HISTORY_KEEP_LAST;
-  if (resolved.history == RMW_QOS_POLICY_HISTORY_KEEP_LAST && resolved.depth == 0)
-    resolved.depth = 1;
-  if (resolved.reliability == RMW_QOS_POLICY_RELIABILITY_SYSTEM_DEFAULT)
-    resolved.reliability = RMW_QOS_POLICY_RELIABILITY_RELIABLE;
-  if (resolved.durability == RMW_QOS_POLICY_DURABILITY_SYSTEM_DEFAULT)
-    resolved.durability = RMW_QOS_POLICY_DURABILITY_VOLATILE;
-  if (resolved.liveliness == RMW_QOS_POLICY_LIVELINESS_SYSTEM_DEFAULT)
-    resolved.liveliness = RMW_QOS_POLICY_LIVELINESS_AUTOMATIC;
-  for (rmw_time_t* const time :
-       {&resolved.deadline, &resolved.lifespan, &resolved.liveliness_lease_duration}) {
-    if (time->sec == 0 && time->nsec == 0) *time = RMW_DURATION_INFINITE;
-  }
-  return true;
-}
-
 }  // namespace agnocast::rmw
 
 extern "C" {

@@ -79,6 +79,12 @@ rmw_ret_t rmw_wait(rmw_subscriptions_t* subscriptions, rmw_guard_conditions_t* g
       add<ServiceData>(data.readables, services->services, services->service_count);
     if (clients != nullptr)
       add<ClientData>(data.readables, clients->clients, clients->client_count);
+    if (events != nullptr) {
+      for (std::size_t i = 0; i < events->event_count; ++i) {
+        const auto* const event = static_cast<const rmw_event_t*>(events->events[i]);
+        data.readables.push_back(event != nullptr ? readable_of(*event) : nullptr);
+      }
+    }
     std::optional<WaitSet::Duration> timeout;
     if (wait_timeout != nullptr && !rmw_time_equal(*wait_timeout, RMW_DURATION_INFINITE))
       timeout = WaitSet::Duration(rmw_time_total_nsec(*wait_timeout));
@@ -109,9 +115,7 @@ rmw_ret_t rmw_wait(rmw_subscriptions_t* subscriptions, rmw_guard_conditions_t* g
       keep_ready(subscriptions->subscribers, subscriptions->subscriber_count);
     if (services != nullptr) keep_ready(services->services, services->service_count);
     if (clients != nullptr) keep_ready(clients->clients, clients->client_count);
-    if (events != nullptr) {
-      for (std::size_t i = 0; i < events->event_count; ++i) events->events[i] = nullptr;
-    }
+    if (events != nullptr) keep_ready(events->events, events->event_count);
     return *waited ? RMW_RET_OK : RMW_RET_TIMEOUT;
   });
 }

@@ -1,0 +1,133 @@
+// SPDX-License-Identifier: Apache-2.0
+//
+// Events of an endpoint as rmw has them: what has changed since somebody took it, for a wait set to
+// wait for.
+//
+// The library counts; a wait set only looks whether a count has changed. What it finds is kept here
+// until it is taken, because a look of the library's getters takes the change away.
+#pragma once
+
+#include <agnocast/events.hpp>
+#include <agnocast/publisher.hpp>
+#include <agnocast/subscription.hpp>
+#include <ros2/rmw_agnocast_cpp/core/wait_set.hpp>
+
+#include <chrono>
+#include <cstdint>
+#include <mutex>
+
+namespace agnocast::rmw {
+
+/// Messages that a subscription lost because its depth was exceeded.
+struct MessageLostInfo {
+  std::uint64_t total_count = 0;
+  std::uint64_t total_count_change = 0;
+};
+
+namespace detail {
+
+/// Adds what is new to what was not taken yet; returns whether anything is new.
+template <class Info>
+bool add_changes(Info& kept, const Info& now) noexcept {
+  const auto change = kept.total_count_change + now.total_count_change;
+  kept = now;
+  kept.total_count_change = change;
+  return now.total_count_change != 0;
+}
+inline bool add_changes(LivelinessChangedInfo& kept, const LivelinessChangedInfo& now) noexcept {
+  const std::int32_t alive = kept.alive_count_change + now.alive_count_change;
+  const std::int32_t not_alive = kept.not_alive_count_change + now.not_alive_count_change;
+  kept = now;
+  kept.alive_count_change = alive;
+  kept.not_alive_count_change = not_alive;
+  return now.alive_count_change != 0 || now.not_alive_count_change != 0;
+}
+template <class Info>
+void take_changes(Info& kept) noexcept {
+  kept.total_count_change = 0;
+}
+inline void take_changes(LivelinessChangedInfo& kept) noexcept {
+  kept.alive_count_change = kept.not_alive_count_change = 0;
+}
+
+}  // namespace detail
+
+/// One kind of event of one endpoint, which must outlive it. Any thread.
+template <class Info, class Endpoint, Info (*look)(Endpoint&, const Info& last) noexcept>
+class Event final : public Readable {
+ public:
+  explicit Event(Endpoint& endpoint) noexcept : endpoint_(endpoint) {}
+
+  bool is_ready() const noexcept override {
+    const std::lock_guard lock(mutex_);
+    gather();
+    return has_changed_;
+  }
+  Clock::time_point look_due() const noexcept override { return endpoint_.get_event_due(); }
+  /// Returns the counts and their changes since the last call.
+  Info take() noexcept {
+    const std::lock_guard lock(mutex_);
+    gather();
+    has_changed_ = false;
+    const Info taken = kept_;
+    detail::take_changes(kept_);
+    return taken;
+  }
+
+ private:
+  void gather() const noexcept {
+    has_changed_ |= detail::add_changes(kept_, look(endpoint_, kept_));
+  }
+
+  Endpoint& endpoint_;
+  mutable std::mutex mutex_;
+  mutable Info kept_{};
+  mutable bool has_changed_ = false;
+};
+
+/// The events of a publisher.
+class PublisherEvents {
+  template <class Info, Info (PublisherBase::*get)() noexcept>
+  static Info look(PublisherBase& endpoint, const Info&) noexcept {
+    return (endpoint.*get)();
+  }
+  template <class Info, Info (PublisherBase::*get)() noexcept>
+  using Of = Event<Info, PublisherBase, &look<Info, get>>;
+
+ public:
+  explicit PublisherEvents(PublisherBase& publisher) noexcept
+      : deadline_missed(publisher), liveliness_lost(publisher), incompatible_qos(publisher) {}
+
+  Of<DeadlineMissedInfo, &PublisherBase::get_deadline_missed_status> deadline_missed;
+  Of<LivelinessLostInfo, &PublisherBase::get_liveliness_lost_status> liveliness_lost;
+  Of<IncompatibleQosInfo, &PublisherBase::get_incompatible_qos_status> incompatible_qos;
+};
+
+/// The events of a subscription.
+class SubscriptionEvents {
+  template <class Info, Info (SubscriptionBase::*get)() noexcept>
+  static Info look(SubscriptionBase& endpoint, const Info&) noexcept {
+    return (endpoint.*get)();
+  }
+  static MessageLostInfo look_for_lost(SubscriptionBase& endpoint,
+                                       const MessageLostInfo& last) noexcept {
+    const std::uint64_t now = endpoint.get_lost_count();
+    return {now, now - last.total_count};
+  }
+  template <class Info, Info (SubscriptionBase::*get)() noexcept>
+  using Of = Event<Info, SubscriptionBase, &look<Info, get>>;
+
+ public:
+  explicit SubscriptionEvents(SubscriptionBase& subscription) noexcept
+      : deadline_missed(subscription),
+        liveliness_changed(subscription),
+        incompatible_qos(subscription),
+        message_lost(subscription) {}
+
+  Of<DeadlineMissedInfo, &SubscriptionBase::get_deadline_missed_status> deadline_missed;
+  Of<LivelinessChangedInfo, &SubscriptionBase::get_liveliness_changed_status> liveliness_changed;
+  Of<IncompatibleQosInfo, &SubscriptionBase::get_incompatible_qos_status> incompatible_qos;
+  Event<MessageLostInfo, SubscriptionBase, &look_for_lost> message_lost;
+};
+
+}  // namespace agnocast::rmw
