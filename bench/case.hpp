@@ -123,5 +123,6 @@ void run_death(const Run&, Report&);
 void run_bridge(const Run&, Report&);
 void run_pipeline(const Run&, Report&);
 void run_ros2(const Run&, Report&);
+void run_rmw(const Run&, Report&);
 
 }  // namespace agnocast::bench

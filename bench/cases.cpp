@@ -4,6 +4,7 @@
 // that each of them reads.
 
 #include <bench/cases.hpp>
+#include <bench/cases/rmw.hpp>
 #include <bench/cases/ros2.hpp>
 #include <bench/cases/throughput.hpp>
 #include <bench/pipeline/edge.hpp>
@@ -27,6 +28,7 @@ std::vector<SystemName> of_fanout() {
 }
 std::vector<SystemName> of_throughput() { return named(throughput::systems()); }
 std::vector<SystemName> of_ros2() { return named(ros2::systems()); }
+std::vector<SystemName> of_rmw() { return named(rmw::systems()); }
 std::vector<SystemName> of_pipeline() {
   std::vector<SystemName> names;
   for (const pipeline::Edge& edge : pipeline::edges()) names.push_back({edge.name, {}});
@@ -126,6 +128,12 @@ const std::vector<Case>& cases() {
        run_ros2,
        {"--rounds", "--messages", "--period", "--sizes", "--systems"},
        of_ros2},
+      {"rmw",
+       "unchanged rclcpp nodes over rmw_agnocast_cpp and over rmw_cyclonedds_cpp",
+       seconds(300),
+       run_rmw,
+       {"--rounds", "--messages", "--period", "--sizes", "--systems"},
+       of_rmw},
 #endif
   };
   return all;

@@ -57,6 +57,16 @@ std::vector<std::string> nodes() {
               {"RMW_IMPLEMENTATION=rmw_cyclonedds_cpp", "ROS_LOCALHOST_ONLY=0"});
 }
 std::vector<std::string> nodes_tuned() { return with(nodes(), cyclonedds_tuned()); }
+std::vector<std::string> nodes_over_iceoryx() {
+  return with(cyclonedds_over_iceoryx(),
+              {"RMW_IMPLEMENTATION=rmw_cyclonedds_cpp", "ROS_LOCALHOST_ONLY=0"});
+}
+std::vector<std::string> nodes_over_agnocast() { return {"RMW_IMPLEMENTATION=rmw_agnocast_cpp"}; }
+// Without the variable rclcpp takes no loans.
+std::vector<std::string> nodes_with_loans() {
+  return with(nodes_over_agnocast(), {"LD_PRELOAD=" + path_of("libagnocast_heaphook.so"),
+                                      "ROS_DISABLE_LOANED_MESSAGES=0"});
+}
 std::vector<std::string> nodes_with_hook() {
   return with(nodes(), {"LD_PRELOAD=" + path_of("libagnocast_heaphook.so")});
 }
@@ -87,6 +97,19 @@ std::vector<System> ros2_systems() {
              "", nodes_tuned),
       system("rclcpp-intra-process", "rclcpp within one process, a unique_ptr that is moved", "",
              nodes, true),
+  };
+}
+
+std::vector<System> rmw_systems() {
+  return {
+      system("rclcpp-cyclonedds", "rclcpp over rmw_cyclonedds_cpp, loopback interface, reliable",
+             "", nodes),
+      system("rclcpp-cyclonedds-iceoryx", "the same through iceoryx' shared memory", "iox-roudi",
+             nodes_over_iceoryx),
+      system("rclcpp-agnocast", "rclcpp over rmw_agnocast_cpp, without the heap hook", "agnocastd",
+             nodes_over_agnocast),
+      system("rclcpp-agnocast-loans", "the same with the hook, published and taken as loans",
+             "agnocastd", nodes_with_loans),
   };
 }
 

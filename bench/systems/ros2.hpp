@@ -13,6 +13,8 @@
 namespace agnocast::bench {
 
 std::vector<System> ros2_systems();
+/// rclcpp over several rmws.
+std::vector<System> rmw_systems();
 
 /// Starts agnocast_bench_ros2 once. Returns what it was built with ("rclcpp 16.0.11, …"); empty,
 /// after leave_out() with the reason and the remedy, if it is not found or does not start here.

@@ -1,11 +1,12 @@
 // SPDX-License-Identifier: Apache-2.0
 //
-// The systems of the case ros2 that need rclcpp, by the names of bench/systems/ros2.cpp. Ordinary
-// nodes with their parameter services and topics, in an executor of rclcpp's that has this one
-// node.
+// The systems of the cases ros2 and rmw that need rclcpp, by the names of bench/systems/ros2.cpp.
+// Ordinary nodes with their parameter services and topics, in an executor of rclcpp's that has this
+// one node.
 //
 //   agnocast-rclcpp…       agnocast_rclcpp; the message is a loan, and read where it is
 //   rclcpp-cyclonedds…     rclcpp; publish() serializes, the subscription deserializes
+//   rclcpp-agnocast…       the same over another rmw; or the message is borrowed from it
 //   rclcpp-intra-process   both nodes in one process: publish() moves a unique_ptr to the callback
 
 #include <agnocast_rclcpp/agnocast_rclcpp.hpp>
@@ -18,6 +19,7 @@
 #include <atomic>
 #include <chrono>
 #include <memory>
+#include <optional>
 #include <stdexcept>
 #include <string>
 #include <thread>
@@ -111,6 +113,40 @@ class RclcppSender final : public Sender {
   std::unique_ptr<Cloud> message_;
 };
 
+/// Fills messages that the rmw lends.
+class LoanSender final : public Sender {
+ public:
+  explicit LoanSender(const Carriage& carriage)
+      : ready_(carriage),
+        bytes_(carriage.bytes),
+        receivers_(carriage.receivers),
+        node_(make_node("bench_sender")),
+        publisher_(node_->create_publisher<Cloud>(carriage.topic, qos_of(carriage))) {
+    if (!publisher_->can_loan_messages())
+      throw std::runtime_error("the rmw lends no messages of this type");
+  }
+
+  bool is_matched() override {
+    return ready_.is_complete() && publisher_->get_subscription_count() == receivers_;
+  }
+  std::byte* prepare() override {
+    message_.emplace(publisher_->borrow_loaned_message());
+    return resized(message_->get(), bytes_);
+  }
+  bool send() override {
+    publisher_->publish(std::move(*message_));
+    message_.reset();
+    return true;
+  }
+
+ private:
+  ReadyCount ready_;
+  std::size_t bytes_, receivers_;
+  rclcpp::Node::SharedPtr node_;
+  rclcpp::Publisher<Cloud>::SharedPtr publisher_;
+  std::optional<rclcpp::LoanedMessage<Cloud>> message_;
+};
+
 // --- receivers
 
 /// Spins a node's executor. Subclasses subscribe.
@@ -195,6 +231,9 @@ template <bool is_intra_process>
 std::unique_ptr<Sender> make_rclcpp_sender(const Carriage& carriage) {
   return std::make_unique<RclcppSender>(carriage, is_intra_process);
 }
+std::unique_ptr<Sender> make_loan_sender(const Carriage& carriage) {
+  return std::make_unique<LoanSender>(carriage);
+}
 template <bool is_intra_process>
 std::unique_ptr<Receiver> make_rclcpp_receiver(const Carriage& carriage) {
   return std::make_unique<RclcppReceiver>(carriage, is_intra_process);
@@ -221,6 +260,9 @@ const std::vector<System>& systems() {
              make_agnocast_receiver<StaticSingleThreadedExecutor>),
       system("rclcpp-cyclonedds", make_rclcpp_sender<false>, make_rclcpp_receiver<false>),
       system("rclcpp-cyclonedds-tuned", make_rclcpp_sender<false>, make_rclcpp_receiver<false>),
+      system("rclcpp-cyclonedds-iceoryx", make_rclcpp_sender<false>, make_rclcpp_receiver<false>),
+      system("rclcpp-agnocast", make_rclcpp_sender<false>, make_rclcpp_receiver<false>),
+      system("rclcpp-agnocast-loans", make_loan_sender, make_rclcpp_receiver<false>),
       system("rclcpp-intra-process", make_rclcpp_sender<true>, make_rclcpp_receiver<true>),
   };
   return all;
