@@ -106,6 +106,14 @@ TEST(HostileControl, GarbageOfEveryLengthAffectsOnlyItsSender) {
   });
 }
 
+void come_and_go(WireClient& client) {
+  const Incoming made = client.create_publisher("/flood");
+  if (made.opcode() != Opcode::endpoint_created) return;
+  const auto body = made.as<wire::EndpointCreated>();
+  for (const Opcode opcode : {Opcode::leave, Opcode::drained})
+    client.reference(opcode, Kind::publisher, body.topic, body.index, body.generation);
+}
+
 TEST(HostileControl, EndlessRequestsOfManyProcessesDelayNoOtherUser) {
   AGNOCAST_NEEDS_TWO_USERS();
   Stage stage;
@@ -117,19 +125,40 @@ TEST(HostileControl, EndlessRequestsOfManyProcessesDelayNoOtherUser) {
         attack.ready();
         // The requests that cause the most work: creations, refused or carried out, and
         // statements.
-        while (attack.goes_on()) {
-          for (int i = 0; i < 20; ++i) {
-            const Incoming made = node.wire().create_publisher("/flood");
-            if (made.opcode() != Opcode::endpoint_created) break;
-            const auto body = made.as<wire::EndpointCreated>();
-            node.wire().reference(Opcode::leave, Kind::publisher, body.topic, body.index,
-                                  body.generation);
-            node.wire().reference(Opcode::drained, Kind::publisher, body.topic, body.index,
-                                  body.generation);
+        while (attack.goes_on()) come_and_go(node.wire());
+      },
+      4);
+}
+
+TEST(HostileControl, ACrowdThatWatchesTheGraphDelaysNoOtherUser) {
+  AGNOCAST_NEEDS_TWO_USERS();
+  Stage stage;
+  const std::string path = stage.socket_path();
+  honest_goes_on_beside_many(
+      stage,
+      [&](Attack& attack) {
+        std::vector<std::unique_ptr<HostileNode>> crowd;
+        for (int i = 0; i < 60; ++i) crowd.push_back(std::make_unique<HostileNode>(path));
+        attack.ready();
+        // One endpoint that comes and goes concerns all of them. Some never read what they get,
+        // some want the table again and again.
+        for (std::uint64_t round = 0; attack.goes_on(); ++round) {
+          come_and_go(crowd[0]->wire());
+          for (std::size_t i = 0; i < crowd.size(); ++i) {
+            wire::WatchGraph request{};
+            request.table = round % 4 == 0 ? 0 : attack.word(1).load();
+            if (!say_to(crowd[i]->wire().socket(), Opcode::watch_graph, request))
+              crowd[i] = std::make_unique<HostileNode>(path);
+            while (i % 3 != 0) {
+              const auto packet = crowd[i]->wire().poll();
+              if (!packet) break;
+              if (packet->opcode() == Opcode::graph_changed)
+                attack.word(1) = packet->as<wire::GraphChanged>().table;
+            }
           }
         }
       },
-      4);
+      2);
 }
 
 /// Connects an accepted observer, to ask for counters later.
