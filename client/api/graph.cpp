@@ -5,6 +5,7 @@
 #include <agnocast/graph.hpp>
 
 #include <base/descriptors/kept_fd.hpp>
+#include <client/process/forked_child.hpp>
 #include <client/session/context.hpp>
 #include <client/session/host_graph.hpp>
 #include <region/graph_entry.hpp>
@@ -28,7 +29,7 @@ namespace wire = abi::wire;
 using Clock = std::chrono::steady_clock;
 using std::chrono::milliseconds;
 
-// Combines changes: nodes come with a dozen endpoints each.
+// Combines changes, at least: nodes come with a dozen endpoints each.
 constexpr milliseconds gather_time{10};
 // Longer than any useful wait, and short enough to be added to a time.
 constexpr milliseconds patience_max = std::chrono::hours(24 * 365);
@@ -97,18 +98,20 @@ class Graph::State {
  public:
   State() : event_(keep(UniqueFd(::eventfd(0, EFD_NONBLOCK | EFD_CLOEXEC)))) {
     if (!event_) throw std::bad_alloc();
-    graph_.add(event_.get());
+    if (!is_forked_child()) graph_.add(event_.get());
   }
-  ~State() { graph_.remove(event_.get()); }
+  ~State() {
+    if (!is_forked_child()) graph_.remove(event_.get());
+  }
   State(const State&) = delete;
   State& operator=(const State&) = delete;
 
   Result<std::optional<GraphSnapshot>> wait(milliseconds patience) {
+    if (Result<void> refused = refuse_forked_child(); !refused)
+      return tl::unexpected<Failure>(refused.error());
     const Clock::time_point deadline = Clock::now() + std::min(patience, patience_max);
-    const Clock::time_point gathered = std::min(looked_ + gather_time, deadline);
-    while (table_ != nullptr && Clock::now() < gathered) {
-      if (sleep_until(gathered)) return std::optional<GraphSnapshot>();
-    }
+    if (table_ != nullptr && pause_until(std::min(gathered_, deadline)))
+      return std::optional<GraphSnapshot>();
     for (;;) {
       if (has_changed()) return std::optional(look());
       const std::uint64_t failures = graph_.failures().count;
@@ -122,9 +125,9 @@ class Graph::State {
         if (!is_over && sleep_until(end)) return std::optional<GraphSnapshot>();
         if (has_changed()) return std::optional(look());
         if (const auto now = graph_.failures(); now.count != failures)
-          asked = tl::unexpected(failure_with(now.code, now.detail.c_str()));
+          asked = tl::unexpected(failure_with(now.code, now.detail));
         else if (is_over && connection_state() != ConnectionState::connected)
-          return fail(Errc::daemon_not_running, "the connection to agnocastd has ended");
+          asked = fail(Errc::daemon_not_running, "the connection to agnocastd has ended");
         else if (is_over)
           return std::optional<GraphSnapshot>();
         else
@@ -136,14 +139,18 @@ class Graph::State {
         forget();
         return tl::unexpected<Failure>(asked.error());
       }
-      if (sleep_until(std::min(deadline, Clock::now() + reconnect_interval)))
+      if (pause_until(std::min(deadline, Clock::now() + reconnect_interval)))
         return std::optional<GraphSnapshot>();
     }
   }
   void interrupt() noexcept {
+    if (is_forked_child()) return;
     is_interrupted_.store(true, std::memory_order_release);
+    const int before = errno;
     const std::uint64_t one = 1;
-    (void)!::write(event_.get(), &one, sizeof one);  // if full, it is raised already
+    // If it is full, it is raised already.
+    if (may_use(event_.get())) (void)!::write(event_.get(), &one, sizeof one);
+    errno = before;
   }
 
  private:
@@ -152,10 +159,14 @@ class Graph::State {
     return present != nullptr && (present != table_ || present->changes() != seen_);
   }
   GraphSnapshot look() {
+    const Clock::time_point begin = Clock::now();
     table_ = graph_.table();
     seen_ = table_->changes();
-    looked_ = Clock::now();
-    return read(*table_);
+    GraphSnapshot snapshot = read(*table_);
+    // Reading takes a fifth of the time at most, however often something changes.
+    const Clock::time_point end = Clock::now();
+    gathered_ = end + std::max<Clock::duration>(gather_time, 4 * (end - begin));
+    return snapshot;
   }
   /// The next wait() returns the whole state.
   void forget() noexcept {
@@ -169,6 +180,10 @@ class Graph::State {
       if (is_interrupted_.exchange(false, std::memory_order_acquire)) return true;
       const auto left = std::chrono::ceil<milliseconds>(end - Clock::now()).count();
       if (left <= 0) return false;
+      if (!may_use(event_.get())) {  // user code has closed it
+        ::poll(nullptr, 0, static_cast<int>(std::min<std::int64_t>(left, gather_time.count())));
+        return is_interrupted_.exchange(false, std::memory_order_acquire);
+      }
       const int ready =
           ::poll(&entry, 1, static_cast<int>(std::min<std::int64_t>(left, 1'000'000)));
       std::uint64_t count = 0;
@@ -177,12 +192,20 @@ class Graph::State {
     }
   }
 
+  /// Returns true once it was interrupted; answers do not end it.
+  bool pause_until(Clock::time_point end) noexcept {
+    while (Clock::now() < end) {
+      if (sleep_until(end)) return true;
+    }
+    return false;
+  }
+
   HostGraph& graph_ = HostGraph::instance();
   UniqueFd event_;
   std::atomic<bool> is_interrupted_{false};
   std::shared_ptr<const GraphTable> table_;  // that of the last snapshot
   std::uint64_t seen_ = 0;                   // its changes then
-  Clock::time_point looked_{};
+  Clock::time_point gathered_{};             // the next snapshot is not made before
 };
 
 Graph::Graph() : state_(std::make_unique<State>()) {}

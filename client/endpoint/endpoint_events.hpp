@@ -12,6 +12,7 @@
 #pragma once
 
 #include <agnocast/events.hpp>
+#include <base/clock.hpp>
 #include <client/endpoint/qos_watch.hpp>
 #include <client/process/wait_set.hpp>
 #include <client/process/watch.hpp>
@@ -85,7 +86,7 @@ class EndpointEvents {
       const std::lock_guard lock(leases_mutex_);
       new_lease_ns_ = never_ns;
     }
-    const std::uint64_t next_ns = look();
+    const std::uint64_t next_ns = std::max(look(), monotonic_ns() + lease_look_interval_ns);
     const std::lock_guard lock(leases_mutex_);
     look_at_leases_at(std::min(next_ns, new_lease_ns_));
   }
@@ -100,8 +101,8 @@ class EndpointEvents {
   /// From now on a change that has a callback wakes this wait set.
   void wake_for(const detail::EventCallbacks& callbacks,
                 std::shared_ptr<WaitSet> wait_set) noexcept;
-  /// From now on a change of an endpoint without event callbacks wakes this wait set, which never
-  /// ends: for loops that look at counts.
+  /// From now on a change of an endpoint without callbacks wakes this wait set, which never ends:
+  /// for loops that look at counts.
   static void wake_for_polling(const WaitSet& wait_set) noexcept {
     polling_.store(&wait_set, std::memory_order_release);
   }
@@ -115,6 +116,8 @@ class EndpointEvents {
   bool run_one(const detail::EventCallbacks& callbacks);
 
  private:
+  // A lease may be another user's, and as short as that likes: no reason to look all the time.
+  static constexpr std::uint64_t lease_look_interval_ns = 1'000'000;
   struct Counts {
     std::uint64_t matched = 0;  // total
     std::uint64_t ceased = 0;

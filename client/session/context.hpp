@@ -84,8 +84,8 @@ class Context {
   [[nodiscard]] Result<void> prepare_to_publish(HeapUse use);
   /// Creates a wait set. At most wait_set_count_max at a time; an unused one is given out again.
   [[nodiscard]] Result<std::shared_ptr<WaitSet>> create_wait_set();
-  /// Returns the process's wait set for polled subscriptions. It never arms, so no publisher rings
-  /// it.
+  /// Returns the process's wait set for polled subscriptions. It arms only while a MessageWait
+  /// sleeps: else no publisher rings it.
   [[nodiscard]] Result<std::shared_ptr<WaitSet>> idle_wait_set();
 
   /// Sends a request for the graph; `on_answer` runs in the control thread with the answer or the

@@ -9,6 +9,8 @@
 #include <unistd.h>
 
 #include <cerrno>
+#include <cstdio>
+#include <new>
 #include <utility>
 
 namespace agnocast {
@@ -34,7 +36,7 @@ std::shared_ptr<const GraphTable> HostGraph::table() const {
   return table_;
 }
 
-HostGraph::Failures HostGraph::failures() const {
+HostGraph::Failures HostGraph::failures() const noexcept {
   const std::lock_guard lock(mutex_);
   return failures_;
 }
@@ -86,17 +88,22 @@ void HostGraph::connection_ended() noexcept {
 }
 
 // In the control thread; in the asking one if the session is orphaned.
-void HostGraph::on_answer(Result<Incoming*> answer) {
-  const Result<void> taken =
-      answer ? take(**answer) : Result<void>(tl::unexpected<Failure>(answer.error()));
+void HostGraph::on_answer(Result<Incoming*> answer) noexcept {
+  Result<void> taken;
+  try {
+    taken = answer ? take(**answer) : Result<void>(tl::unexpected<Failure>(answer.error()));
+  } catch (const std::bad_alloc&) {
+    taken = fail(Errc::os_failure, "mapping the graph table", ENOMEM);
+  }
   const std::lock_guard lock(mutex_);
   is_asked_ = false;
   if (!taken) {
     table_.reset();
     ++failures_.count;
     failures_.code = taken.error().code;
-    failures_.detail = detail_of(taken.error());
-    if (failures_.detail.empty()) failures_.detail = taken.error().what;
+    const char* const detail = detail_of(taken.error());
+    std::snprintf(failures_.detail, sizeof failures_.detail, "%s",
+                  *detail != '\0' ? detail : taken.error().what);
   }
   wake_all();
 }

@@ -23,7 +23,6 @@
 #include <memory>
 #include <mutex>
 #include <optional>
-#include <string>
 #include <vector>
 
 namespace agnocast {
@@ -69,19 +68,21 @@ class HostGraph {
  public:
   static HostGraph& instance() noexcept { return immortal<HostGraph>(); }
 
-  /// Returns the table of the present daemon process; null: ask() first.
+  /// Returns the table of the last answer; null: ask() first. While a request waits for a daemon
+  /// that is away, it is that of the last one.
   std::shared_ptr<const GraphTable> table() const;
   /// Asks the daemon to answer when there are other changes than `seen`, unless a request waits
   /// already. Connects first if necessary, which may take five seconds. Errors: those of Context,
   /// if the request cannot be made.
   [[nodiscard]] Result<void> ask(std::uint64_t seen);
-  /// How many requests have failed, and why the last one did.
+  /// How many requests have failed, and why the last one did. It does not allocate, because a
+  /// failure is reported even without memory.
   struct Failures {
     std::uint64_t count = 0;
     Errc code = Errc::ok;
-    std::string detail;
+    char detail[detail_bytes_max] = "";
   };
-  Failures failures() const;
+  Failures failures() const noexcept;
 
   /// This eventfd is raised by each answer and each failure, until remove().
   void add(int eventfd);
@@ -91,7 +92,7 @@ class HostGraph {
   void connection_ended() noexcept;
 
  private:
-  void on_answer(Result<Incoming*> answer);
+  void on_answer(Result<Incoming*> answer) noexcept;
   Result<void> take(Incoming& packet);
   void wake_all() const noexcept;
 

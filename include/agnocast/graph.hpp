@@ -57,11 +57,12 @@ class AGNOCAST_PUBLIC Graph {
 
   /// The first call, and the first after an error, returns the present state. Later calls sleep
   /// until something changes and return the whole state again; changes within 10 ms are combined,
-  /// those of many watching processes of one user also for longer. Returns nothing if nothing has
-  /// changed for `patience`, or after interrupt(). Cost: reads all endpoints, a KiB each. Errors:
-  /// daemon_not_running (no daemon for `patience`; a restart in that time is no error); at once
-  /// those of creating an endpoint: permission_denied, layout_mismatch, revoked, shut_down (a
-  /// forked child) and others. Connecting may last five seconds more. The next call tries again.
+  /// also for longer where there are many endpoints, or many processes of one user that watch.
+  /// Returns nothing if nothing has changed for `patience`, or after interrupt(). Cost: reads all
+  /// endpoints, a KiB each. Errors: daemon_not_running (no daemon for `patience`; a restart in that
+  /// time is no error); at once those of creating an endpoint: permission_denied, layout_mismatch,
+  /// revoked, shut_down (a forked child) and others. Connecting may last five seconds more. The
+  /// next call tries again.
   [[nodiscard]] Result<std::optional<GraphSnapshot>> wait(std::chrono::milliseconds patience);
   /// Ends the present wait(), or the next one. Any thread, any signal handler.
   void interrupt() noexcept;

@@ -18,7 +18,7 @@
 namespace agnocast {
 
 /// Sleeps while none of this process's subscriptions without a callback gets a message, and no
-/// count of an endpoint without event callbacks changes (events.hpp). One thread waits on it at a
+/// count of an endpoint without callbacks changes (events.hpp). One thread waits on it at a
 /// time; any number of them may exist, each with three descriptors. A message that comes to such a
 /// subscription ends the sleep of all of them for the moment of a look.
 class AGNOCAST_PUBLIC MessageWait {
