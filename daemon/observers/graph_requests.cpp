@@ -4,6 +4,7 @@
 
 #include <agnocast/abi/limits.hpp>
 #include <base/clock.hpp>
+#include <daemon/state/memory_reserve.hpp>
 
 #include <algorithm>
 #include <utility>
@@ -20,14 +21,23 @@ constexpr std::uint64_t told_interval_ms = 1;
 
 Result<void> GraphRequests::watch(Peer& peer, const wire::WatchGraph& request) {
   if (auto opened = table_.open(); !opened) return opened;
+  MemoryReserve::no_return();
   const std::uint64_t now = monotonic_ms();
   table_.update(now);
   if (request.table != table_.number()) {
+    peer.awaits_graph.reset();
     answer(peer, request, {table_.reader()});
     return {};
   }
-  if (!std::exchange(peer.awaits_graph, request)) waiting_.push_back(peer.id);
-  if (request.seen != table_.changes()) tell(peer, now);
+  peer.awaits_graph = request;
+  if (tell(peer, now)) return {};
+  if (request.seen != table_.changes()) {
+    is_late_ = true;
+    late_until_ms_ = 0;
+  }
+  if (peer.is_listed) return {};
+  waiting_.push_back(peer.id);
+  peer.is_listed = true;
   return {};
 }
 
@@ -42,17 +52,16 @@ Allowance& GraphRequests::allowance_of(std::uint32_t uid) {
   return allowances_.try_emplace(uid, Allowance(told_at_once, told_interval_ms)).first->second;
 }
 
-/// Returns the peer while it has a connection.
-Peer* GraphRequests::present(PeerId id) const {
-  Peer* const peer = connections_.find(id);
-  if (peer == nullptr || !peer->session.closed()) return peer;
-  peer->awaits_graph.reset();  // it asks again on its next connection
-  return nullptr;
+/// Returns whether the peer still waits; one without a connection asks again on its next one.
+bool GraphRequests::waits(Peer* peer) noexcept {
+  if (peer == nullptr) return false;
+  if (peer->session.closed() || peer->revoked) peer->awaits_graph.reset();
+  if (!peer->awaits_graph) peer->is_listed = false;
+  return peer->is_listed;
 }
 
-/// Returns whether the peer waits no longer.
+/// Returns whether the peer was told: it waits no longer.
 bool GraphRequests::tell(Peer& peer, std::uint64_t now_ms) {
-  if (!peer.awaits_graph) return true;
   if (peer.awaits_graph->seen == table_.changes()) return false;
   if (!allowance_of(peer.session.identity().uid).take(now_ms)) return false;
   answer(peer, *std::exchange(peer.awaits_graph, std::nullopt), {});
@@ -62,27 +71,32 @@ bool GraphRequests::tell(Peer& peer, std::uint64_t now_ms) {
 void GraphRequests::go_on(std::uint64_t now_ms) {
   if (!table_.is_open()) return;
   table_.update(now_ms);
-  if (told_changes_ == table_.changes()) return;
-  bool some_wait = false;
+  if (told_changes_ == table_.changes() && !is_late_) return;
+  told_changes_ = table_.changes();
+  late_until_ms_ = UINT64_MAX;
   std::erase_if(waiting_, [&](PeerId id) {
-    Peer* const peer = present(id);
-    if (peer == nullptr) return true;
-    const bool is_told = tell(*peer, now_ms);
-    some_wait |= !is_told && peer->awaits_graph->seen != table_.changes();
-    return is_told;
+    Peer* const peer = connections_.find(id);
+    if (!waits(peer)) return true;
+    if (tell(*peer, now_ms)) return !waits(peer);
+    if (peer->awaits_graph->seen != told_changes_) {
+      const Allowance& allowance = allowance_of(peer->session.identity().uid);
+      late_until_ms_ = std::min(late_until_ms_, now_ms + allowance.due_ms(now_ms));
+    }
+    return false;
   });
-  if (!some_wait) told_changes_ = table_.changes();
+  is_late_ = late_until_ms_ != UINT64_MAX;
 }
 
 int GraphRequests::due_ms(std::uint64_t now_ms) const noexcept {
-  if (!table_.is_open() || told_changes_ == table_.changes()) return -1;
-  std::uint64_t due = UINT64_MAX;
-  for (const auto& [uid, allowance] : allowances_) due = std::min(due, allowance.due_ms(now_ms));
-  return due == UINT64_MAX ? 0 : static_cast<int>(std::min<std::uint64_t>(due, 1'000));
+  if (!table_.is_open()) return -1;
+  if (told_changes_ != table_.changes()) return 0;
+  if (!is_late_) return -1;
+  const std::uint64_t left = std::max(late_until_ms_, now_ms) - now_ms;
+  return static_cast<int>(std::min<std::uint64_t>(left, 1'000));
 }
 
 void GraphRequests::forget_idle(std::uint64_t now_ms) {
-  std::erase_if(waiting_, [this](PeerId id) { return present(id) == nullptr; });
+  std::erase_if(waiting_, [this](PeerId id) { return !waits(connections_.find(id)); });
   std::erase_if(allowances_, [&](const auto& one) { return one.second.is_whole(now_ms); });
 }
 

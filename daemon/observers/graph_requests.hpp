@@ -32,11 +32,9 @@ class GraphRequests {
   /// Returns after how many ms go_on() is to be called; -1: nobody is told late.
   int due_ms(std::uint64_t now_ms) const noexcept;
   void forget_idle(std::uint64_t now_ms);
-  /// Returns how many endpoints have no entry.
-  std::uint64_t missing() const noexcept { return table_.missing(); }
 
  private:
-  Peer* present(PeerId id) const;
+  static bool waits(Peer* peer) noexcept;
   bool tell(Peer& peer, std::uint64_t now_ms);
   void answer(Peer& peer, const wire::WatchGraph& request, std::vector<SharedFd> fds);
   Allowance& allowance_of(std::uint32_t uid);
@@ -45,7 +43,9 @@ class GraphRequests {
   ConnectionTable& connections_;
   PeerOutput& output_;
   std::vector<PeerId> waiting_;
-  std::uint64_t told_changes_ = 0;  // all that wait were looked at since this change
+  std::uint64_t told_changes_ = 0;   // all that wait were looked at since this change
+  bool is_late_ = false;             // some of them could not be told of it yet
+  std::uint64_t late_until_ms_ = 0;  // the first of these can be then
   std::unordered_map<std::uint32_t, Allowance> allowances_;  // by uid
 };
 

@@ -85,6 +85,9 @@ Result<void> GraphTable::open() {
   auto mapping = Mapping::map(writer->get(), abi::graph_bytes_max, Mapping::Access::read_write);
   if (!mapping) return tl::unexpected(mapping.error());
   if (auto backed = populate(mapping->base(), abi::page_bytes); !backed) return backed;
+  SharedFd shared = share(std::move(*reader));
+  MemoryReserve::no_return();
+  reader_ = std::move(shared);
   writer_ = std::move(*writer);
   mapping_ = std::move(*mapping);
   header().magic.store(abi::graph_magic, std::memory_order_relaxed);
@@ -93,7 +96,7 @@ Result<void> GraphTable::open() {
   number_ = monotonic_ns();
   registry_.note_changed_endpoints();
   fill();
-  reader_ = share(std::move(*reader));
+  header().missing.store(missing_.size(), std::memory_order_relaxed);
   return {};
 }
 
@@ -116,11 +119,14 @@ bool GraphTable::update(std::uint64_t now_ms) {
   for (const EndpointRef& ref : registry_.take_changed_endpoints()) is_new |= follow(ref);
   if (!missing_.empty() && now_ms - retried_ms_ >= retry_ms) {
     retried_ms_ = now_ms;
-    const auto missing = missing_;
-    for (const auto& [place, ref] : missing) is_new |= follow(ref);
+    std::size_t before = missing_.size() + 1;
+    while (!missing_.empty() && missing_.size() < std::exchange(before, missing_.size())) {
+      const EndpointRef ref = missing_.begin()->second;
+      is_new |= follow(ref);
+    }
   }
-  if (!is_new) return false;
   header().missing.store(missing_.size(), std::memory_order_relaxed);
+  if (!is_new) return false;
   // [sync:graph] release, behind the entries: a reader that has seen it reads them.
   header().changes.store(changes() + 1, std::memory_order_release);
   return true;
@@ -135,11 +141,11 @@ bool GraphTable::follow(const EndpointRef& ref) {
   }
   try {
     const MemoryReserve::MayFail may_fail;
-    return put(ref);
+    if (entries_.count(place) != 0 || has_room()) return put(ref);
   } catch (const std::bad_alloc&) {
-    const bool was_there = remove(place);
-    return missing_.insert_or_assign(place, ref).second || was_there;
+    remove(place);
   }
+  return missing_.insert_or_assign(place, ref).second;
 }
 
 bool GraphTable::put(const EndpointRef& ref) {
@@ -171,7 +177,13 @@ bool GraphTable::remove(Place place) {
   return true;
 }
 
-// Returns the last of the free entries. Throws std::bad_alloc: there is no room for another one.
+bool GraphTable::has_room() const noexcept {
+  return !free_.empty() ||
+         header().entry_high.load(std::memory_order_relaxed) + abi::graph_block_entries <=
+             entries_max_;
+}
+
+// Returns the last of the free entries, of which has_room() has one. Throws std::bad_alloc.
 std::uint32_t GraphTable::free_entry() {
   if (free_.empty()) grow();
   return free_.back();
@@ -179,7 +191,6 @@ std::uint32_t GraphTable::free_entry() {
 
 void GraphTable::grow() {
   const auto high = static_cast<std::uint32_t>(header().entry_high.load(std::memory_order_relaxed));
-  if (high + abi::graph_block_entries > entries_max_) throw std::bad_alloc();
   free_.reserve(high + abi::graph_block_entries);  // so that remove() needs no memory
   const std::uint64_t begin = abi::graph_entry_offset(high);
   const std::uint64_t bytes = abi::graph_block_entries * sizeof(abi::GraphEntry);

@@ -7,7 +7,7 @@
 //
 // Its file has memory for every entry before a reader may look at it, and never gets shorter: it is
 // as long as the most endpoints that there were at once need. Endpoints beyond the limit, or beyond
-// the memory of the machine, are counted as missing, and get an entry once there is room.
+// the memory of the machine, are counted as missing, and tried again each second.
 #pragma once
 
 #include <agnocast/abi/graph_table.hpp>
@@ -51,6 +51,7 @@ class GraphTable {
   bool follow(const EndpointRef& ref);
   bool put(const EndpointRef& ref);
   bool remove(Place place);
+  bool has_room() const noexcept;
   std::uint32_t free_entry();
   void grow();
 

@@ -69,8 +69,9 @@ struct Peer {
   std::uint64_t asked_ms = 0;                         // observer: when its last answer was made
   std::optional<LongRequest> asked = {};              // observer: to answer in its user's slice
   std::optional<wire::WatchGraph> awaits_graph = {};  // to answer at the next change of the graph
-  std::uint64_t looked_ns = 0;                        // when tick() last looked for its region
-  bool looking = false;                               // a thread looks right now
+  bool is_listed = false;       // GraphRequests has it in its list of those who wait
+  std::uint64_t looked_ns = 0;  // when tick() last looked for its region
+  bool looking = false;         // a thread looks right now
   // Before hello: whether the process was looked at, and what it has of a revoked region.
   std::optional<RegionTrace> revoked_trace = {};
   std::unique_ptr<ThreadsOfPeer> threads = {};  // null: it has said nothing of them
