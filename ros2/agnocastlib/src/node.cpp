@@ -26,9 +26,11 @@ class LastGraph {
   /// Returns the present endpoints. Throws Error.
   std::shared_ptr<const GraphSnapshot> get() {
     const std::lock_guard lock(mutex_);
-    auto state = graph_.wait(std::chrono::milliseconds{0});
-    if (!state) detail::throw_error(state.error());
-    if (*state) last_ = std::make_shared<const GraphSnapshot>(std::move(**state));
+    auto state = graph_.wait(std::chrono::milliseconds{last_ != nullptr ? 0 : 5'000});
+    // A daemon that is started again is no error.
+    const bool is_away = !state && state.error().code == Errc::daemon_not_running;
+    if (!state && !(is_away && last_ != nullptr)) detail::throw_error(state.error());
+    if (state && *state) last_ = std::make_shared<const GraphSnapshot>(std::move(**state));
     if (last_ == nullptr)
       detail::throw_error(Failure{Errc::daemon_not_running, 0, "it gave no answer", 0});
     return last_;

@@ -15,10 +15,12 @@
 #include <chrono>
 #include <cstdint>
 #include <mutex>
+#include <type_traits>
 
 namespace agnocast::rmw {
 
-/// Messages that a subscription lost because its depth was exceeded.
+/// Messages that a subscription lost: its depth was exceeded, or they could not be read. Noticed
+/// when somebody takes.
 struct MessageLostInfo {
   std::uint64_t total_count = 0;
   std::uint64_t total_count_change = 0;
@@ -52,6 +54,12 @@ inline void take_changes(LivelinessChangedInfo& kept) noexcept {
 
 }  // namespace detail
 
+/// What the time alone may change: a look moves get_event_due() on.
+template <class Info>
+inline constexpr bool is_timed =
+    std::is_same_v<Info, DeadlineMissedInfo> || std::is_same_v<Info, LivelinessLostInfo> ||
+    std::is_same_v<Info, LivelinessChangedInfo>;
+
 /// One kind of event of one endpoint, which must outlive it. Any thread.
 template <class Info, class Endpoint, Info (*look)(Endpoint&, const Info& last) noexcept>
 class Event final : public Readable {
@@ -63,7 +71,9 @@ class Event final : public Readable {
     gather();
     return has_changed_;
   }
-  Clock::time_point look_due() const noexcept override { return endpoint_.get_event_due(); }
+  Clock::time_point look_due() const noexcept override {
+    return is_timed<Info> ? endpoint_.get_event_due() : Clock::time_point::max();
+  }
   /// Returns the counts and their changes since the last call.
   Info take() noexcept {
     const std::lock_guard lock(mutex_);

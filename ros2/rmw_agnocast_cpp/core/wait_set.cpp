@@ -23,6 +23,9 @@ MessageWait::Clock::time_point end_of(std::optional<WaitSet::Duration> timeout) 
   return now + *timeout;
 }
 
+// Between looks for the sake of the time alone, however often it seems to be due.
+constexpr std::chrono::milliseconds look_interval{1};
+
 MessageWait::Clock::time_point due_of(const WaitSet::Readables& readables) noexcept {
   auto due = MessageWait::Clock::time_point::max();
   for (const Readable* const readable : readables) {
@@ -149,10 +152,13 @@ Result<bool> WaitSet::wait(const Conditions& conditions, const Readables& readab
   bool is_over = looks_only;
   bool found = look(readables);
   // Another thread may take the message that ended the sleep.
+  auto earliest = MessageWait::Clock::time_point::min();
   while (!found && !is_over) {
-    const auto due = due_of(readables);
-    is_over = !wait_->wait_until(std::min(end, due), has_any) && end <= due;
+    const auto until = std::min(end, std::max(due_of(readables), earliest));
+    if (!wait_->wait_until(until, has_any))
+      is_over = until == end || MessageWait::Clock::now() < until;  // a forked child never sleeps
     found = look(readables);
+    earliest = MessageWait::Clock::now() + look_interval;
   }
   detach();
   if (!found && !timeout) return fail(Errc::shut_down, "waiting in a forked child");

@@ -105,6 +105,17 @@ TEST_F(RmwEvents, TellBothSidesOfAnIncompatibleQos) {
   EXPECT_EQ(reader->events().incompatible_qos.take().total_count_change, 0);
 }
 
+TEST_F(RmwEvents, OnlyWhatTheTimeChangesIsDue) {
+  const auto never = Readable::Clock::time_point::max();
+  const auto writer = publisher(QoS(1).deadline(50ms));
+  const auto reader = subscription(QoS(1).deadline(50ms));
+  EXPECT_LT(writer->events().deadline_missed.look_due(), never);
+  EXPECT_LT(reader->events().deadline_missed.look_due(), never);
+  EXPECT_EQ(writer->events().incompatible_qos.look_due(), never);
+  EXPECT_EQ(reader->events().incompatible_qos.look_due(), never);
+  EXPECT_EQ(reader->events().message_lost.look_due(), never);
+}
+
 TEST_F(RmwEvents, TellOfALeaseThatEnds) {
   const auto writer =
       publisher(QoS(1).liveliness(Liveliness::manual_by_topic).liveliness_lease_duration(50ms));

@@ -206,13 +206,41 @@ TEST_F(WaitSets, AnEndlessWaitDoesNotEndForWhatAnotherThreadTakes) {
 }
 
 #if !defined(AGNOCAST_TEST_THREADS_SANITIZED)
+/// Seems to be due all the time.
+class AlwaysDue final : public Readable {
+ public:
+  bool is_ready() const noexcept override {
+    ++looks;
+    return false;
+  }
+  Clock::time_point look_due() const noexcept override { return Clock::now() - 1s; }
+  mutable std::atomic<int> looks{0};
+};
+
+TEST_F(WaitSets, WhatSeemsToBeDueIsNotLookedAtAllTheTime) {
+  const AlwaysDue due;
+  WaitSet set(pool);
+  EXPECT_FALSE(set.wait({}, {&due}, 100ms).value());
+  EXPECT_LT(due.looks, 1'000);  // three in each millisecond
+}
+
+/// Is ready in an hour.
+class Late final : public Readable {
+ public:
+  bool is_ready() const noexcept override { return false; }
+  Clock::time_point look_due() const noexcept override {
+    return Clock::now() + std::chrono::hours(1);
+  }
+};
+
 TEST_F(WaitSets, AForkedChildDoesNotWait) {
   Condition condition;
+  const Late late;
   WaitSet set(pool);
   EXPECT_FALSE(set.wait({&condition}, {}, 1ns).value());  // it has slept
   const pid_t child = ::fork();
   ASSERT_GE(child, 0);
-  if (child == 0) ::_exit(set.wait({&condition}, {}, std::nullopt).has_value() ? 1 : 0);
+  if (child == 0) ::_exit(set.wait({&condition}, {&late}, std::nullopt).has_value() ? 1 : 0);
   int status = -1;
   ASSERT_EQ(::waitpid(child, &status, 0), child);
   EXPECT_EQ(status, 0);
