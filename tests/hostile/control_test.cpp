@@ -134,6 +134,8 @@ TEST(HostileControl, ACrowdThatWatchesTheGraphDelaysNoOtherUser) {
   AGNOCAST_NEEDS_TWO_USERS();
   Stage stage;
   const std::string path = stage.socket_path();
+  // The daemon keeps the table, once it has made it.
+  EXPECT_EQ(HostileNode(path).wire().ask(Opcode::watch_graph, wire::WatchGraph{}).fds.size(), 1u);
   honest_goes_on_beside_many(
       stage,
       [&](Attack& attack) {
