@@ -15,6 +15,7 @@ namespace {
 
 std::vector<SystemName> named(const std::vector<System>& all) {
   std::vector<SystemName> names;
+  names.reserve(all.size());
   for (const System& one : all) names.push_back({one.name, one.summary});
   return names;
 }

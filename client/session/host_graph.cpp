@@ -72,8 +72,8 @@ Result<void> HostGraph::ask(std::uint64_t seen) {
     wake_all();  // another thread relies on this request
   };
   try {
-    Result<void> asked = Context::watch_graph(
-        request, [this](Result<Incoming*> answer) { on_answer(std::move(answer)); });
+    Result<void> asked =
+        Context::watch_graph(request, [this](Result<Incoming*> answer) { on_answer(answer); });
     if (!asked) give_up();
     return asked;
   } catch (const std::bad_alloc&) {
