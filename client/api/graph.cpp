@@ -113,7 +113,7 @@ class Graph::State {
     if (table_ != nullptr && pause_until(std::min(gathered_, deadline)))
       return std::optional<GraphSnapshot>();
     for (;;) {
-      if (has_changed()) return std::optional(look());
+      if (auto table = changed_table()) return std::optional(look(std::move(table)));
       const std::uint64_t failures = graph_.failures().count;
       Result<void> asked = graph_.ask(seen_);
       // The present state comes at once.
@@ -123,7 +123,7 @@ class Graph::State {
       while (asked) {
         const bool is_over = Clock::now() >= end;
         if (!is_over && sleep_until(end)) return std::optional<GraphSnapshot>();
-        if (has_changed()) return std::optional(look());
+        if (auto table = changed_table()) return std::optional(look(std::move(table)));
         if (const auto now = graph_.failures(); now.count != failures)
           asked = tl::unexpected(failure_with(now.code, now.detail));
         else if (is_over && connection_state() != ConnectionState::connected)
@@ -154,13 +154,16 @@ class Graph::State {
   }
 
  private:
-  bool has_changed() {
-    const auto present = graph_.table();
-    return present != nullptr && (present != table_ || present->changes() != seen_);
+  /// Returns the table if there is something new in it, else null. The control thread may drop it
+  /// at any time, so one call decides.
+  std::shared_ptr<const GraphTable> changed_table() const {
+    auto present = graph_.table();
+    if (present != nullptr && present == table_ && present->changes() == seen_) return nullptr;
+    return present;
   }
-  GraphSnapshot look() {
+  GraphSnapshot look(std::shared_ptr<const GraphTable> table) {
     const Clock::time_point begin = Clock::now();
-    table_ = graph_.table();
+    table_ = std::move(table);
     seen_ = table_->changes();
     GraphSnapshot snapshot = read(*table_);
     // Reading takes a fifth of the time at most, however often something changes.

@@ -12,6 +12,7 @@
 
 #include <gmock/gmock.h>
 
+#include <atomic>
 #include <chrono>
 #include <optional>
 #include <string>
@@ -188,6 +189,28 @@ TEST_F(GraphTest, GoesOnAfterARestartOfTheDaemon) {
   CtlNode next(daemon->socket_path());
   next.publisher("/others");
   until_there_are(2);
+}
+
+TEST_F(GraphTest, WatchesWhileDaemonsDie) {
+  std::atomic<bool> ends{false};
+  std::vector<std::thread> watchers;
+  for (int i = 0; i < 4; ++i)
+    watchers.emplace_back([&] {
+      while (!ends) {
+        Graph watch;
+        for (int looks = 0; looks < 20 && !ends; ++looks) (void)watch.wait(1ms);
+      }
+    });
+  for (int i = 0; i < 5; ++i) {
+    const pid_t killed = daemon->kill_worker();
+    ASSERT_TRUE(daemon->wait_for_next(killed));
+    std::this_thread::sleep_for(50ms);
+  }
+  ends = true;
+  for (std::thread& watcher : watchers) watcher.join();
+  CtlNode node(daemon->socket_path());
+  node.publisher("/points");
+  until_there_are(1);
 }
 
 TEST_F(GraphTest, ANewWatchAfterARestartSeesThePresent) {
