@@ -5,18 +5,11 @@
 #include <daemon/transport/client_channel.hpp>
 
 #include <algorithm>
-#include <cstring>
 
 namespace agnocast::daemon {
 namespace {
 
 using wire::Opcode;
-
-wire::Name copy_of(const char (&text)[wire::name_bytes]) noexcept {
-  wire::Name name{};
-  std::memcpy(name.text, text, sizeof name.text - 1);
-  return name;
-}
 
 class Writer {
  public:

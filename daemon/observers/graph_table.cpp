@@ -7,13 +7,13 @@
 #include <base/memory/memfd.hpp>
 #include <base/memory/populate.hpp>
 #include <daemon/state/memory_reserve.hpp>
+#include <daemon/transport/request_reading.hpp>
 #include <region/graph_entry.hpp>
 
 #include <sys/mman.h>
 #include <unistd.h>
 
 #include <atomic>
-#include <cstring>
 #include <new>
 #include <utility>
 
@@ -26,12 +26,6 @@ constexpr std::uint64_t retry_ms = 1'000;
 std::uint64_t place_of(const EndpointRef& ref) noexcept {
   return (std::uint64_t{number(ref.topic)} << 32 | ref.index) << 1 |
          (ref.kind == Kind::publisher ? 0 : 1);
-}
-
-abi::wire::Name copy_of_name(const char (&text)[abi::wire::name_bytes]) noexcept {
-  abi::wire::Name name{};
-  std::memcpy(name.text, text, sizeof name.text - 1);
-  return name;
 }
 
 template <class Record>
@@ -48,10 +42,10 @@ region::GraphFacts facts_of(const Registry& registry, const EndpointRef& ref,
   facts.client = client.generation;
   facts.pid = client.pid;
   facts.uid = client.uid;
-  facts.topic = copy_of_name(topic.name);
-  facts.type = copy_of_name(topic.type);
-  facts.node = copy_of_name(record.node);
-  facts.process = copy_of_name(client.name);
+  facts.topic = copy_of(topic.name);
+  facts.type = copy_of(topic.type);
+  facts.node = copy_of(record.node);
+  facts.process = copy_of(client.name);
   return facts;
 }
 

@@ -348,6 +348,12 @@ wire::Name name_of(std::string_view text) noexcept {
   return name;
 }
 
+wire::Name copy_of(const char (&text)[wire::name_bytes]) noexcept {
+  wire::Name name{};
+  std::memcpy(name.text, text, sizeof name.text - 1);
+  return name;
+}
+
 std::string printable(std::string_view text) {
   std::string result(text);
   for (char& c : result) {

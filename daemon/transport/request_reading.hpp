@@ -89,6 +89,8 @@ std::uint64_t request_id_of(const Request& request) noexcept;
 bool text_of(const wire::Name& name, std::string_view& text) noexcept;
 /// Returns a text for a packet: truncated if necessary, always ended.
 wire::Name name_of(std::string_view text) noexcept;
+/// Returns the name of a record: always ended, whatever its bytes are.
+wire::Name copy_of(const char (&text)[wire::name_bytes]) noexcept;
 /// Returns a text for people: control characters and broken bytes are replaced, so that no client
 /// writes into the user's terminal.
 std::string printable(std::string_view text);
