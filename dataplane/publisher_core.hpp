@@ -67,7 +67,7 @@ class PublisherCore {
     std::uint64_t client = 0;      // index of its process
   };
 
-  explicit PublisherCore(const Identity& identity) noexcept
+  explicit PublisherCore(const Identity& identity)
       : self_(identity),
         head_sequence_(identity.first_sequence),
         seen_(identity.first_sequence),
@@ -135,39 +135,39 @@ class PublisherCore {
   void attach(std::uint64_t index, std::uint64_t generation, typename M::Region region,
               std::uint64_t extent, std::uint64_t armed_offset, std::uint64_t wait_set,
               Environment& environment) noexcept {
-    Endpoint& endpoint = endpoints_[index];
+    Endpoint& endpoint = at(index);
     endpoint.wait_set = wait_set;
     if (abi::generation_of(endpoint.word) != generation)
       end_withdrawal(index);  // of the previous generation
     // The number may have belonged to another wait set.
-    AGNOCAST_STEP(J7_rung) rung_[wait_set] = 0;
+    AGNOCAST_STEP(J7_rung) places_->rung[wait_set] = 0;
     AGNOCAST_STEP(J7_member) {
       endpoint.attached_generation = generation;
       endpoint.region = region;
-      endpoint.extent = extent;
+      endpoint.line = extent + abi::link_offset(self_.index);
       endpoint.armed_offset = armed_offset;
     }
-    endpoint.limit = infinite;
+    endpoint.limit = 0;
     if (index >= endpoint_high_) endpoint_high_ = index + 1;
     AGNOCAST_STEP(J7_ring) environment.ring(wait_set, 0);
   }
   /// Call after attach(): limits what the endpoint may hold of this publisher, whatever the board
   /// allows it to hold of others.
   void limit_holds(std::uint64_t index, std::uint64_t quota) noexcept {
-    endpoints_[index].limit = quota;
+    at(index).limit = quota + 1;
   }
   /// Call before the control thread unmaps it.
   void detach(std::uint64_t index, std::uint64_t generation) noexcept {
-    if (endpoints_[index].attached_generation == generation)
-      endpoints_[index].attached_generation = 0;
+    if (at(index).attached_generation == generation) at(index).attached_generation = 0;
   }
 
   /// E1. Withdraws an endpoint: it takes no more, and only messages that it holds, or may hold
   /// while it is not mapped, are kept for it, until it has released everything or disregard() is
   /// called. The caller scans afterwards. Returns false if it is no endpoint of this generation.
   bool withdraw(std::uint64_t index, std::uint64_t generation, abi::Withdrawal why) noexcept {
-    Endpoint& endpoint = endpoints_[index];
-    if (abi::generation_of(endpoint.word) != generation || !takes_part(endpoint.word)) return false;
+    Endpoint& endpoint = at(index);
+    if (abi::generation_of(endpoint.word) != generation || !abi::takes_part(endpoint.word))
+      return false;
     endpoint.word = abi::pack_board_word(generation, abi::BoardState::leaving);
     if (endpoint.withdrawn_at == 0) endpoint.withdrawn_at = head_sequence_;
     say_withdrawal(index, why);
@@ -175,7 +175,7 @@ class PublisherCore {
   }
   /// Ignores the holds of a withdrawn endpoint: messages that it does hold may be overwritten.
   void disregard(std::uint64_t index, std::uint64_t generation) noexcept {
-    Endpoint& endpoint = endpoints_[index];
+    Endpoint& endpoint = at(index);
     if (abi::generation_of(endpoint.word) == generation && endpoint.withdrawn_at != 0)
       endpoint.word = abi::pack_board_word(generation, abi::BoardState::free);
   }
@@ -184,19 +184,19 @@ class PublisherCore {
   template <class Environment>
   bool serve_again(std::uint64_t index, std::uint64_t generation,
                    Environment& environment) noexcept {
-    Endpoint& endpoint = endpoints_[index];
+    Endpoint& endpoint = at(index);
     if (abi::generation_of(endpoint.word) != generation || endpoint.withdrawn_at == 0 ||
         endpoint.attached_generation != generation)
       return false;
     const std::uint64_t word =
         self_.topic.subscription(index, offsetof(abi::SubscriptionEntry, word))
             .load(std::memory_order_acquire);
-    if (abi::generation_of(word) != generation || !takes_part(word)) return false;
-    const region::LinkWords<M> link{endpoint.region, endpoint.extent, self_.index};
+    if (abi::generation_of(word) != generation || !abi::takes_part(word)) return false;
+    const region::LinkWords<M> link{endpoint.region, endpoint.line};
     std::uint64_t held = 0;
-    for (std::size_t i = 0; i < Slots::mask_words; ++i)
+    for (std::size_t i = 0; i < slots_.words_in_use(); ++i)
       held |= link.hold(i).load(std::memory_order_acquire);
-    if (held != 0 && !takes_part(endpoint.word)) return false;
+    if (held != 0 && !abi::takes_part(endpoint.word)) return false;
     end_withdrawal(index);
     endpoint.word = word;
     M::fence();  // so that the rung wait set sees the change
@@ -204,20 +204,20 @@ class PublisherCore {
     return true;
   }
   abi::Withdrawal withdrawal(std::uint64_t index, std::uint64_t generation) const noexcept {
-    const Endpoint& endpoint = endpoints_[index];
+    const Endpoint& endpoint = at(index);
     if (abi::generation_of(endpoint.word) != generation || endpoint.withdrawn_at == 0)
       return abi::Withdrawal::none;
     return abi::withdrawal_of(self_.words.withdrawn(index).load(std::memory_order_relaxed), index);
   }
   bool is_disregarded(std::uint64_t index) const noexcept {
-    return endpoints_[index].withdrawn_at != 0 && !takes_part(endpoints_[index].word);
+    return at(index).withdrawn_at != 0 && !abi::takes_part(at(index).word);
   }
   /// Calls function(index, generation) for each endpoint that takes part and is not mapped.
   template <class Function>
   void for_each_unmapped(Function function) const noexcept {
     for (std::uint64_t i = 0; i < endpoint_high_; ++i) {
-      const std::uint64_t generation = abi::generation_of(endpoints_[i].word);
-      if (takes_part(endpoints_[i].word) && endpoints_[i].attached_generation != generation)
+      const std::uint64_t generation = abi::generation_of(at(i).word);
+      if (abi::takes_part(at(i).word) && at(i).attached_generation != generation)
         function(i, generation);
     }
   }
@@ -232,9 +232,9 @@ class PublisherCore {
     typename Slots::Mask kept{};
     std::uint64_t unread_from = infinite;
     for (const auto& [index, generation] : ids) {
-      const Endpoint& endpoint = endpoints_[index];
+      const Endpoint& endpoint = at(index);
       if (endpoint.attached_generation != generation || is_disregarded(index)) continue;
-      const region::LinkWords<M> link{endpoint.region, endpoint.extent, self_.index};
+      const region::LinkWords<M> link{endpoint.region, endpoint.line};
       for (std::size_t word = 0; word < slots_.words_in_use(); ++word)
         kept[word] |= link.hold(word).load(std::memory_order_relaxed) & slots_.allocated(word);
       if (abi::state_of(endpoint.word) == abi::BoardState::active)
@@ -254,8 +254,8 @@ class PublisherCore {
 
   /// Returns whether no reliable subscription can take one up to `sequence`, as of the last scan.
   bool is_taken(std::uint64_t sequence) const noexcept {
-    for (std::uint64_t i = 0; i < (over_ != 0 ? 0 : endpoint_high_); ++i) {
-      const Endpoint& endpoint = endpoints_[i];
+    if (over_ != 0) return true;
+    for (const Endpoint& endpoint : endpoints()) {
       if (abi::state_of(endpoint.word) != abi::BoardState::active || !endpoint.reliable) continue;
       const std::uint64_t oldest = region::minus_at_least(head_sequence_ + 1, endpoint.window, 0);
       if (std::max(endpoint.low, oldest) <= sequence) return false;
@@ -268,7 +268,7 @@ class PublisherCore {
   /// The process of an endpoint is gone, without a daemon to report it: its holds and its unread
   /// messages count no more. The caller scans afterwards.
   void remove_dead_subscription(std::uint64_t index, std::uint64_t generation) noexcept {
-    Endpoint& endpoint = endpoints_[index];
+    Endpoint& endpoint = at(index);
     if (abi::generation_of(endpoint.word) == generation)
       endpoint.word = abi::pack_board_word(generation, abi::BoardState::free);
     detach(index, generation);
@@ -276,11 +276,7 @@ class PublisherCore {
 
   /// Returns whether a message outside the history is allocated: a timer scan may free it.
   bool has_reclaimable() const noexcept {
-    const std::uint64_t keep_from = region::minus_at_least(head_sequence_ + 1, history_, 0);
-    bool found = false;
-    slots_.for_each(
-        [&](std::uint64_t slot) { found = found || slots_.sequence(slot) < keep_from; });
-    return found;
+    return slots_.has_before(region::minus_at_least(head_sequence_ + 1, history_, 0));
   }
   /// Returns whether the daemon has freed the index: no process reads anything of it any more.
   bool is_over() const noexcept { return over_ != 0; }
@@ -298,23 +294,29 @@ class PublisherCore {
     std::uint64_t window = 0;  // newest messages that it can still ask for
     std::uint64_t bound = 0;   // unread ones beyond which a keep-all publisher waits; 0 = none
     std::uint64_t attached_generation = 0;  // 0 = not mapped
-    std::uint64_t extent = 0;
+    std::uint64_t line = 0;                 // offset of its link line for this publisher
     std::uint64_t armed_offset = 0;
     std::uint64_t wait_set = 0;
     std::uint64_t low = 0;           // of the last scan, for room_for_one_more
     std::uint64_t quota = 0;         // messages that it may hold at once
-    std::uint64_t limit = infinite;  // likewise, of this publisher
+    std::uint64_t limit = 0;         // likewise, of this publisher, plus one; 0 = no other limit
     std::uint64_t withdrawn_at = 0;  // head when it was withdrawn; 0 = it is not
     bool reliable = false;
     typename M::Region region{};
   };
 
+  Endpoint& at(std::uint64_t index) noexcept { return places_->endpoints[index]; }
+  const Endpoint& at(std::uint64_t index) const noexcept { return places_->endpoints[index]; }
+  std::span<Endpoint> endpoints() noexcept { return {places_->endpoints.data(), endpoint_high_}; }
+  std::span<const Endpoint> endpoints() const noexcept {
+    return {places_->endpoints.data(), endpoint_high_};
+  }
+
   /// keep-all: returns whether one more message leaves no reliable keep-all endpoint with more
   /// unread ones than both sides agreed to.
   bool room_for_one_more() const noexcept {
     bool room = true;
-    for (std::uint64_t i = 0; i < endpoint_high_; ++i) {
-      const Endpoint& endpoint = endpoints_[i];
+    for (const Endpoint& endpoint : endpoints()) {
       if (abi::state_of(endpoint.word) != abi::BoardState::active || endpoint.bound == 0) continue;
       const std::uint64_t bound = std::min<std::uint64_t>(self_.qos.depth, endpoint.bound);
       if (M::holds(steps::K0_room, head_sequence_ + 2 > endpoint.low + bound)) room = false;
@@ -342,6 +344,10 @@ class PublisherCore {
       high = std::min<std::uint64_t>(high, M::subscription_capacity);
       endpoint_high_ = std::max(endpoint_high_, high);
       for (std::uint64_t i = 0; i < high; ++i) refresh_endpoint(i);
+      // A publish looks at each of them, however many there once were.
+      while (endpoint_high_ != 0 && at(endpoint_high_ - 1).withdrawn_at == 0 &&
+             !abi::takes_part(at(endpoint_high_ - 1).word))
+        --endpoint_high_;
       refresh_self(self_word);
     }
     AGNOCAST_STEP(P7_seen) seen_ = head_sequence_;
@@ -366,43 +372,38 @@ class PublisherCore {
   }
 
   void refresh_endpoint(std::uint64_t index) noexcept {
-    Endpoint& endpoint = endpoints_[index];
+    Endpoint& endpoint = at(index);
     std::uint64_t word = endpoint.word;
     AGNOCAST_STEP(P7_word)
     word = self_.topic.subscription(index, offsetof(abi::SubscriptionEntry, word))
                .load(std::memory_order_acquire);
     if (abi::generation_of(word) != abi::generation_of(endpoint.word)) {
-      using Entry = abi::SubscriptionEntry;
+      using Fields = abi::SubscriptionEntry;
       const auto field = [&](std::size_t offset) {
         return self_.topic.subscription(index, offset).load(std::memory_order_relaxed);
       };
       const abi::Qos qos =
-          abi::unpack_qos({field(offsetof(Entry, policies)), field(offsetof(Entry, deadline_ns)), 0,
-                           field(offsetof(Entry, lease_ns))});
+          abi::unpack_qos({field(offsetof(Fields, policies)), field(offsetof(Fields, deadline_ns)),
+                           0, field(offsetof(Fields, lease_ns))});
       if (!M::holds(steps::P7_match, abi::endpoints_match({self_.qos, self_.client},
-                                                          {qos, field(offsetof(Entry, client))})))
+                                                          {qos, field(offsetof(Fields, client))})))
         word = abi::pack_board_word(abi::generation_of(word), abi::BoardState::free);
       AGNOCAST_STEP(P7_window) endpoint.window = abi::window_of(qos);
       endpoint.bound = qos.keep_all && qos.reliable ? qos.depth : 0;
       endpoint.reliable = qos.reliable;
-      endpoint.quota = field(offsetof(Entry, quota));
+      endpoint.quota = field(offsetof(Fields, quota));
       end_withdrawal(index);
       endpoint.since = head_sequence_ + 1;
       AGNOCAST_STEP(P7_since)
       endpoint.since = region::minus_at_least(seen_ + 1, history_, self_.first_sequence + 1);
       endpoint.low = endpoint.since;
-    } else if (endpoint.word != word && !takes_part(endpoint.word)) {
+    } else if (endpoint.word != word && !abi::takes_part(endpoint.word)) {
       word = abi::pack_board_word(abi::generation_of(word),
                                   abi::BoardState::free);  // refused or over: it stays so
-    } else if (endpoint.withdrawn_at != 0 && takes_part(word)) {
+    } else if (endpoint.withdrawn_at != 0 && abi::takes_part(word)) {
       word = endpoint.word;
     }
     endpoint.word = word;
-  }
-
-  static bool takes_part(std::uint64_t word) noexcept {
-    const abi::BoardState state = abi::state_of(word);
-    return state == abi::BoardState::active || state == abi::BoardState::leaving;
   }
 
   void say_withdrawal(std::uint64_t index, abi::Withdrawal why) noexcept {
@@ -415,7 +416,7 @@ class PublisherCore {
   }
 
   void end_withdrawal(std::uint64_t index) noexcept {
-    Endpoint& endpoint = endpoints_[index];
+    Endpoint& endpoint = at(index);
     if (endpoint.withdrawn_at == 0) return;
     endpoint.withdrawn_at = 0;
     say_withdrawal(index, abi::Withdrawal::none);
@@ -424,8 +425,7 @@ class PublisherCore {
   /// P8: rings once per wait set and sleep.
   template <class Environment>
   void ring_wait_sets(Environment& environment) noexcept {
-    for (std::uint64_t i = 0; i < endpoint_high_; ++i) {
-      Endpoint& endpoint = endpoints_[i];
+    for (const Endpoint& endpoint : endpoints()) {
       if (abi::state_of(endpoint.word) != abi::BoardState::active) continue;
       if (endpoint.attached_generation != abi::generation_of(endpoint.word))
         continue;  // J7 rings it once it is mapped
@@ -434,9 +434,9 @@ class PublisherCore {
       // wait set or its re-check sees the commit.
       AGNOCAST_STEP(P8_armed)
       armed = M::word(endpoint.region, endpoint.armed_offset).load(std::memory_order_relaxed);
-      if (!M::holds(steps::P8_asleep, (armed & 1) != 0 && armed != rung_[endpoint.wait_set]))
-        continue;
-      AGNOCAST_STEP(P8_rung) rung_[endpoint.wait_set] = armed;
+      std::uint64_t& rung = places_->rung[endpoint.wait_set];
+      if (!M::holds(steps::P8_asleep, (armed & 1) != 0 && armed != rung)) continue;
+      AGNOCAST_STEP(P8_rung) rung = armed;
       AGNOCAST_STEP(P8_ring) environment.ring(endpoint.wait_set, armed);
     }
   }
@@ -451,6 +451,9 @@ class PublisherCore {
     return false;
   }
 
+  struct Unknown {
+    std::uint64_t from, to;
+  };
   template <class Environment>
   void scan(Environment& environment, bool after_commit) noexcept {
     // [sync:hold] seq_cst; pairs with T4 and T5: either this scan sees a take that validated an
@@ -470,18 +473,16 @@ class PublisherCore {
 
     std::uint64_t need = region::minus_at_least(head_sequence_ + 1, history_, 0);
     std::uint64_t past = infinite;
-    std::uint64_t unknown_from = infinite;
-    std::uint64_t unknown_to = 0;
+    Unknown unknown{infinite, 0};
     typename Slots::Mask held;  // as far as words_in_use()
     std::fill_n(held.begin(), slots_.words_in_use(), 0);
-    for (std::uint64_t i = 0; i < (over_ != 0 ? 0 : endpoint_high_); ++i) {
-      Endpoint& endpoint = endpoints_[i];
-      if (!takes_part(endpoint.word)) continue;
+    for (Endpoint& endpoint : endpoints()) {
+      if (over_ != 0 || !abi::takes_part(endpoint.word)) continue;
       const bool leaving = abi::state_of(endpoint.word) == abi::BoardState::leaving;
       const bool mapped = endpoint.attached_generation == abi::generation_of(endpoint.word);
       std::uint64_t low = endpoint.since;
       if (mapped) {
-        const region::LinkWords<M> link{endpoint.region, endpoint.extent, self_.index};
+        const region::LinkWords<M> link{endpoint.region, endpoint.line};
         // [sync:link] acquire; pairs with the seq_cst store at J6: the cursor read next is at least
         // the one it was linked with.
         const bool linked = M::holds(
@@ -491,12 +492,12 @@ class PublisherCore {
           // [sync:direct-free] acquire, before the holds; pairs with T7: behind a passed cursor a
           // clear bit means released.
           AGNOCAST_STEP(P9_cursor) low = link.cursor().load(std::memory_order_acquire);
-          AGNOCAST_STEP(P9_hold) collect_holds(link, i, held);
+          AGNOCAST_STEP(P9_hold) collect_holds(link, endpoint, held);
         }
       } else {
-        AGNOCAST_STEP(P9_unknown) unknown_from = std::min(unknown_from, endpoint.since);
-        unknown_to =
-            std::max(unknown_to, endpoint.withdrawn_at != 0 ? endpoint.withdrawn_at : infinite);
+        AGNOCAST_STEP(P9_unknown) unknown.from = std::min(unknown.from, endpoint.since);
+        unknown.to =
+            std::max(unknown.to, endpoint.withdrawn_at != 0 ? endpoint.withdrawn_at : infinite);
       }
       if (leaving) low = infinite;
       endpoint.low = low;
@@ -505,15 +506,14 @@ class PublisherCore {
         need = std::min(
             need, std::max(low, region::minus_at_least(head_sequence_ + 1, endpoint.window, 0)));
     }
-    retire_and_free(environment, need, past, {unknown_from, unknown_to}, held);
+    retire_and_free(environment, need, past, unknown, held);
   }
 
   /// An honest subscription takes nothing while it holds its quota. One that holds more could take
   /// all slots of this publisher; from now on its holds are ignored, and its messages may be
   /// overwritten.
-  void collect_holds(const region::LinkWords<M>& link, std::uint64_t index,
+  void collect_holds(const region::LinkWords<M>& link, Endpoint& endpoint,
                      typename Slots::Mask& held) noexcept {
-    Endpoint& endpoint = endpoints_[index];
     if (endpoint.withdrawn_at != 0) [[unlikely]]
       return collect_last_holds(link, endpoint, held);
     const std::size_t words = slots_.words_in_use();
@@ -527,12 +527,13 @@ class PublisherCore {
       if (bits != 0)
         count += static_cast<std::uint64_t>(std::popcount(bits & slots_.allocated(word)));
     }
-    const std::uint64_t quota = std::min(endpoint.quota, endpoint.limit);
+    const std::uint64_t quota = std::min(endpoint.quota, endpoint.limit - 1);
     if (count > quota && slots_.holds_too_many(link, quota)) {
       endpoint.withdrawn_at = head_sequence_;
       endpoint.word =
           abi::pack_board_word(abi::generation_of(endpoint.word), abi::BoardState::free);
-      say_withdrawal(index, abi::Withdrawal::over_quota);
+      say_withdrawal(static_cast<std::uint64_t>(&endpoint - endpoints().data()),
+                     abi::Withdrawal::over_quota);
     }
   }
 
@@ -553,9 +554,6 @@ class PublisherCore {
           abi::pack_board_word(abi::generation_of(endpoint.word), abi::BoardState::free);
   }
 
-  struct Unknown {
-    std::uint64_t from, to;
-  };
   template <class Environment>
   void retire_and_free(Environment& environment, std::uint64_t need, std::uint64_t past,
                        Unknown unknown, const typename Slots::Mask& held) noexcept {
@@ -592,9 +590,11 @@ class PublisherCore {
   std::uint64_t left_ = 0;       // 1: the scan after a large message was left to another thread
   std::uint64_t endpoint_high_ = 0;
   Slots slots_;
-  std::array<Endpoint, M::subscription_capacity> endpoints_{};
-  std::array<std::uint64_t, M::subscription_capacity>
-      rung_{};  // per wait set: the last sleep that was rung
+  struct Places {
+    std::array<Endpoint, M::subscription_capacity> endpoints;
+    std::array<std::uint64_t, M::subscription_capacity> rung;  // per wait set: the last rung sleep
+  };
+  typename M::template Zeroed<Places> places_;
 };
 
 }  // namespace agnocast::dataplane

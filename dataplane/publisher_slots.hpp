@@ -25,7 +25,7 @@ class PublisherSlots {
   static constexpr std::size_t mask_words = (M::slot_capacity + 63) / 64;
   using Mask = std::array<std::uint64_t, mask_words>;  // a bit for each slot
 
-  explicit PublisherSlots(std::uint64_t count) noexcept : count_(count) {}
+  explicit PublisherSlots(std::uint64_t count) : count_(count) {}
   /// Raises the number of slots that may be used; it never falls.
   void grow(std::uint64_t count) noexcept {
     count_ = std::clamp<std::uint64_t>(count, count_, M::slot_capacity);
@@ -39,9 +39,9 @@ class PublisherSlots {
   std::size_t words_in_use() const noexcept { return (static_cast<std::size_t>(count_) + 63) / 64; }
   std::uint64_t allocated(std::size_t word) const noexcept { return allocated_[word]; }
   bool is_retired(std::uint64_t slot) const noexcept { return test(retired_, slot); }
-  std::uint64_t sequence(std::uint64_t slot) const noexcept { return sequence_[slot]; }
-  std::uint64_t address(std::uint64_t slot) const noexcept { return address_[slot]; }
-  std::uint64_t bytes(std::uint64_t slot) const noexcept { return bytes_[slot]; }
+  std::uint64_t sequence(std::uint64_t slot) const noexcept { return facts_->sequence[slot]; }
+  std::uint64_t address(std::uint64_t slot) const noexcept { return facts_->address[slot]; }
+  std::uint64_t bytes(std::uint64_t slot) const noexcept { return facts_->bytes[slot]; }
   /// Returns how many are allocated.
   std::uint64_t count() const noexcept {
     std::uint64_t count = 0;
@@ -58,6 +58,12 @@ class PublisherSlots {
       }
     }
   }
+  /// Returns whether a message with a lower sequence number is allocated.
+  bool has_before(std::uint64_t sequence) const noexcept {
+    bool found = false;
+    for_each([&](std::uint64_t slot) { found = found || facts_->sequence[slot] < sequence; });
+    return found;
+  }
   /// Returns the lowest free slot, or `none` if all are allocated.
   std::uint64_t lowest_free() const noexcept {
     const std::size_t words = words_in_use();
@@ -72,9 +78,9 @@ class PublisherSlots {
 
   void enter(std::uint64_t slot, std::uint64_t sequence, std::uint64_t address,
              std::uint64_t bytes) noexcept {
-    sequence_[slot] = sequence;
-    address_[slot] = address;
-    bytes_[slot] = bytes;
+    facts_->sequence[slot] = sequence;
+    facts_->address[slot] = address;
+    facts_->bytes[slot] = bytes;
     set(allocated_, slot);
   }
   void retire(std::uint64_t slot) noexcept { set(retired_, slot); }
@@ -92,7 +98,7 @@ class PublisherSlots {
     std::uint64_t kept = 0;
     for (std::uint64_t left = bits & allocated_[word]; left != 0; left &= left - 1) {
       const std::uint64_t slot = word * 64 + static_cast<std::uint64_t>(std::countr_zero(left));
-      if (sequence_[slot] <= sequence) kept |= left & -left;
+      if (facts_->sequence[slot] <= sequence) kept |= left & -left;
     }
     return kept;
   }
@@ -137,9 +143,10 @@ class PublisherSlots {
   std::uint64_t count_;
   Mask allocated_{};
   Mask retired_{};
-  std::array<std::uint64_t, M::slot_capacity> sequence_{};
-  std::array<std::uint64_t, M::slot_capacity> address_{};
-  std::array<std::uint64_t, M::slot_capacity> bytes_{};
+  struct Facts {
+    std::array<std::uint64_t, M::slot_capacity> sequence, address, bytes;
+  };
+  typename M::template Zeroed<Facts> facts_;
 };
 
 }  // namespace agnocast::dataplane

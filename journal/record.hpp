@@ -35,7 +35,7 @@ namespace agnocast::journal {
   X(client_dead, 10, "client generation reason death_count")                                  \
   X(client_end, 11, "client generation")                                                      \
   X(open_window, 12, "client window base bytes generation first")                             \
-  X(add_topic, 15, "topic generation domain layout_hash")                                     \
+  X(add_topic, 15, "topic generation domain layout_hash link_blocks")                         \
   X(open_wait_set, 16, "client wait_set generation")                                          \
   X(free_topic, 17, "topic generation")                                                       \
   X(raise_slots, 18, "topic index slot_count generation client")                              \

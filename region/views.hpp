@@ -73,10 +73,14 @@ struct PublisherWords {
 
 /// Words of one subscription's link to one publisher.
 template <class M>
-struct LinkWords {
-  typename M::Region region;
-  std::uint64_t extent;     // of the subscription endpoint
-  std::uint64_t publisher;  // index of the publisher in the topic
+class LinkWords {
+ public:
+  /// `extent`: of the subscription endpoint; `publisher`: index of the publisher in the topic.
+  LinkWords(typename M::Region region, std::uint64_t extent, std::uint64_t publisher) noexcept
+      : LinkWords(region, extent + abi::link_offset(publisher)) {}
+  /// `line`: offset of its link line in the region.
+  LinkWords(typename M::Region region, std::uint64_t line) noexcept
+      : region_(region), line_(line) {}
 
   decltype(auto) publisher_generation() const noexcept {
     return at(offsetof(abi::LinkLine, publisher_generation));
@@ -85,18 +89,17 @@ struct LinkWords {
   /// Returns the hold word of slots 64×word … 64×word+63; the first ones share the link line.
   decltype(auto) hold(std::uint64_t word) const noexcept {
     const std::uint64_t near_words = M::near_slot_count() / 64;
-    const std::uint64_t offset =
-        word < near_words
-            ? abi::link_offset(publisher) + offsetof(abi::LinkLine, hold) +
-                  word * sizeof(abi::SharedWord)
-            : abi::far_hold_offset(M::publisher_count(), publisher, word - near_words);
-    return M::word(region, extent + offset);
+    return at(word < near_words ? offsetof(abi::LinkLine, hold) + word * sizeof(abi::SharedWord)
+                                : abi::far_hold_offset(word - near_words));
   }
 
  private:
-  decltype(auto) at(std::uint64_t field) const noexcept {
-    return M::word(region, extent + abi::link_offset(publisher) + field);
+  decltype(auto) at(std::uint64_t offset) const noexcept {
+    return M::word(region_, line_ + offset);
   }
+
+  typename M::Region region_;
+  std::uint64_t line_;
 };
 
 /// Counters of one subscription, and its persistent endpoint id.
@@ -109,8 +112,7 @@ struct SubscriptionWords {
     return counter(offsetof(abi::SubscriptionCounters, persistent_id));
   }
   decltype(auto) counter(std::size_t field) const noexcept {
-    return M::word(region,
-                   extent + abi::subscription_counters_offset(M::publisher_count()) + field);
+    return M::word(region, extent + field);
   }
 };
 

@@ -13,10 +13,12 @@
 //   M::holds(Step, bool)          the bool; names a decision
 //   M::slot_capacity, …           array sizes of private memory
 //   M::ring_count(), …            geometry of the regions
+//   M::Zeroed<T>                  private memory for a T of that geometry, see zeroed.hpp
 #pragma once
 
 #include <agnocast/abi/client_region.hpp>
 #include <agnocast/abi/limits.hpp>
+#include <base/memory/zeroed.hpp>
 #include <base/step.hpp>
 
 #include <atomic>
@@ -29,6 +31,8 @@ namespace agnocast {
 /// process; without, it costs nothing.
 struct SharedMemory {
   using Region = std::byte*;
+  template <class T>
+  using Zeroed = agnocast::Zeroed<T>;
 
   static constexpr std::uint32_t slot_capacity = abi::slot_count_max;
   static constexpr std::uint32_t subscription_capacity = abi::subscription_count_max;

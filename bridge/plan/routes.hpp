@@ -172,9 +172,9 @@ struct Situation {
   bool announce = false;  ///< give publishers without a reader a writer in DDS as well
 };
 
-/// Other hosts may have any number of writers: half of the publishers that a topic may have here,
-/// which leaves room for those of this host.
-inline constexpr std::size_t remote_publishers_per_topic_max = abi::publisher_count_max / 2;
+/// Other hosts may have any number of writers: half of the publishers that a topic may have here
+/// if it is not wide, which leaves room for those of this host.
+inline constexpr std::size_t remote_publishers_per_topic_max = abi::link_block_count / 2;
 
 /// If a topic has too many writers, one participant's writers beyond this give way to others'.
 inline constexpr std::size_t remote_publishers_of_participant_share =

@@ -96,11 +96,6 @@ Departure* EndpointTable::departure_of(Kind kind, const Key& key,
   return nullptr;
 }
 
-bool EndpointTable::is_here(Kind kind, const Key& key) const noexcept {
-  const std::lock_guard lock(mutex_);
-  return kind == Kind::publisher ? publishers_.count(key) != 0 : subscriptions_.count(key) != 0;
-}
-
 bool EndpointTable::is_linked(std::uint32_t topic, std::uint64_t publisher,
                               std::uint64_t generation) const noexcept {
   const std::lock_guard lock(mutex_);

@@ -53,8 +53,6 @@ class EndpointTable {
                                                      std::uint64_t generation) const noexcept;
   /// Returns the departure of an endpoint, valid until the endpoint is removed; null as above.
   Departure* departure_of(Kind kind, const Key& key, std::uint64_t generation) const noexcept;
-  /// Returns whether an endpoint of any generation is at this place.
-  bool is_here(Kind kind, const Key& key) const noexcept;
   /// Returns whether any subscription is linked to this publisher of its topic.
   bool is_linked(std::uint32_t topic, std::uint64_t publisher,
                  std::uint64_t generation) const noexcept;

@@ -35,19 +35,19 @@ class Peer {
   std::uint64_t generation() const noexcept { return generation_; }
   std::byte* region() const noexcept { return base_; }
   DescriptorShare::Owner owner() const noexcept { return owner_; }
-  /// Makes one of its endpoints accessible. Not for this process itself. `announced`: the region's
-  /// file that came with the endpoint. It is kept if none is kept yet and the peer's user has a
-  /// share left; it may be empty if one is kept. Errors: limit_reached, those of
+  /// Makes a part of one of its endpoints accessible. Not for this process itself. `announced`: the
+  /// region's file that came with the endpoint. It is taken if none is kept yet and the peer's user
+  /// has a share left; it may be empty if one is kept. Errors: limit_reached, those of
   /// SparseRegion::open. Allocates.
-  [[nodiscard]] Result<void> open(std::uint64_t extent, std::uint64_t bytes, UniqueFd announced) {
+  [[nodiscard]] Result<void> open(std::uint64_t offset, std::uint64_t bytes, UniqueFd& announced) {
     if (!region_.has_file() && announced) {
       counted_ = DescriptorShare::instance().take(owner_, 1);
       if (counted_) region_.keep_file(std::move(announced));
     }
-    if (!count_mappings(extent))
+    if (!count_mappings(offset))
       return fail(Errc::limit_reached, "the share of mappings of its user is used up");
-    // If it was kept, the region has it. NOLINTNEXTLINE(bugprone-use-after-move)
-    return region_.open(extent, bytes, announced.get());
+    // If it was taken, the region has it. NOLINTNEXTLINE(bugprone-use-after-move)
+    return region_.open(offset, bytes, announced.get());
   }
   bool has_file() const noexcept { return region_.has_file(); }
   /// Counts the mappings of one part: of its region, by the offset, or of a window. Once, because

@@ -51,7 +51,7 @@ PeerTable::Known* PeerTable::map(const wire::Announcement& announcement, std::sp
   } else {
     AGNOCAST_CRASH_POINT(C_peer_map);
     Result<SparseRegion> region =
-        SparseRegion::make(UniqueFd(), std::uint64_t{1} << 30, Mapping::Access::read);
+        SparseRegion::make(UniqueFd(), abi::client_region_bytes, Mapping::Access::read);
     if (!region || !region->open(0, abi::page_bytes, fds[0].get())) return nullptr;
     known.peer =
         std::make_unique<Peer>(key.first, key.second, owner_of(announcement), std::move(*region));
@@ -63,15 +63,33 @@ PeerTable::Known* PeerTable::map(const wire::Announcement& announcement, std::sp
 
 bool PeerTable::open_endpoint(Known& known, const wire::Announcement& announcement,
                               std::span<UniqueFd> fds) {
-  const std::uint64_t bytes = announcement.kind == Kind::publisher ? abi::publisher_extent_bytes
-                                                                   : abi::subscription_extent_bytes;
-  if (!is_self({announcement.client, announcement.client_generation}))
-    return known.peer
-        ->open(announcement.extent, bytes, fds.empty() ? UniqueFd() : std::move(fds[0]))
+  UniqueFd none;
+  UniqueFd& file = fds.empty() ? none : fds[0];
+  const bool is_own = is_self({announcement.client, announcement.client_generation});
+  const auto open = [&](std::uint64_t offset, std::uint64_t bytes) {
+    return (is_own ? self_.region->open(offset, bytes) : known.peer->open(offset, bytes, file))
         .has_value();
-  // Or this announcement came before the answer to the creation, which was requested again.
-  return endpoints_.is_here(announcement.kind, {announcement.topic, announcement.index}) ||
-         self_.region->open(announcement.extent, bytes).has_value();
+  };
+  if (announcement.kind == Kind::publisher)
+    return open(announcement.extent, abi::publisher_extent_bytes) && open_own_links(announcement);
+  // An own one may be announced before its creation is answered, which was requested again.
+  const std::uint64_t publisher = announcement.own_index;
+  return publisher < abi::publisher_count_max &&
+         open(announcement.extent, abi::subscription_extent_bytes(1)) &&
+         (publisher < abi::link_block_count ||
+          open(announcement.extent + abi::link_block_offset(publisher), abi::link_block_bytes));
+}
+
+/// Makes the link lines accessible that a subscription of this process has for the publisher.
+bool PeerTable::open_own_links(const wire::Announcement& announcement) {
+  const auto subscription = endpoints_.subscription({announcement.topic, announcement.own_index},
+                                                    announcement.own_generation);
+  if (subscription == nullptr) return true;  // it has ended meanwhile
+  return announcement.index < abi::publisher_count_max &&
+         self_.region
+             ->open(subscription->identity().extent + abi::link_block_offset(announcement.index),
+                    abi::link_block_bytes)
+             .has_value();
 }
 
 void PeerTable::add_window(const Key& process, const PeerHeap::Announced& window, UniqueFd fd) {

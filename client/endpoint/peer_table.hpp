@@ -81,6 +81,7 @@ class PeerTable {
   Known* map(const abi::wire::Announcement& announcement, std::span<UniqueFd> fds);
   bool open_endpoint(Known& known, const abi::wire::Announcement& announcement,
                      std::span<UniqueFd> fds);
+  bool open_own_links(const abi::wire::Announcement& announcement);
   Result<void> add_window_of(Known& known, const PeerHeap::Announced& window, UniqueFd fd);
   std::shared_ptr<Peer> use(Known& known) const;
 

@@ -265,6 +265,7 @@ class PublisherEndpoint {
   std::size_t number_of(const Peer& peer, std::uint64_t wait_set, PeerDoorbell doorbell);
   void replace_doorbell(const Subscription& subscription, PeerDoorbell doorbell) noexcept;
   bool is_linked(const Attached& attached) const noexcept;
+  std::size_t reader_count_max() const noexcept;
   void note_links() noexcept;
   std::size_t matched_count(Readers readers) const noexcept;  // under the mutex
   std::size_t linked_count(Readers readers) const noexcept;   // likewise

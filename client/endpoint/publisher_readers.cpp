@@ -12,12 +12,19 @@
 
 namespace agnocast {
 
+/// Returns how many subscriptions the topic may have had; one that comes now is seen next time.
+std::size_t PublisherEndpoint::reader_count_max() const noexcept {
+  const std::uint64_t high =
+      identity_.core.topic.subscription_high().load(std::memory_order_acquire);
+  return std::min<std::uint64_t>(high, SharedMemory::subscription_capacity);
+}
+
 void PublisherEndpoint::list_foreign_readers(std::vector<Reader>& readers) const {
   readers.clear();
-  readers.reserve(SharedMemory::subscription_capacity);  // no allocation under the mutex
+  readers.reserve(reader_count_max());  // no allocation under the mutex
   const std::lock_guard lock(mutex_);
   for (const Attached& attached : attached_) {
-    if (!attached.owner.is_own)
+    if (!attached.owner.is_own && readers.size() < readers.capacity())
       readers.push_back({{attached.index, attached.generation}, attached.owner.uid});
   }
 }
@@ -74,11 +81,14 @@ struct PublisherEndpoint::Look {
 /// Lists the endpoints that take part and are not mapped, then the mapped ones that are withdrawn,
 /// but not for good. Returns false if this publisher publishes nothing any more.
 bool PublisherEndpoint::see_readers(std::vector<Seen>& seen) const {
-  seen.reserve(2 * SharedMemory::subscription_capacity);  // no allocation under the mutex
+  seen.reserve(2 * reader_count_max());  // no allocation under the mutex
+  const auto see = [&](const Seen& one) {
+    if (seen.size() < seen.capacity()) seen.push_back(one);
+  };
   const std::lock_guard lock(mutex_);
   if (core_ == nullptr || moved_) return false;
   core_->for_each_unmapped([&](std::uint64_t index, std::uint64_t generation) {
-    seen.push_back({{index, generation}, false, std::nullopt});
+    see({{index, generation}, false, std::nullopt});
   });
   for (const Attached& one : attached_) {
     const abi::Withdrawal why = core_->withdrawal(one.index, one.generation);
@@ -87,7 +97,7 @@ bool PublisherEndpoint::see_readers(std::vector<Seen>& seen) const {
                              known->second.generation == one.generation &&
                              known->second.why == abi::Withdrawal::over_quota;
     if (why != abi::Withdrawal::none && !is_notified)
-      seen.push_back({{one.index, one.generation}, true, one.owner});
+      see({{one.index, one.generation}, true, one.owner});
   }
   return true;
 }

@@ -8,7 +8,6 @@
 namespace agnocast {
 
 namespace wire = abi::wire;
-using wire::Kind;
 using wire::Opcode;
 
 namespace {
@@ -101,7 +100,9 @@ Result<std::shared_ptr<SubscriptionEndpoint>> Creations::make_subscription(
             made.index >= abi::subscription_count_max) {
           return fail(Errc::protocol_violation, "a new subscription");
         }
-        if (Result<void> opened = registration_.open_extents(made, abi::subscription_extent_bytes);
+        // Further link blocks when a publisher of theirs is announced.
+        if (Result<void> opened =
+                registration_.open_extents(made, abi::subscription_extent_bytes(1));
             !opened)
           return opened;
         subscription = std::make_shared<SubscriptionEndpoint>(

@@ -9,9 +9,9 @@
 // quarter of the soft limit and all foreign users together half; no peer of any user gets one of
 // the last few. A peer beyond its share is attached without: its doorbell is mute, and the file
 // of its region is closed once it is mapped. Mappings (vm.max_map_count) have the same shares: a
-// peer's region costs two, and each of its endpoints and windows two more, because it splits a
-// reservation. A peer beyond its share of mappings is not mapped: its publishers cannot be read,
-// and its subscriptions cannot be attached.
+// peer's region costs two, and each of its endpoints and windows two more (a subscription of a wide
+// topic four), because it splits a reservation. A peer beyond its share of mappings is not mapped:
+// its publishers cannot be read, and its subscriptions cannot be attached.
 //
 //   Part part = DescriptorShare::instance().take(owner, 2);   empty: close them
 //

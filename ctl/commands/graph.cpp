@@ -18,6 +18,7 @@
 #include <map>
 #include <optional>
 #include <string>
+#include <tuple>
 #include <utility>
 #include <vector>
 
@@ -52,26 +53,26 @@ Edge published_edge(const System& system, const Topic& topic, const Endpoint& pu
   return edge;
 }
 
-Edge subscribed_edge(const std::vector<Pair>& pairs, const Endpoint& subscription) {
-  Edge edge;
+/// Adds what is not zero-copy, by subscription.
+void add_subscribed_edges(const std::vector<Pair>& pairs, std::map<const Endpoint*, Edge>& edges) {
   for (const Pair& pair : pairs) {
-    if (pair.subscription != &subscription || is_zero_copy(pair.state)) continue;
+    if (is_zero_copy(pair.state)) continue;
+    Edge& edge = edges[pair.subscription];
     edge.is_zero_copy = false;
     if (edge.why.empty()) edge.why = pair.why;
   }
-  return edge;
 }
 
 Graph graph_of(const System& system, const Arguments& arguments) {
   Graph graph;
   graph.nodes = nodes_of(system, arguments);
   std::map<const Topic*, std::size_t> number;
-  std::map<const Topic*, std::vector<Pair>> pairs;
+  std::map<const Endpoint*, Edge> subscribed;
   for (const Topic* const topic : topics_of(system, arguments)) {
     if (!arguments.has(options::hidden) && is_hidden(topic->name)) continue;
     number[topic] = graph.topics.size();
     graph.topics.push_back(topic);
-    pairs[topic] = pairs_of(system, *topic);
+    add_subscribed_edges(pairs_of(system, *topic), subscribed);
   }
   const std::uint64_t now_ns = monotonic_ns();
   for (std::size_t n = 0; n < graph.nodes.size(); ++n) {
@@ -85,7 +86,7 @@ Graph graph_of(const System& system, const Arguments& arguments) {
         add(of, published_edge(system, *of.topic, *of.endpoint, now_ns));
     }
     for (const Node::Of& of : graph.nodes[n].subscriptions) {
-      if (number.count(of.topic) != 0) add(of, subscribed_edge(pairs[of.topic], *of.endpoint));
+      if (number.count(of.topic) != 0) add(of, subscribed[of.endpoint]);
     }
   }
   return graph;
@@ -114,8 +115,8 @@ void print_dot(const Graph& graph, Console& console) {
   for (const Edge& edge : graph.edges) {
     const std::string node = "n" + std::to_string(edge.node),
                       topic = "t" + std::to_string(edge.topic);
-    console.line("  " + (edge.publishes ? node + " -> " + topic : topic + " -> " + node) +
-                 " [label=\"" + escaped(label_of(edge)) + '"' +
+    const auto& [from, to] = edge.publishes ? std::tie(node, topic) : std::tie(topic, node);
+    console.line("  " + from + " -> " + to + " [label=\"" + escaped(label_of(edge)) + '"' +
                  (edge.is_zero_copy ? "" : ", style=dashed, color=red") + "];");
   }
   console.line("}");
@@ -148,7 +149,8 @@ void print_mermaid(const Graph& graph, Console& console) {
     const std::string label = mermaid_text(label_of(edge));
     const std::string arrow = std::string(edge.is_zero_copy ? " -->" : " -.->") +
                               (label.empty() ? " " : "|\"" + label + "\"| ");
-    console.line("  " + (edge.publishes ? node + arrow + topic : topic + arrow + node));
+    const auto& [from, to] = edge.publishes ? std::tie(node, topic) : std::tie(topic, node);
+    console.line("  " + from + arrow + to);
   }
 }
 

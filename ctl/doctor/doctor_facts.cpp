@@ -67,7 +67,7 @@ Shell look_at_shell() {
 
 std::string first_closed(const std::string& path) {
   for (std::size_t at = path.find('/', 1); at != std::string::npos; at = path.find('/', at + 1)) {
-    const std::string directory = path.substr(0, at);
+    std::string directory = path.substr(0, at);
     if (::faccessat(AT_FDCWD, directory.c_str(), X_OK, AT_EACCESS) != 0 && errno == EACCES)
       return directory;
   }
@@ -307,14 +307,27 @@ bool answers(const std::string& path) {
 
 }  // namespace
 
-std::string Facts::configure(const std::string& section, const std::string& key,
-                             std::uint64_t value) const {
+namespace {
+/// Returns a command that writes the settings in force as `script` of sed changes them.
+std::string edit_configuration(const std::string& configuration, const std::string& script) {
   const std::string file = shell_word(configuration.empty() ? usual_configuration : configuration);
   // If agnocastd is not found here or may not read the file, NEW is empty and nothing is written.
   return "NEW=\"$(agnocastd --print-config" + (configuration.empty() ? "" : " --config " + file) +
-         " | sed '/^\\[" + section + "\\]/,/^\\[/s/^" + key + " = .*/" + key + " = " +
-         std::to_string(value) + "/')\" && [ -n \"$NEW\" ] && printf '%s\\n' \"$NEW\" | sudo tee " +
+         " | sed '" + script + "')\" && [ -n \"$NEW\" ] && printf '%s\\n' \"$NEW\" | sudo tee " +
          file + " > /dev/null";
+}
+}  // namespace
+
+std::string Facts::configure(const std::string& section, const std::string& key,
+                             std::uint64_t value) const {
+  return edit_configuration(configuration, "/^\\[" + section + "\\]/,/^\\[/s/^" + key + " = .*/" +
+                                               key + " = " + std::to_string(value) + "/");
+}
+
+std::string Facts::make_wide(const std::string& topic) const {
+  const std::string name = '"' + topic + '"';
+  return edit_configuration(
+      configuration, "\\|^wide_topics = .*" + name + "|!s|^wide_topics = \\[|&" + name + ", |");
 }
 
 Fill Facts::common() const {

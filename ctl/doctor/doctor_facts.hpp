@@ -132,6 +132,8 @@ struct Facts {
   /// Returns a command that writes the configuration: the settings in force with one key changed.
   std::string configure(const std::string& section, const std::string& key,
                         std::uint64_t value) const;
+  /// The same with one more wide topic, whose name is one of a topic.
+  std::string make_wide(const std::string& topic) const;
 };
 
 /// A limit or quota that limits nothing.

@@ -3,6 +3,7 @@
 // The checks of the daemon, its limits, and the host.
 
 #include <agnocast/error.hpp>
+#include <base/text/names.hpp>
 #include <base/text/text.hpp>
 #include <ctl/cli/console.hpp>
 #include <ctl/doctor/doctor_facts.hpp>
@@ -152,8 +153,20 @@ Ailments tables(const Facts& facts) {
   look("there are ", "topics", system.topics.size(), limits.topics, abi::topic_count_max);
   for (const auto& [index, topic] : system.topics) {
     const std::string has = escaped(topic.name) + " has ";
-    look(has, "publishers_per_topic", topic.publishers.size(), limits.publishers_per_topic,
-         abi::publisher_count_max);
+    const std::uint64_t links = topic.facts.link_blocks * abi::link_block_count;
+    if (links < limits.publishers_per_topic) {
+      // By default a user has three quarters.
+      if (is_near(topic.publishers.size(), links - links / 4) && !check_topic_name(topic.name))
+        found.push_back({has + std::to_string(topic.publishers.size()) + " of " +
+                             std::to_string(links) +
+                             " publishers; it began without being in [limits] wide_topics",
+                         {{"CONFIGURE", facts.make_wide(topic.name)}},
+                         "further ones are refused; the change is for a topic "
+                         "that begins anew, when it has no endpoint left"});
+    } else {
+      look(has, "publishers_per_topic", topic.publishers.size(), limits.publishers_per_topic,
+           abi::publisher_count_max);
+    }
     look(has, "subscriptions_per_topic", topic.subscriptions.size(), limits.subscriptions_per_topic,
          abi::subscription_count_max);
   }

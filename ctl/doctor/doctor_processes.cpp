@@ -85,7 +85,7 @@ bool is_linked(const System& system, const Endpoint& publisher, const Endpoint& 
 }
 std::uint64_t held_by(const System& system, const Endpoint& publisher,
                       const Endpoint& subscription) {
-  if (!is_linked(system, publisher, subscription)) return 0;
+  if (!subscription.takes_messages() || !is_linked(system, publisher, subscription)) return 0;
   const Line line{system.region_of(subscription), subscription.facts.extent, publisher.facts.index};
   std::uint64_t held = 0;
   const std::uint64_t words =

@@ -132,7 +132,8 @@ class Auditor {
       std::string where;
     };
     std::map<std::uint64_t, std::vector<Extent>> extents;  // by process
-    const auto note = [&](const Topic& topic, const Endpoint& endpoint, std::uint64_t bytes) {
+    const auto note = [&](const Topic& topic, const Endpoint& endpoint) {
+      const std::uint64_t bytes = topic.extent_bytes(endpoint);
       const std::uint64_t begin = endpoint.facts.extent;
       const std::string where = name_of(topic, endpoint);
       if (system_.process_of(endpoint) == nullptr)
@@ -144,8 +145,8 @@ class Auditor {
       extents[endpoint.facts.client].push_back({begin, begin + bytes, where});
     };
     for (const auto& [index, topic] : system_.topics) {
-      for (const Endpoint& e : topic.publishers) note(topic, e, abi::publisher_extent_bytes);
-      for (const Endpoint& e : topic.subscriptions) note(topic, e, abi::subscription_extent_bytes);
+      for (const Endpoint& e : topic.publishers) note(topic, e);
+      for (const Endpoint& e : topic.subscriptions) note(topic, e);
     }
     for (auto& [client, list] : extents) {
       std::sort(list.begin(), list.end(),
@@ -324,20 +325,34 @@ class Auditor {
   // --- a subscription
 
   void check_links(const Topic& topic, const Endpoint& subscription) {
-    const bool counts = subscription.state() == abi::BoardState::active ||
-                        subscription.state() == abi::BoardState::leaving;
     std::byte* const region = system_.region_of(subscription);
-    if (!counts || region == nullptr) return;
+    if (!subscription.takes_messages() || region == nullptr) return;
     if (is_stopped(system_.process_of(subscription)->facts)) return;
-    for (std::uint64_t index = 0; index < M::publisher_count(); ++index) {
-      const Line line{region, subscription.facts.extent, index};
-      const std::uint64_t generation = line.publisher_generation().load(acquire);
-      const std::string where = name_of(topic, subscription) + " link " + std::to_string(index);
-      if (generation == 0) {
-        check_unlinked(line, where);
-      } else {
-        check_link(topic, subscription, line, generation, where);
-      }
+    // Nobody looks at a link block without a publisher, and it may have no memory.
+    std::map<std::uint64_t, std::vector<const Endpoint*>> blocks;
+    for (const Endpoint& publisher : topic.publishers) {
+      std::vector<const Endpoint*>& block = blocks[publisher.facts.index / abi::link_block_count];
+      block.resize(abi::link_block_count);
+      block[publisher.facts.index % abi::link_block_count] = &publisher;
+    }
+    for (const auto& [number, block] : blocks) {
+      for (std::uint64_t i = 0; i < abi::link_block_count; ++i)
+        check_line(topic, subscription, region, number * abi::link_block_count + i, block[i]);
+    }
+  }
+
+  /// `publisher`: the one with this index, null if there is none.
+  void check_line(const Topic& topic, const Endpoint& subscription, std::byte* region,
+                  std::uint64_t index, const Endpoint* publisher) {
+    const Line line{region, subscription.facts.extent, index};
+    const std::uint64_t generation = line.publisher_generation().load(acquire);
+    const std::string where = name_of(topic, subscription) + " link " + std::to_string(index);
+    if (generation == 0) {
+      check_unlinked(line, where);
+    } else if (publisher == nullptr || publisher->facts.generation != generation) {
+      found(Invariant::link_generation, where, {generation, 0, 0});
+    } else {
+      check_link(subscription, *publisher, line, where);
     }
   }
 
@@ -348,31 +363,25 @@ class Auditor {
     }
   }
 
-  void check_link(const Topic& topic, const Endpoint& subscription, const Line& line,
-                  std::uint64_t generation, const std::string& where) {
-    const auto publisher =
-        std::find_if(topic.publishers.begin(), topic.publishers.end(), [&](const Endpoint& e) {
-          return e.facts.index == line.publisher && e.facts.generation == generation;
-        });
-    if (publisher == topic.publishers.end())
-      return found(Invariant::link_generation, where, {generation, 0, 0});
-    std::byte* const queue = system_.region_of(*publisher);
+  void check_link(const Endpoint& subscription, const Endpoint& publisher, const Line& line,
+                  const std::string& where) {
+    std::byte* const queue = system_.region_of(publisher);
     if (queue == nullptr) return;
     ++audit_.links;
-    const std::uint64_t slot_count = publisher->facts.slot_count;
+    const std::uint64_t slot_count = publisher.facts.slot_count;
     // A take in progress may look like a broken link; the next try finds it complete.
     for (int i = 0; i < tries_max; ++i) {
       journal::Witness witness;
-      const Invariant broken =
-          journal::verify_link(line, Words{queue, publisher->facts.extent}, generation,
-                               publisher->facts.first_sequence, slot_count, &witness);
+      const Invariant broken = journal::verify_link(
+          line, Words{queue, publisher.facts.extent}, publisher.facts.generation,
+          publisher.facts.first_sequence, slot_count, &witness);
       if (broken == Invariant::none) break;
-      found(broken, where, {witness.place, witness.word, generation});
+      found(broken, where, {witness.place, witness.word, publisher.facts.generation});
     }
     std::uint64_t held = 0;
     for (std::uint64_t word = 0; word * 64 < slot_count; ++word)
       held += static_cast<std::uint64_t>(std::popcount(line.hold(word).load(acquire)));
-    if (held > system_.hold_quota(subscription, *publisher))
+    if (held > system_.hold_quota(subscription, publisher))
       found(Invariant::hold_quota, where, {held, 0, 0});
   }
 

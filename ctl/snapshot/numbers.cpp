@@ -23,13 +23,6 @@ std::uint64_t hold_word_count(std::uint64_t slot_count) noexcept {
   return std::min<std::uint64_t>((slot_count + 63) / 64, abi::slot_count_max / 64);
 }
 
-const Endpoint* publisher_at(const Topic& topic, std::uint64_t index) {
-  for (const Endpoint& publisher : topic.publishers) {
-    if (publisher.facts.index == index) return &publisher;
-  }
-  return nullptr;
-}
-
 PublisherCounters counters_in(const Words& words, const Endpoint& publisher) {
   using Fields = abi::PublisherEndpoint;
   PublisherCounters counters;
@@ -87,26 +80,34 @@ std::optional<PublisherNumbers> numbers_of_publisher(const System& system, const
   return numbers;
 }
 
+std::optional<std::uint64_t> unreachable_of_subscription(const System& system, const Topic& topic,
+                                                         const Endpoint& subscription) {
+  std::byte* const region = system.region_of(subscription);
+  if (region == nullptr) return std::nullopt;
+  const region::SubscriptionWords<M> words{region, subscription.facts.extent};
+  const std::uint64_t count =
+      words.counter(offsetof(abi::SubscriptionCounters, unreachable)).load(relaxed);
+  if (!was_its_own(system, topic, subscription)) return std::nullopt;
+  return count;
+}
+
 std::optional<SubscriptionNumbers> numbers_of_subscription(const System& system, const Topic& topic,
                                                            const Endpoint& subscription) {
   std::byte* const region = system.region_of(subscription);
   if (region == nullptr) return std::nullopt;
   SubscriptionNumbers numbers;
   const std::uint64_t depth = abi::window_of(abi::unpack_qos(subscription.facts.qos));
-  for (std::uint64_t index = 0; subscription.takes_messages() && index < M::publisher_count();
-       ++index) {
-    const Line line{region, subscription.facts.extent, index};
-    const std::uint64_t generation = line.publisher_generation().load(acquire);
-    if (generation == 0) continue;
-    const Endpoint* const publisher = publisher_at(topic, index);
-    if (publisher == nullptr || publisher->facts.generation != generation) continue;
+  for (const Endpoint& publisher : topic.publishers) {
+    if (!subscription.takes_messages()) break;
+    const Line line{region, subscription.facts.extent, publisher.facts.index};
+    if (line.publisher_generation().load(acquire) != publisher.facts.generation) continue;
     ++numbers.linked;
-    for (std::uint64_t word = 0; word < hold_word_count(publisher->facts.slot_count); ++word)
+    for (std::uint64_t word = 0; word < hold_word_count(publisher.facts.slot_count); ++word)
       numbers.held += static_cast<std::uint64_t>(std::popcount(line.hold(word).load(relaxed)));
     const std::uint64_t cursor = line.cursor().load(acquire);
-    if (std::byte* const queue = system.region_of(*publisher); queue != nullptr) {
+    if (std::byte* const queue = system.region_of(publisher); queue != nullptr) {
       const std::uint64_t end =
-          abi::sequence_of(Words{queue, publisher->facts.extent}.head().load(acquire)) + 1;
+          abi::sequence_of(Words{queue, publisher.facts.extent}.head().load(acquire)) + 1;
       numbers.unread += std::min(end > cursor ? end - cursor : 0, depth);
     }
   }

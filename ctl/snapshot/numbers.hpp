@@ -43,6 +43,9 @@ std::optional<PublisherCounters> counters_of_publisher(const System& system, con
                                                        const Endpoint& publisher);
 std::optional<PublisherNumbers> numbers_of_publisher(const System& system, const Topic& topic,
                                                      const Endpoint& publisher);
+/// The messages that its process could not map. The others cost a look at each publisher.
+std::optional<std::uint64_t> unreachable_of_subscription(const System& system, const Topic& topic,
+                                                         const Endpoint& subscription);
 std::optional<SubscriptionNumbers> numbers_of_subscription(const System& system, const Topic& topic,
                                                            const Endpoint& subscription);
 

@@ -69,13 +69,13 @@ Pair pair_of(const System& system, const Topic& topic, const Endpoint& publisher
     return pair;
   }
   const auto sent = counters_of_publisher(system, topic, publisher);
-  const auto got = numbers_of_subscription(system, topic, subscription);
-  if (!sent || !got) {
+  const auto unreachable = unreachable_of_subscription(system, topic, subscription);
+  if (!sent || !unreachable) {
     pair.why = "its counters cannot be read";
-  } else if (got->unreachable != 0) {
+  } else if (*unreachable != 0) {
     const Process* const process = system.process_of(subscription);
     pair.state = PairState::unreachable;
-    pair.why = counted(got->unreachable, "message") + " unreachable: in the subscriber's process " +
+    pair.why = counted(*unreachable, "message") + " unreachable: in the subscriber's process " +
                (process == nullptr || process->blocked_by.empty() ? "another mapping"
                                                                   : escaped(process->blocked_by)) +
                " is at their addresses";

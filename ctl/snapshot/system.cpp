@@ -123,12 +123,12 @@ bool sort_threads(System& system) {
          std::none_of(threads.begin(), threads.end(), has_twice);
 }
 
-std::uint64_t extent_bytes(const wire::DumpEndpoint& endpoint) noexcept {
-  return endpoint.kind == wire::Kind::publisher ? abi::publisher_extent_bytes
-                                                : abi::subscription_extent_bytes;
-}
-
 }  // namespace
+
+std::uint64_t Topic::extent_bytes(const Endpoint& endpoint) const noexcept {
+  return endpoint.is_publisher() ? abi::publisher_extent_bytes
+                                 : abi::subscription_extent_bytes(facts.link_blocks);
+}
 
 bool is_stopped(const wire::DumpProcess& process) {
   if (process.pid == 0) return false;
@@ -187,7 +187,8 @@ std::byte* System::region_of(const Endpoint& endpoint) const {
   // The mapping reaches to the end of the highest extent that fits into the region.
   if (endpoint.facts.extent % abi::page_bytes != 0 ||
       endpoint.facts.extent > process->region.bytes() ||
-      process->region.bytes() - endpoint.facts.extent < extent_bytes(endpoint.facts))
+      process->region.bytes() - endpoint.facts.extent <
+          topics.at(endpoint.facts.topic).extent_bytes(endpoint))
     return nullptr;
   return process->region.base();
 }
@@ -419,7 +420,9 @@ Outcome<void> Observer::accept(AnswerPacket& body, System& system, wire::DumpEnd
     }
     case Opcode::dump_topic: {
       Topic topic;
-      if (!body.read(topic.facts) || topic.facts.topic >= abi::topic_count_max) return nonsense();
+      if (!body.read(topic.facts) || topic.facts.topic >= abi::topic_count_max ||
+          topic.facts.link_blocks == 0 || topic.facts.link_blocks > abi::link_block_max)
+        return nonsense();
       topic.name = text_of(topic.facts.name);
       topic.type = text_of(topic.facts.type);
       system.topics.insert_or_assign(topic.facts.topic, std::move(topic));
@@ -433,8 +436,9 @@ Outcome<void> Observer::accept(AnswerPacket& body, System& system, wire::DumpEnd
       const bool publisher = endpoint.is_publisher();
       if (topic == system.topics.end() ||
           (!publisher && endpoint.facts.kind != wire::Kind::subscription) ||
-          endpoint.facts.index >=
-              (publisher ? abi::publisher_count_max : abi::subscription_count_max) ||
+          endpoint.facts.index >= (publisher
+                                       ? topic->second.facts.link_blocks * abi::link_block_count
+                                       : abi::subscription_count_max) ||
           endpoint.facts.slot_count > abi::slot_count_max)
         return nonsense();
       split_node(text_of(endpoint.facts.node), endpoint);
@@ -521,7 +525,7 @@ void Observer::map_regions(System& system) const {
   for (const auto& [index, topic] : system.topics) {
     for (const auto* endpoints : {&topic.publishers, &topic.subscriptions}) {
       for (const Endpoint& endpoint : *endpoints) {
-        const std::uint64_t bytes = extent_bytes(endpoint.facts);
+        const std::uint64_t bytes = topic.extent_bytes(endpoint);
         if (endpoint.facts.extent > region_bytes_ || region_bytes_ - endpoint.facts.extent < bytes)
           continue;
         std::uint64_t& reached = end[endpoint.facts.client];

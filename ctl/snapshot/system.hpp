@@ -54,15 +54,16 @@ struct Endpoint {
   abi::BoardState state() const noexcept { return abi::state_of(facts.board_word); }
   bool is_publisher() const noexcept { return facts.kind == wire::Kind::publisher; }
   /// Of a subscription: publishers count it.
-  bool takes_messages() const noexcept {
-    return state() == abi::BoardState::active || state() == abi::BoardState::leaving;
-  }
+  bool takes_messages() const noexcept { return abi::takes_part(facts.board_word); }
 };
 
 struct Topic {
   wire::DumpTopic facts{};
   std::string name, type;
   std::vector<Endpoint> publishers, subscriptions;
+
+  /// Returns the length of what one of its endpoints has in a region.
+  std::uint64_t extent_bytes(const Endpoint& endpoint) const noexcept;
 };
 
 /// A callback group of an executor.

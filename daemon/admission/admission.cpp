@@ -22,15 +22,18 @@ std::uint64_t Admission::heap_quota() const noexcept {
   return quota != 0 ? quota : share_of_one_user(plan_.window_count()) * arena_.window_bytes;
 }
 
-std::uint64_t Admission::places_quota(Kind kind) const noexcept {
+std::uint64_t Admission::places_quota(Kind kind, std::uint64_t places) const noexcept {
   const auto& quota = config_.quota;
   const auto& limits = config_.limits;
   const std::uint64_t configured =
       kind == Kind::publisher ? quota.publishers_per_topic : quota.subscriptions_per_topic;
-  if (configured != 0) return configured;
-  const std::uint64_t all =
-      kind == Kind::publisher ? limits.publishers_per_topic : limits.subscriptions_per_topic;
+  if (configured == unlimited) return configured;
+  const std::uint64_t all = std::min<std::uint64_t>(
+      kind == Kind::publisher ? limits.publishers_per_topic : limits.subscriptions_per_topic,
+      places);
   const std::uint64_t share = share_of_one_user(all);
+  // A number that was meant for wide topics leaves others no place in a topic with fewer.
+  if (configured != 0) return configured < all ? configured : share;
   return share < all ? share : unlimited;
 }
 
@@ -126,8 +129,18 @@ Result<void> Admission::check_places(const ClientRecord& record, const CreateReq
   if (request.kind == Kind::subscription)
     return check_limit(used.subscriptions, 1, places_quota(Kind::subscription),
                        "[quota] subscriptions_per_topic");
-  const auto allowed = check_limit(used.publishers, 1, places_quota(Kind::publisher),
-                                   "[quota] publishers_per_topic");
+  const std::uint64_t places = registry_.topic(*known).link_blocks * abi::link_block_count;
+  const std::uint64_t quota = places_quota(Kind::publisher, places);
+  auto allowed = check_limit(used.publishers, 1, quota, "[quota] publishers_per_topic");
+  // More for one user would leave others none.
+  const std::uint64_t configured = config_.quota.publishers_per_topic;
+  if (!allowed && places < config_.limits.publishers_per_topic &&
+      (configured == 0 || configured >= places))
+    allowed = fail_with(allowed.error().code,
+                        "one user may have " + std::to_string(quota) + " of the " +
+                            std::to_string(places) +
+                            " publishers of a topic that began without being in [limits] "
+                            "wide_topics");
   if (!allowed)
     return endpoint_manager_.endings().explain_full(*known, allowed.error(), record.uid);
   return {};

@@ -61,8 +61,8 @@ class Admission {
   std::string clients_text() const;
   /// Returns the effective [quota] heap_bytes.
   std::uint64_t heap_quota() const noexcept;
-  /// Returns how many endpoints of this kind one user may have in one topic.
-  std::uint64_t places_quota(Kind kind) const noexcept;
+  /// Returns how many endpoints of this kind one user may have in a topic with so many places.
+  std::uint64_t places_quota(Kind kind, std::uint64_t places = unlimited) const noexcept;
 
  private:
   [[nodiscard]] Result<void> check_window(std::uint32_t uid, std::uint64_t bytes);

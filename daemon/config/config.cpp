@@ -1,5 +1,6 @@
 // SPDX-License-Identifier: Apache-2.0
 
+#include <base/text/names.hpp>
 #include <base/text/text.hpp>
 #include <config/toml_file.hpp>
 #include <daemon/config/config_keys.hpp>
@@ -73,6 +74,8 @@ class Reader {
       places_.push_back({&key, node.source().begin});
       if (key.text != nullptr) {
         read_text(key, node);
+      } else if (key.topics != nullptr) {
+        read_topics(key, node);
       } else {
         read_number(key, node);
       }
@@ -80,6 +83,29 @@ class Reader {
     }
     toml_.unknown(name, std::string(section) + '.' + escaped(name.str()),
                   config_keys::names_in(section));
+  }
+
+  void read_topics(const Key& key, const toml::node& node) {
+    const auto* const list = node.as_array();
+    if (list == nullptr) return toml_.wrong_type(node, key.full(), "a list of topics");
+    if (list->size() > key.most)
+      return toml_.report(node.source().begin, key.full(),
+                          std::to_string(list->size()) + " topics are too many",
+                          "name at most " + std::to_string(key.most));
+    std::vector<std::string> topics;
+    for (const toml::node& one : *list) {
+      const auto* const name = one.as_string();
+      if (name == nullptr) return toml_.wrong_type(one, key.full(), "the name of a topic");
+      if (const auto problem = check_topic_name(name->get()))
+        return toml_.report(one.source().begin, key.full(),
+                            in_quotes(name->get()) + ": " + problem->text(),
+                            "write it as `agnocast-ctl topic list` shows it: \"/rosout\"");
+      if (std::find(topics.begin(), topics.end(), name->get()) != topics.end())
+        return toml_.report(one.source().begin, key.full(),
+                            in_quotes(name->get()) + " is there twice", "remove one");
+      topics.push_back(name->get());
+    }
+    key.topics(config_) = std::move(topics);
   }
 
   void read_number(const Key& key, const toml::node& node) {

@@ -20,6 +20,7 @@
 
 #include <sys/types.h>
 
+#include <algorithm>
 #include <cstdint>
 #include <functional>
 #include <limits>
@@ -64,6 +65,8 @@ struct Config {
     std::uint32_t topics = abi::topic_count_max;
     std::uint32_t publishers_per_topic = abi::publisher_count_max;
     std::uint32_t subscriptions_per_topic = abi::subscription_count_max;
+    /// Names of topics that may have more publishers than one link block has lines; in any domain.
+    std::vector<std::string> wide_topics = {"/rosout", "/parameter_events", "/diagnostics"};
     friend bool operator==(const Limits&, const Limits&) = default;
   };
   // For each user.
@@ -72,7 +75,7 @@ struct Config {
     std::uint64_t topics = share_of_one_user(abi::topic_count_max);
     std::uint64_t publishers = 16'384;
     std::uint64_t subscriptions = 32'768;
-    // In one topic. 0: share_of_one_user() of [limits] of the same name.
+    // In one topic. 0: share_of_one_user() of its places.
     std::uint64_t publishers_per_topic = 0;
     std::uint64_t subscriptions_per_topic = 0;
     // Address space; cgroups limit memory. 0: share_of_one_user() of the arena.
@@ -89,13 +92,6 @@ struct Config {
     // Four processes with the required 2,000 groups, in less than 5 MB of a dump; threads likewise.
     std::uint64_t callback_groups = 8'192;
     std::uint64_t callback_threads = 4'096;
-    /// Returns the limit for the regions of one user's processes, in bytes. The memory of an ended
-    /// endpoint stays with its process for the next one; twice the need of all endpoints that may
-    /// exist at once, as extents of two sizes leave gaps.
-    std::uint64_t region_bytes() const noexcept {
-      return 2 * (publishers * abi::publisher_extent_bytes +
-                  subscriptions * abi::subscription_extent_bytes);
-    }
     friend bool operator==(const Quota&, const Quota&) = default;
   };
 
@@ -105,6 +101,17 @@ struct Config {
   Quota quota;
   std::vector<AccessRule> access;
   std::vector<ThreadRule> threads;
+  /// Returns the limit for the regions of one user's processes, in bytes. The memory of an ended
+  /// endpoint stays with its process for the next one; twice the need of all endpoints that may
+  /// exist at once in a domain, as extents of several sizes leave gaps.
+  std::uint64_t region_bytes() const noexcept {
+    if (quota.publishers == unlimited || quota.subscriptions == unlimited) return unlimited;
+    const std::uint64_t wide = std::min<std::uint64_t>(
+        quota.subscriptions, limits.wide_topics.size() * limits.subscriptions_per_topic);
+    return 2 * (quota.publishers * abi::publisher_extent_bytes +
+                (quota.subscriptions - wide) * abi::subscription_extent_bytes(1) +
+                wide * abi::subscription_extent_bytes(abi::link_block_max));
+  }
   friend bool operator==(const Config&, const Config&) = default;
 };
 

@@ -23,11 +23,16 @@ constexpr std::size_t runtime_directory_bytes_max = socket_path_bytes_max - (15 
       [](Config& config, std::uint64_t value) {                                  \
         config.field = static_cast<decltype(config.field)>(value);               \
       },                                                                         \
-      nullptr
+      nullptr, nullptr
 #define AGNOCAST_TEXT(field) \
-  nullptr, nullptr, [](Config& config) -> std::string& { return config.field; }
+  nullptr, nullptr, [](Config& config) -> std::string& { return config.field; }, nullptr
+#define AGNOCAST_TOPICS(field) \
+  nullptr, nullptr, nullptr,   \
+      [](Config& config) -> std::vector<std::string>& { return config.field; }
 
 constexpr std::uint64_t many = std::uint64_t{1} << 32;  // beyond real values; sums fit
+// The daemon looks through the list for each new topic.
+constexpr std::uint64_t wide_topics_max = 256;
 
 constexpr Key keys[] = {
     {"daemon", "socket", Kind::path, 0, socket_path_bytes_max, 0, "auto", 0,
@@ -72,9 +77,13 @@ constexpr Key keys[] = {
     {"limits", "topics", Kind::count, 1, abi::topic_count_max, 0, "", 0,
      AGNOCAST_NUMBER(limits.topics), "topics of all domains"},
     {"limits", "publishers_per_topic", Kind::count, 1, abi::publisher_count_max, 0, "", 0,
-     AGNOCAST_NUMBER(limits.publishers_per_topic), ""},
+     AGNOCAST_NUMBER(limits.publishers_per_topic), "256 at most, except for wide topics"},
     {"limits", "subscriptions_per_topic", Kind::count, 1, abi::subscription_count_max, 0, "", 0,
      AGNOCAST_NUMBER(limits.subscriptions_per_topic), ""},
+    {"limits", "wide_topics", Kind::topics, 0, wide_topics_max, 0, "", 0,
+     AGNOCAST_TOPICS(limits.wide_topics),
+     "topics with so many nodes that each of their subscriptions takes 1.1 MiB of addresses, not "
+     "148 KiB"},
 
     {"quota", "clients", Kind::count, 1, many, 0, "unlimited", unlimited,
      AGNOCAST_NUMBER(quota.clients), "processes of one user"},
@@ -86,8 +95,7 @@ constexpr Key keys[] = {
      AGNOCAST_NUMBER(quota.subscriptions), ""},
     {"quota", "publishers_per_topic", Kind::count, 1, many, 0, "auto", 0,
      AGNOCAST_NUMBER(quota.publishers_per_topic),
-     "publishers of one user in one topic; auto: three quarters of the value in [limits], or "
-     "unlimited",
+     "publishers of one user in one topic; auto: three quarters of its places, or unlimited",
      "unlimited", unlimited},
     {"quota", "subscriptions_per_topic", Kind::count, 1, many, 0, "auto", 0,
      AGNOCAST_NUMBER(quota.subscriptions_per_topic), "the same for subscriptions", "unlimited",
@@ -126,6 +134,7 @@ constexpr Key keys[] = {
 
 #undef AGNOCAST_NUMBER
 #undef AGNOCAST_TEXT
+#undef AGNOCAST_TOPICS
 
 }  // namespace
 
@@ -167,11 +176,24 @@ std::string toml_string(std::string_view text) {
   return result + '"';
 }
 
+std::string list_text(const std::vector<std::string>& names) {
+  std::string text = "[";
+  for (const std::string& name : names) {
+    if (text.size() > 1) text += ", ";
+    text += toml_string(name);
+  }
+  return text + ']';
+}
+
 std::string value_text(const Key& key, const Config& config) {
   if (key.text != nullptr) {
     Config copy = config;
     const std::string& text = key.text(copy);
     return toml_string(text.empty() ? key.word : std::string_view(text));
+  }
+  if (key.topics != nullptr) {
+    Config copy = config;
+    return list_text(key.topics(copy));
   }
   const std::uint64_t value = key.number(config);
   for (const std::string_view word : {key.word, key.other_word}) {
@@ -189,15 +211,6 @@ std::string value_text(const Key& key, const Config& config) {
   }
 }
 
-std::string list_text(const Principals& who) {
-  std::string text = "[";
-  for (const std::string& name : who.written) {
-    if (text.size() > 1) text += ", ";
-    text += toml_string(name);
-  }
-  return text + ']';
-}
-
 std::string thread_rule_text(const ThreadRule& rule) {
   std::string text = "\n[[thread]]\n";
   const auto add = [&](std::string_view key, const std::string& value) {
@@ -206,7 +219,7 @@ std::string thread_rule_text(const ThreadRule& rule) {
   if (rule.process) add("process", toml_string(*rule.process));
   if (rule.node) add("node", toml_string(*rule.node));
   if (rule.group) add("group", toml_string(*rule.group));
-  add("users", list_text(rule.users));
+  add("users", list_text(rule.users.written));
   const abi::wire::ThreadScheduling& scheduling = rule.scheduling;
   if (scheduling.sets_policy != 0) add("policy", toml_string(policy_name(scheduling.policy)));
   if (scheduling.priority != 0) add("priority", std::to_string(scheduling.priority));
@@ -238,8 +251,8 @@ std::string access_text(const Config& config) {
   for (const AccessRule& rule : config.access) {
     text += "\n[[access]]\ntopic = " + toml_string(rule.topic) + '\n';
     if (rule.domain) text += "domain = " + std::to_string(*rule.domain) + '\n';
-    if (rule.publish) text += "publish = " + list_text(*rule.publish) + '\n';
-    if (rule.subscribe) text += "subscribe = " + list_text(*rule.subscribe) + '\n';
+    if (rule.publish) text += "publish = " + list_text(rule.publish->written) + '\n';
+    if (rule.subscribe) text += "subscribe = " + list_text(rule.subscribe->written) + '\n';
   }
   return text;
 }

@@ -15,7 +15,7 @@
 
 namespace agnocast::daemon::config_keys {
 
-enum class Kind : std::uint8_t { count, bytes, mode, level, path, group };
+enum class Kind : std::uint8_t { count, bytes, mode, level, path, group, topics };
 
 struct Key {
   std::string_view section;
@@ -31,6 +31,7 @@ struct Key {
   void (*set_number)(Config&, std::uint64_t);
   // For texts: "auto" is the empty one.
   std::string& (*text)(Config&);
+  std::vector<std::string>& (*topics)(Config&);
   std::string_view meaning;
   std::string_view other_word = {};
   std::uint64_t other_value = 0;

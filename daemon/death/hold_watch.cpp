@@ -10,10 +10,11 @@
 namespace agnocast::daemon {
 namespace {
 
-// Lines and places that one look reads, for all users: below a millisecond.
+// Lines and places that one look reads, for all users.
 constexpr std::uint32_t steps_per_look = 4096;
 // The same for one user: a round over a user's lines takes one look for each share of them, times
-// one for each eight users. A subscription that is begun is finished: at most 254 lines more.
+// one for each eight users. A subscription that is begun is finished: at most 2048
+// lines more.
 constexpr std::uint32_t steps_per_slice = 512;
 // Looks in a row above the quota that give certainty. One a second: there is no hurry, and a
 // person can still see it with agnocast-ctl verify.
@@ -116,6 +117,7 @@ std::vector<HoldWatch::Finding> HoldWatch::look() {
     }
   }
   std::vector<Finding> all;
+  all.reserve(found.size());
   for (const auto& [uid, finding] : found) all.push_back(finding);
   return all;
 }

@@ -7,6 +7,7 @@
 #include <daemon/lifecycle/references.hpp>
 #include <journal/mismatch.hpp>
 
+#include <algorithm>
 #include <string>
 
 namespace agnocast::daemon {
@@ -136,12 +137,12 @@ bool Announcing::is_looked_at(TopicIndex topic, const SubscriptionRecord& subscr
                               ClientIndex by) const {
   if (subscription.state != EndpointState::active && subscription.state != EndpointState::leaving)
     return false;
-  bool looks = false;
-  registry_.for_each_publisher(topic, [&](std::uint32_t, const PublisherRecord& record) {
-    looks = looks || (record.client == by && record.state != EndpointState::over &&
-                      matches(record, subscription));
+  const auto& endpoints = registry_.endpoints_of(by);
+  return std::any_of(endpoints.begin(), endpoints.end(), [&](const EndpointRef& ref) {
+    if (ref.kind != Kind::publisher || ref.topic != topic) return false;
+    const PublisherRecord& record = registry_.publisher(topic, ref.index);
+    return record.state != EndpointState::over && matches(record, subscription);
   });
-  return looks;
 }
 
 Effects Announcing::own(const EndpointRef& ref) const {

@@ -45,7 +45,8 @@ Result<void> EndpointManager::create(ClientIndex client, const CreateRequest& re
     }
   } else {
     const auto added =
-        registry_.add_topic({domain, request.topic, request.type, request.layout_hash});
+        registry_.add_topic({domain, request.topic, request.type, request.layout_hash,
+                             link_blocks_of_new(request.topic)});
     if (!added) return tl::unexpected(added.error());
     topic = *added;
   }
@@ -53,6 +54,20 @@ Result<void> EndpointManager::create(ClientIndex client, const CreateRequest& re
                                                  : create_subscription(client, *topic, request);
   if (!created) run(endings_.free_unused_topic(*topic));
   return created;
+}
+
+std::uint32_t EndpointManager::link_blocks_of_new(std::string_view topic) const {
+  const bool is_wide =
+      std::find(wide_topics_.begin(), wide_topics_.end(), topic) != wide_topics_.end();
+  return is_wide ? abi::link_block_max : 1;
+}
+
+std::uint64_t EndpointManager::extent_bytes(ClientIndex client,
+                                            const CreateRequest& request) const {
+  if (request.kind == Kind::publisher) return abi::publisher_extent_bytes;
+  const auto topic = registry_.find_topic(registry_.client(client).domain, request.topic);
+  return abi::subscription_extent_bytes(topic ? registry_.topic(*topic).link_blocks
+                                              : link_blocks_of_new(request.topic));
 }
 
 Result<void> EndpointManager::create_publisher(ClientIndex client, TopicIndex topic,
@@ -66,15 +81,10 @@ Result<void> EndpointManager::create_publisher(ClientIndex client, TopicIndex to
   const region::PublisherWords<SharedMemory> words{regions_.region(client), plan->extent};
   AGNOCAST_CRASH_POINT(B_head);
   words.head().store(abi::pack_entry(plan->first_sequence, 0), std::memory_order_release);
-  if (plan->slot_count > abi::near_slot_count) {
-    // Its readers will use the hold words behind their link lines.
-    Result<void> backed;
-    registry_.for_each_subscription(topic, [&](std::uint32_t, const SubscriptionRecord& record) {
-      if (backed && regions_.is_open(record.client))
-        backed = regions_.back(record.client, record.extent, abi::subscription_extent_bytes);
-    });
-    if (!backed) return backed;
-  }
+  // Its readers will use their link lines for it.
+  LinkBlocks slots{};
+  slots[plan->index / abi::link_block_count] = plan->slot_count;
+  if (auto backed = back_links_of_all(topic, slots); !backed) return backed;
   registry_.add_publisher(client, topic, request.qos, *plan, request.node, request.request);
   run(announcing_.created({Kind::publisher, topic, plan->index}, request.request));
   return {};
@@ -128,24 +138,34 @@ void EndpointManager::set_starts(TopicIndex topic, std::uint32_t subscription) {
 
 Result<void> EndpointManager::make_ready(TopicIndex topic, const SubscriptionPlan& plan,
                                          ClientIndex client, std::uint64_t extent) {
-  bool far = registry_.uses_far_slots(topic);
-  for (const SlotRaise& raise : plan.raises) far = far || raise.slot_count > abi::near_slot_count;
-  const std::uint64_t near_bytes = abi::far_hold_offset(abi::publisher_count_max, 0, 0);
-  auto ready = regions_.renew(client, {extent, abi::subscription_extent_bytes},
-                              far ? abi::subscription_extent_bytes : near_bytes);
+  LinkBlocks slots = registry_.slots_by_link_block(topic);
+  for (const SlotRaise& raise : plan.raises) {
+    std::uint64_t& most = slots[raise.index / abi::link_block_count];
+    most = std::max(most, raise.slot_count);
+  }
+  auto ready = regions_.renew(
+      client, {extent, abi::subscription_extent_bytes(registry_.topic(topic).link_blocks)},
+      abi::page_bytes);
+  if (ready) ready = regions_.back_links(client, extent, slots);
   for (const SlotRaise& raise : plan.raises) {
     const PublisherRecord& publisher = registry_.publisher(topic, raise.index);
     if (ready && regions_.is_open(publisher.client))
       ready = regions_.back(publisher.client, publisher.extent,
                             abi::slot_offset(abi::ring_count, raise.slot_count));
   }
-  if (far) {
-    registry_.for_each_subscription(topic, [&](std::uint32_t, const SubscriptionRecord& record) {
-      if (ready && regions_.is_open(record.client))
-        ready = regions_.back(record.client, record.extent, abi::subscription_extent_bytes);
-    });
-  }
+  if (ready && !plan.raises.empty()) ready = back_links_of_all(topic, slots);
   return ready;
+}
+
+Result<void> EndpointManager::back_links_of_all(TopicIndex topic, const LinkBlocks& slots) {
+  Result<void> backed;
+  registry_.for_each_subscription(topic, [&](std::uint32_t, const SubscriptionRecord& record) {
+    const bool counts =
+        record.state == EndpointState::active || record.state == EndpointState::leaving;
+    if (backed && counts && regions_.is_open(record.client))
+      backed = regions_.back_links(record.client, record.extent, slots);
+  });
+  return backed;
 }
 
 // Written for both sides. Texts that may be long come last: a packet has 255 bytes for it.

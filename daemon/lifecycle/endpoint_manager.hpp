@@ -56,6 +56,10 @@ class EndpointManager {
   /// Handles a repeated creation: answers and announces as before. Returns false if there was
   /// none.
   bool answer_again(ClientIndex client, const CreateRequest& request);
+  /// Returns the length of the extent that the endpoint gets if it is created now.
+  std::uint64_t extent_bytes(ClientIndex client, const CreateRequest& request) const;
+  /// Names the topics that are wide when they begin.
+  void use_wide_topics(std::vector<std::string> names) { wide_topics_ = std::move(names); }
   /// Carry out requests about ends of endpoints. Errors: protocol_violation.
   [[nodiscard]] Result<void> leave(ClientIndex client, const LeaveRequest& request);
   [[nodiscard]] Result<void> drained(ClientIndex client, const DrainedRequest& request);
@@ -96,6 +100,7 @@ class EndpointManager {
   void carry_out_what_is_owed();
 
  private:
+  std::uint32_t link_blocks_of_new(std::string_view topic) const;
   [[nodiscard]] Result<void> run(const Result<Effects>& decision);
   [[nodiscard]] Result<void> create_publisher(ClientIndex client, TopicIndex topic,
                                               const CreateRequest& request);
@@ -103,6 +108,8 @@ class EndpointManager {
                                                  const CreateRequest& request);
   [[nodiscard]] Result<void> make_ready(TopicIndex topic, const SubscriptionPlan& plan,
                                         ClientIndex client, std::uint64_t extent);
+  /// Backs what all subscriptions of the topic have for its publishers.
+  [[nodiscard]] Result<void> back_links_of_all(TopicIndex topic, const LinkBlocks& slots);
   /// Lets a subscription that has joined begin with what the publishers of its topic commit from
   /// now on. Leaves out those that it was linked to, or for which this was done, before.
   void set_starts(TopicIndex topic, std::uint32_t subscription);
@@ -123,6 +130,7 @@ class EndpointManager {
   // By client: topics whose endpoints have been notified of its wrong types; once is enough. 512
   // bytes for each process, 1 MiB for all.
   std::map<std::uint32_t, std::bitset<abi::topic_count_max>> type_notices_;
+  std::vector<std::string> wide_topics_;
   // Subscriptions, by generation, to be announced to their publishers once more.
   Announcer::ByGeneration renewed_;
 };

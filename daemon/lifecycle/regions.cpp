@@ -57,9 +57,15 @@ constexpr std::uint64_t mappings_kept = 2048;
 Result<void> clear_memory(int fd, std::byte* region, const Regions::Extent& extent) noexcept {
   alignas(std::uint64_t) std::byte page[abi::page_bytes];
   static constexpr std::byte zero[abi::page_bytes] = {};
-  for (std::uint64_t at = extent.offset; at < extent.offset + extent.bytes; at += abi::page_bytes) {
-    const ssize_t read =
-        ::pread(fd, page, sizeof page, static_cast<off_t>(at));  // allocates nothing for holes
+  const std::uint64_t end = extent.offset + extent.bytes;
+  for (std::uint64_t at = extent.offset; at < end; at += abi::page_bytes) {
+    // Most of an extent is a hole. Neither call allocates anything there.
+    const off_t data = ::lseek(fd, static_cast<off_t>(at), SEEK_DATA);
+    if (data < 0 && errno == ENXIO) break;  // no more of it in the file
+    if (data < 0) return fail(Errc::os_failure, "clearing an extent", errno);
+    at = std::max(at, static_cast<std::uint64_t>(data) / abi::page_bytes * abi::page_bytes);
+    if (at >= end) break;
+    const ssize_t read = ::pread(fd, page, sizeof page, static_cast<off_t>(at));
     if (read < 0) return fail(Errc::os_failure, "clearing an extent", errno);
     if (read == 0) break;  // the file ends before here
     if (std::memcmp(page, zero, static_cast<std::size_t>(read)) != 0)
@@ -69,8 +75,8 @@ Result<void> clear_memory(int fd, std::byte* region, const Regions::Extent& exte
   ::madvise(region + extent.offset, extent.bytes, MADV_DONTNEED);
   return {};
 }
-// Lengthening waits for the lock of the file, which the process holds while it writes by system
-// calls.
+// Looking for data and lengthening wait for the lock of the file, which the process holds while it
+// writes by system calls.
 Result<void> clear_extent(int fd, const std::weak_ptr<Mapping>& region,
                           const Regions::Extent& extent) noexcept {
   AGNOCAST_CRASH_POINT(B_clear);
@@ -133,8 +139,7 @@ Registry::Memory Regions::memory() const noexcept {
 Result<void> Regions::map_region(ClientMemory& memory, UniqueFd writer) const {
   auto reader = reopen_read_only(writer.get());
   if (!reader) return tl::unexpected(reader.error());
-  auto mapping =
-      Mapping::map(writer.get(), Registry::client_region_bytes, Mapping::Access::read_write);
+  auto mapping = Mapping::map(writer.get(), abi::client_region_bytes, Mapping::Access::read_write);
   if (!mapping) return tl::unexpected(mapping.error());
   // Mapping leaves writable mappings in core dumps; this one is memory of other processes.
   ::madvise(mapping->base(), mapping->bytes(), MADV_DONTDUMP);
@@ -226,6 +231,17 @@ Result<void> Regions::back(ClientIndex client, std::uint64_t offset, std::uint64
   ::madvise(at, bytes, MADV_DONTNEED);
   before = bytes;
   return {};
+}
+
+Result<void> Regions::back_links(ClientIndex client, std::uint64_t extent,
+                                 const LinkBlocks& slots) {
+  Result<void> backed;
+  for (std::size_t block = 0; block < slots.size() && backed; ++block) {
+    if (slots[block] == 0) continue;
+    backed = back(client, extent + abi::link_block_offset(block * abi::link_block_count),
+                  abi::used_link_bytes(slots[block]));
+  }
+  return backed;
 }
 
 bool Regions::is_clear(ClientIndex client, const Extent& extent) const noexcept {

@@ -93,9 +93,13 @@ class Regions {
   /// With errands nothing below waits for that: back() does not take the lock, clear() takes it in
   /// another thread. Without errands (tests) renew() takes it in place.
   void use(Errands& errands) noexcept { errands_ = &errands; }
-  /// Backs the first `bytes` of the extent at `offset` with memory; costs nothing when repeated.
+  /// Backs `bytes` from `offset` on with memory; costs nothing when repeated with the same offset.
   /// Errors: os_failure.
   [[nodiscard]] Result<void> back(ClientIndex client, std::uint64_t offset, std::uint64_t bytes);
+  /// Backs what a subscription with this extent has for publishers of its topic. Costs and errors
+  /// as back(), for each link block.
+  [[nodiscard]] Result<void> back_links(ClientIndex client, std::uint64_t extent,
+                                        const LinkBlocks& slots);
   /// The part of a region that one endpoint has.
   struct Extent {
     std::uint64_t offset = 0, bytes = 0;
@@ -159,7 +163,7 @@ class Regions {
     std::map<std::uint64_t, std::weak_ptr<SharedFd::element_type>> window_writers;  // in answers
     std::optional<Cleared> cleared;
     std::uint64_t last_clear = 0;  // numbered; of several waiting ones the last counts
-    std::map<std::uint64_t, std::uint64_t> backed_bytes;  // by offset of the extent
+    std::map<std::uint64_t, std::uint64_t> backed_bytes;  // by the offset where they begin
     std::uint32_t uid = 0;
     std::uint64_t given_bytes = 0;  // to the end of the farthest cleared extent
   };

@@ -74,6 +74,7 @@ class Writer {
     if (record.state == TopicState::free) return;
     wire::DumpTopic body{};
     body.topic = number(index);
+    body.link_blocks = record.link_blocks;
     body.generation = record.generation;
     body.domain = record.domain;
     body.layout_hash = record.layout_hash;

@@ -50,7 +50,7 @@ Result<void> ObserverRequests::observe(Peer& peer, const wire::Observe& request)
   auto packet = make_body<wire::Observed>(wire::Opcode::observed, request.header.request);
   packet.fingerprint = abi::fingerprint();
   packet.incarnation = registry_.incarnation();
-  packet.client_region_bytes = Registry::client_region_bytes;
+  packet.client_region_bytes = abi::client_region_bytes;
   output_.reply(peer, packet_of(packet), {regions_.board_reader()});
   log_.write(LogLevel::debug, "observer",
              {{"pid", peer.session.identity().pid}, {"uid", peer.session.identity().uid}});

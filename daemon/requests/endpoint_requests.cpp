@@ -60,13 +60,12 @@ Result<void> EndpointRequests::leave(Peer& peer, const LeaveRequest& request) {
 // errand of its user, and the request is parked.
 Result<bool> EndpointRequests::clear_before(Peer& peer, const CreateRequest& request) {
   const ClientIndex client = *peer.session.client();
-  const std::uint64_t bytes = request.kind == Kind::publisher ? abi::publisher_extent_bytes
-                                                              : abi::subscription_extent_bytes;
+  const std::uint64_t bytes = endpoint_manager_.extent_bytes(client, request);
   const auto offset = registry_.lowest_extent(client, bytes);
   if (!offset || regions_.is_clear(client, {*offset, bytes})) return false;
   const std::uint64_t ticket = scheduler_.next_ticket();
   const auto cleared = regions_.clear(
-      client, {registry_.client(client).uid, config_.quota.region_bytes()}, {*offset, bytes},
+      client, {registry_.client(client).uid, config_.region_bytes()}, {*offset, bytes},
       [this, id = peer.id, ticket, request, here = std::weak_ptr(here_)] {
         if (here.expired()) return;
         std::erase_if(uncleared_, [&](const Uncleared& one) { return one.ticket == ticket; });

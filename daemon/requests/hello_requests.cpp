@@ -137,7 +137,7 @@ Result<void> HelloRequests::welcome(Peer& peer, const wire::Hello& hello) {
   packet.client_generation = record.generation;
   packet.arena_base = of_.arena.base;
   packet.arena_bytes = of_.arena.bytes;
-  packet.client_region_bytes = Registry::client_region_bytes;
+  packet.client_region_bytes = abi::client_region_bytes;
   of_.output.reply(peer, packet_of(packet),
                    {of_.regions.board_reader(), of_.regions.region_writer(client)});
   of_.log.write(LogLevel::debug, "client registered",

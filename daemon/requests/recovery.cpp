@@ -120,10 +120,10 @@ void Recovery::back_endpoints(ClientIndex client) {
                                 abi::slot_offset(abi::ring_count, record.slot_count));
     } else {
       const SubscriptionRecord& record = of_.registry.subscription(ref.topic, ref.index);
-      backed = of_.regions.back(client, record.extent,
-                                of_.registry.uses_far_slots(ref.topic)
-                                    ? abi::subscription_extent_bytes
-                                    : abi::far_hold_offset(abi::publisher_count_max, 0, 0));
+      backed = of_.regions.back(client, record.extent, abi::page_bytes);
+      if (backed)
+        backed = of_.regions.back_links(client, record.extent,
+                                        of_.registry.slots_by_link_block(ref.topic));
     }
     if (!backed)
       of_.log.write_limited("back", LogLevel::warning, "memory not backed",

@@ -5,8 +5,8 @@
 // A publisher can publish as long as it has a free slot. It needs slots for the longest history
 // that a subscription may ask for and for the messages in hand; subscriptions hold the rest:
 //
-//   |<---------------------------- slots_per_publisher (2048) ----------------------------->|
-//   |  history and in hand (1035)  |  one for each subscription (768)  |  pool (245)        |
+//   |<---------------------------- slots_per_publisher (4096) ----------------------------->|
+//   |  history and in hand (1035)  |  one for each subscription (2048)  |  pool (1013)      |
 //
 // Every subscription may hold one message, so no user can keep another from reading. Further
 // messages come from the pool. A user may have half of what other users have left in it, so later
@@ -62,6 +62,6 @@ class HoldPool {
 };
 
 static_assert(HoldPool(abi::slot_count_max, abi::depth_max, abi::subscription_count_max).size() ==
-              245);
+              1013);
 
 }  // namespace agnocast::daemon

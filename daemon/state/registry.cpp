@@ -10,9 +10,11 @@
 #include <daemon/state/steps.hpp>
 
 #include <algorithm>
+#include <array>
 #include <bit>
 #include <cstring>
 #include <iterator>
+#include <map>
 
 namespace agnocast::daemon {
 namespace {
@@ -117,7 +119,8 @@ void Registry::track(const EndpointRef& ref) {
   if (ref.kind == Kind::publisher) {
     view.extents[publisher(ref.topic, ref.index).extent] = abi::publisher_extent_bytes;
   } else {
-    view.extents[subscription(ref.topic, ref.index).extent] = abi::subscription_extent_bytes;
+    view.extents[subscription(ref.topic, ref.index).extent] =
+        abi::subscription_extent_bytes(topic(ref.topic).link_blocks);
   }
 }
 
@@ -166,7 +169,7 @@ std::optional<std::uint64_t> Registry::lowest_extent(ClientIndex client,
     if (offset - candidate >= bytes) break;
     candidate = offset + length;
   }
-  if (candidate + bytes > client_region_bytes) return std::nullopt;
+  if (candidate + bytes > abi::client_region_bytes) return std::nullopt;
   return candidate;
 }
 
@@ -272,7 +275,8 @@ Result<TopicIndex> Registry::add_topic(const NewTopic& wanted) {
   if (index >= capacity_.topics) return full("topics", capacity_.topics);
   put(tables_.topic[index].name, wanted.name);
   put(tables_.topic[index].type, wanted.type);
-  change(Type::add_topic, {index, next_generation(), wanted.domain, wanted.layout_hash});
+  change(Type::add_topic,
+         {index, next_generation(), wanted.domain, wanted.layout_hash, wanted.link_blocks});
   return static_cast<TopicIndex>(index);
 }
 
@@ -327,6 +331,11 @@ Result<PublisherPlan> Registry::plan_publisher(ClientIndex client, TopicIndex to
     ++plan.index;
   if (plan.index >= capacity_.publishers_per_topic)
     return full("publishers_per_topic", capacity_.publishers_per_topic);
+  const std::uint32_t links = this->topic(topic).link_blocks * abi::link_block_count;
+  if (plan.index >= links)
+    return fail_with(Errc::limit_reached, "the topic has " + std::to_string(links) +
+                                              " publishers, as many as one that began without "
+                                              "being in [limits] wide_topics may have");
   if (!is_vacant(publisher(topic, plan.index)))
     return fail(Errc::store_damaged, "an unused place of the topic is not free");
   const auto extent = lowest_extent(client, abi::publisher_extent_bytes);
@@ -367,7 +376,8 @@ Result<SubscriptionPlan> Registry::plan_subscription(ClientIndex client, TopicIn
     return full("subscriptions_per_topic", capacity_.subscriptions_per_topic);
   if (!is_vacant(subscription(topic, plan.index)))
     return fail(Errc::store_damaged, "an unused place of the topic is not free");
-  const auto extent = lowest_extent(client, abi::subscription_extent_bytes);
+  const auto extent =
+      lowest_extent(client, abi::subscription_extent_bytes(this->topic(topic).link_blocks));
   if (!extent)
     return fail(Errc::limit_reached, "the region of the process has no room for another endpoint");
   plan.generation = next_generation();
@@ -377,10 +387,21 @@ Result<SubscriptionPlan> Registry::plan_subscription(ClientIndex client, TopicIn
   joining.client = client;
   joining.quota = quota.own;
   joining.quota_of_others = quota.others;
+  // Publishers of one user with the same policies need the same, unless a subscription ignores
+  // those of its process. On a wide topic there are a thousand of each.
+  bool tells_processes_apart = qos.ignore_local;
+  for_each_subscription(topic, [&](std::uint32_t, const SubscriptionRecord& record) {
+    tells_processes_apart = tells_processes_apart || abi::unpack_qos(record.qos).ignore_local;
+  });
+  std::map<std::array<std::uint64_t, 6>, std::uint64_t> known;
   for_each_publisher(topic, [&](std::uint32_t index, const PublisherRecord& record) {
-    if (record.state != EndpointState::active) return;
-    const std::uint64_t needed = slots_needed(topic, record, &joining);
-    if (needed > record.slot_count) plan.raises.push_back({index, needed});
+    if (record.state != EndpointState::active || record.slot_count >= capacity_.slots_per_publisher)
+      return;
+    const auto [needed, is_new] = known.try_emplace(
+        {uid_of(record.client), tells_processes_apart ? number(record.client) : 0,
+         record.qos.policies, record.qos.deadline_ns, record.qos.lifespan_ns, record.qos.lease_ns});
+    if (is_new) needed->second = slots_needed(topic, record, &joining);
+    if (needed->second > record.slot_count) plan.raises.push_back({index, needed->second});
   });
   return plan;
 }
@@ -467,12 +488,13 @@ void Registry::free_subscription(TopicIndex topic, std::uint32_t index) {
   change(Type::free_subscription, {number(topic), index, record.generation, number(record.client)});
 }
 
-bool Registry::uses_far_slots(TopicIndex topic) const {
-  bool uses = false;
-  for_each_publisher(topic, [&](std::uint32_t, const PublisherRecord& record) {
-    uses = uses || record.slot_count > abi::near_slot_count;
+LinkBlocks Registry::slots_by_link_block(TopicIndex topic) const {
+  LinkBlocks slots{};
+  for_each_publisher(topic, [&](std::uint32_t index, const PublisherRecord& record) {
+    std::uint64_t& most = slots[index / abi::link_block_count];
+    most = std::max(most, record.slot_count);
   });
-  return uses;
+  return slots;
 }
 
 // --- rule RU

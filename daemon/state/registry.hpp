@@ -17,6 +17,7 @@
 
 #include <agnocast/abi/words.hpp>
 #include <agnocast/result.hpp>
+#include <array>
 #include <daemon/state/accounts.hpp>
 #include <daemon/state/hold_pool.hpp>
 #include <daemon/state/per_client.hpp>
@@ -73,6 +74,7 @@ struct NewTopic {
   std::string_view name;
   std::string_view type;
   std::uint64_t layout_hash = 0;
+  std::uint32_t link_blocks = 1;  // more: a wide topic
 };
 
 struct PublisherPlan {
@@ -88,6 +90,10 @@ struct SlotRaise {
   std::uint32_t index = 0;
   std::uint64_t slot_count = 0;
 };
+
+/// For each link block of a subscription: the most slots of any publisher in it, 0 if there is
+/// none.
+using LinkBlocks = std::array<std::uint64_t, abi::link_block_max>;
 
 /// Messages that a subscription may hold of each publisher.
 struct HoldQuota {
@@ -132,9 +138,6 @@ class Registry {
     std::byte* tables;  // tables_bytes, aligned to a page
     std::byte* board;   // abi::board_bytes
   };
-  // Address space for 13,000 endpoints; the memory grows with the extents given out.
-  static constexpr std::uint64_t client_region_bytes = std::uint64_t{1} << 30;
-
   explicit Registry(const Memory& memory, const Capacity& capacity = {}) noexcept;
   const Capacity& capacity() const noexcept { return capacity_; }
 
@@ -267,8 +270,7 @@ class Registry {
   /// Changes the state to leaving, over or dead.
   void change_subscription(TopicIndex topic, std::uint32_t index, EndpointState state);
   void free_subscription(TopicIndex topic, std::uint32_t index);
-  /// Returns whether a publisher of the topic has slots with hold bits behind the link lines.
-  bool uses_far_slots(TopicIndex topic) const;
+  LinkBlocks slots_by_link_block(TopicIndex topic) const;
 
   /// Returns whether there is an endpoint at this place. Check before every read: reading a hole
   /// of the tables allocates memory, and clients name places at will.

@@ -107,6 +107,7 @@ void Registry::apply_to_topic(const Record& record) {
   store(topic.generation, record.argument[1]);
   store(topic.domain, record.argument[2]);
   store(topic.layout_hash, record.argument[3]);
+  store(topic.link_blocks, static_cast<std::uint32_t>(record.argument[4]));
   store(topic.publisher_high, 0);
   store(topic.subscription_high, 0);
   for (std::uint64_t& word : topic.publishers) store(word, 0);

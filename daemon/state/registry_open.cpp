@@ -228,6 +228,9 @@ const char* Registry::flaw_of_topic(std::uint32_t index) const noexcept {
   if (topic.publisher_high > abi::publisher_count_max ||
       topic.subscription_high > abi::subscription_count_max)
     return "the endpoints of a topic";
+  if (topic.link_blocks == 0 || topic.link_blocks > abi::link_block_max ||
+      topic.publisher_high > topic.link_blocks * abi::link_block_count)
+    return "the link blocks of a topic";
   if (!ends(topic.name) || !ends(topic.type)) return "the name of a topic";
   const auto are_places = [&](Kind kind, std::uint32_t high) {
     return !next_place(kind, TopicIndex{index}, high);
@@ -240,7 +243,7 @@ const char* Registry::flaw_of_topic(std::uint32_t index) const noexcept {
            client(record.client).state != ClientState::free && record.generation != 0 &&
            record.generation <= tables_.header.last_generation &&
            record.extent >= abi::page_bytes && record.extent % abi::cache_line_bytes == 0 &&
-           record.extent <= client_region_bytes - extent_bytes && ends(record.node);
+           record.extent <= abi::client_region_bytes - extent_bytes && ends(record.node);
   };
   const char* flaw = nullptr;
   for_each_publisher(TopicIndex{index}, [&](std::uint32_t, const PublisherRecord& record) {
@@ -254,7 +257,7 @@ const char* Registry::flaw_of_topic(std::uint32_t index) const noexcept {
     const bool known = record.state == EndpointState::active ||
                        record.state == EndpointState::leaving ||
                        record.state == EndpointState::over || record.state == EndpointState::dead;
-    if (!check(record, abi::subscription_extent_bytes, known) ||
+    if (!check(record, abi::subscription_extent_bytes(topic.link_blocks), known) ||
         record.wait_set >= abi::wait_set_count_max)
       flaw = "a subscription";
   });

@@ -3,7 +3,7 @@
 // Tables: all decisions of the daemon, as plain data in one sealed memfd that outlives its
 // process.
 //
-//   header · client[2048] · topic[4096] · publisher[4096][254] · subscription[4096][768]
+//   header · client[2048] · topic[4096] · publisher[4096][2048] · subscription[4096][2048]
 //
 // An endpoint's record has the same place as its board entry, so nothing is searched or moved. The
 // memfd is sparse: a page on which every record is free has no memory (the daemon gives it back
@@ -83,7 +83,7 @@ struct TopicRecord {
   // to there. Only they walk so far.
   std::uint32_t publisher_high;
   std::uint32_t subscription_high;
-  std::uint32_t reserved;
+  std::uint32_t link_blocks;  // of its subscriptions
   PlaceBits<abi::publisher_count_max> publishers;
   PlaceBits<abi::subscription_count_max> subscriptions;
   std::uint64_t domain;

@@ -64,6 +64,7 @@ class Script {
     for (int i = 0; i < topics; ++i) {
       wire::DumpTopic topic{};
       topic.topic = static_cast<std::uint32_t>(some(static_cast<std::uint64_t>(i)));
+      topic.link_blocks = static_cast<std::uint32_t>(some(1));
       name(topic.name);
       name(topic.type);
       add(topic, Opcode::dump_topic);

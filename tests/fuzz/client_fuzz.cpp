@@ -161,7 +161,7 @@ class Daemon {
         welcome.client_generation = 1;
         welcome.arena_base = arena_base;
         welcome.arena_bytes = arena_bytes;
-        welcome.client_region_bytes = std::uint64_t{1} << 30;
+        welcome.client_region_bytes = abi::client_region_bytes;
         const int fds[] = {board_.get(), region_.get()};
         return say(Opcode::welcome, welcome, fds, request);
       }

@@ -108,7 +108,7 @@ void read_from_a_liar(FuzzedDataProvider& input) {
   const std::uint64_t first = abi::first_sequence_of(generation);
   static Memory board(abi::topic_offset(1));
   Memory queue(extent + abi::publisher_extent_bytes),
-      lines(extent + abi::subscription_extent_bytes);
+      lines(extent + abi::subscription_extent_bytes(1));
   const region::TopicWords<M> topic{board.base(), abi::topic_offset(0)};
   const region::PublisherWords<M> words{queue.base(), extent};
   words.head().store(abi::pack_entry(first, 0));
@@ -204,8 +204,8 @@ void read_from_a_liar(FuzzedDataProvider& input) {
 void publish_to_a_liar(FuzzedDataProvider& input) {
   const std::uint64_t first = abi::first_sequence_of(generation);
   Memory board(abi::topic_offset(1)), queue(extent + abi::publisher_extent_bytes);
-  Memory honest_lines(extent + abi::subscription_extent_bytes),
-      liars_lines(extent + abi::subscription_extent_bytes);
+  Memory honest_lines(extent + abi::subscription_extent_bytes(1)),
+      liars_lines(extent + abi::subscription_extent_bytes(1));
   const region::TopicWords<M> topic{board.base(), abi::topic_offset(0)};
   const region::PublisherWords<M> words{queue.base(), extent};
   words.head().store(abi::pack_entry(first, 0));

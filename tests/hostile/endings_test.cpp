@@ -138,7 +138,7 @@ TEST(HostileEndings, MemoryFilledByADeadProcessIsFreedWhileOthersGoOn) {
 }
 
 constexpr std::uint64_t topic_count = 6;
-constexpr std::uint64_t subscriptions_per_topic = 500;  // one user's share of a topic is 576
+constexpr std::uint64_t subscriptions_per_topic = 500;  // less than one user's share
 // The daemon announces each publisher of a topic to each subscription, and the other way round:
 // the time that the test takes grows with the product.
 constexpr std::uint64_t publisher_process_count = 2;

@@ -19,6 +19,8 @@ using wire::Kind;
 using wire::Opcode;
 
 // More than a publisher has slots: a publisher that gets no slot back cannot reach it.
+// honest_helps_itself() stops the daemon, for as long as a slow machine takes.
+constexpr const char* without_watchdog = "watchdog_seconds = \"off\"\n";
 constexpr std::uint64_t every_slot = abi::slot_count_max + 100;
 
 /// A publisher on the open topic, with the doorbell of the honest process that watches it.
@@ -105,7 +107,7 @@ void honest_helps_itself(Stage& stage) {
 
 TEST(HostileLies, CursorsAheadBehindAndJumpingCostNobodyAMessage) {
   AGNOCAST_NEEDS_TWO_USERS();
-  Stage stage;
+  Stage stage({.daemon_keys = without_watchdog});
   Chance chance(1);
   honest_goes_on_beside(stage, [&](Attack& attack) {
     LyingSubscriber liar(stage);
@@ -116,7 +118,7 @@ TEST(HostileLies, CursorsAheadBehindAndJumpingCostNobodyAMessage) {
 
 TEST(HostileLies, LinksThatChangeOrNameOthersCostNobodyAMessage) {
   AGNOCAST_NEEDS_TWO_USERS();
-  Stage stage;
+  Stage stage({.daemon_keys = without_watchdog});
   Chance chance(2);
   honest_goes_on_beside(stage, [&](Attack& attack) {
     LyingSubscriber liar(stage);
@@ -131,7 +133,7 @@ TEST(HostileLies, LinksThatChangeOrNameOthersCostNobodyAMessage) {
 
 TEST(HostileLies, HoldsOnEverythingTakeNoSlotBeyondTheQuotaAndEndTheSession) {
   AGNOCAST_NEEDS_TWO_USERS();
-  Stage stage;
+  Stage stage({.daemon_keys = without_watchdog});
   honest_goes_on_beside(
       stage,
       [&](Attack& attack) {
@@ -150,7 +152,7 @@ TEST(HostileLies, HoldsOnEverythingTakeNoSlotBeyondTheQuotaAndEndTheSession) {
 
 TEST(HostileLies, HoldsThatFlickerTakeNoSlotForLong) {
   AGNOCAST_NEEDS_TWO_USERS();
-  Stage stage;
+  Stage stage({.daemon_keys = without_watchdog});
   Chance chance(3);
   honest_goes_on_beside(
       stage,
@@ -165,7 +167,8 @@ TEST(HostileLies, HoldsThatFlickerTakeNoSlotForLong) {
 
 TEST(HostileLies, AGreedySubscriptionGetsWhatItsUserMayHoldAndNoMore) {
   AGNOCAST_NEEDS_TWO_USERS();
-  Stage stage;
+  // The pool has 245 messages.
+  Stage stage({.more = "[limits]\nslots_per_publisher = 2048\nsubscriptions_per_topic = 768\n"});
   honest_goes_on_beside(
       stage,
       [&](Attack& attack) {
@@ -198,7 +201,7 @@ TEST(HostileLies, AGreedySubscriptionGetsWhatItsUserMayHoldAndNoMore) {
 
 TEST(HostileLies, SleepWordsThatAlwaysAskForARingCostADatagramEach) {
   AGNOCAST_NEEDS_TWO_USERS();
-  Stage stage;
+  Stage stage({.daemon_keys = without_watchdog});
   honest_goes_on_beside(stage, [&](Attack& attack) {
     LyingSubscriber liar(stage);
     attack.ready();
@@ -208,7 +211,7 @@ TEST(HostileLies, SleepWordsThatAlwaysAskForARingCostADatagramEach) {
 
 TEST(HostileLies, RandomBytesOverEverythingASubscriberMayWriteHarmNobody) {
   AGNOCAST_NEEDS_TWO_USERS();
-  Stage stage;
+  Stage stage({.daemon_keys = without_watchdog});
   Chance chance(4);
   honest_goes_on_beside(
       stage,
@@ -220,7 +223,7 @@ TEST(HostileLies, RandomBytesOverEverythingASubscriberMayWriteHarmNobody) {
             const bool header = chance.below(4) == 0;
             const std::uint64_t at =
                 header ? chance.below(abi::page_bytes / 8) * 8
-                       : liar.made.extent + chance.below(abi::subscription_extent_bytes / 8) * 8;
+                       : liar.made.extent + chance.below(abi::subscription_extent_bytes(1) / 8) * 8;
             liar.node.word(at).store(chance.nasty());
           }
           liar.link();  // or nobody would look any more
@@ -233,7 +236,7 @@ TEST(HostileLies, RandomBytesOverEverythingASubscriberMayWriteHarmNobody) {
 
 TEST(HostileLies, AddressesOutsideTheWindowAreHandedToNobody) {
   AGNOCAST_NEEDS_TWO_USERS();
-  Stage stage;
+  Stage stage({.daemon_keys = without_watchdog});
   Attacker attacker([&](Attack& attack) {
     LyingPublisher liar(stage);
     attack.word(0).store(liar.base);
@@ -286,7 +289,7 @@ TEST(HostileLies, AddressesOutsideTheWindowAreHandedToNobody) {
 
 TEST(HostileLies, FrontiersBeyondTheWindowOpenNothingBehindIt) {
   AGNOCAST_NEEDS_TWO_USERS();
-  Stage stage;
+  Stage stage({.daemon_keys = without_watchdog});
   Chance chance(5);
   Attacker attacker([&](Attack& attack) {
     LyingPublisher liar(stage);
@@ -326,7 +329,7 @@ TEST(HostileLies, FrontiersBeyondTheWindowOpenNothingBehindIt) {
 
 TEST(HostileLies, ASequenceThatJumpsOrWrapsCostsTheLiarAlone) {
   AGNOCAST_NEEDS_TWO_USERS();
-  Stage stage;
+  Stage stage({.daemon_keys = without_watchdog});
   honest_goes_on_beside(stage, [&](Attack& attack) {
     LyingPublisher liar(stage);
     const auto queue = liar.node.queue(liar.made);
@@ -365,7 +368,7 @@ TEST(HostileLies, ASequenceThatJumpsOrWrapsCostsTheLiarAlone) {
 
 TEST(HostileLies, RandomBytesOverEverythingAPublisherMayWriteHarmNobody) {
   AGNOCAST_NEEDS_TWO_USERS();
-  Stage stage;
+  Stage stage({.daemon_keys = without_watchdog});
   Chance chance(6);
   std::uint64_t base = 0, bytes = 0;
   {
@@ -429,7 +432,7 @@ TEST(HostileLies, RandomBytesOverEverythingAPublisherMayWriteHarmNobody) {
 
 TEST(HostileLies, AnIntentThatIsGarbageIsCountedAndNothingElseIsTouched) {
   AGNOCAST_NEEDS_TWO_USERS();
-  Stage stage;
+  Stage stage({.daemon_keys = without_watchdog});
   // operation, sequence relative to head, slot
   const std::uint64_t intents[][3] = {
       {2, 0, 0},  // unknown operation

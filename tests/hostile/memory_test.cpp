@@ -300,7 +300,7 @@ TEST_P(HostileMemory, KillsNoReaderByFreeingItsOwnMemory) {
       // Through its own descriptors: header, queue, link lines.
       make_zero(node, 0, page);
       if (round % 2 == 0) make_zero(node, publisher.extent, abi::publisher_extent_bytes);
-      make_zero(node, subscription.extent, abi::subscription_extent_bytes);
+      make_zero(node, subscription.extent, abi::subscription_extent_bytes(1));
       node.frontier().store(1 << 20);
       // It restores the old head, or nobody would read any more.
       if (round % 2 == 0) queue.head().store(head);

@@ -160,7 +160,7 @@ TEST(HostileQuotas, TablesOfTheDaemonHaveRoomForOthers) {
                 Opcode::endpoint_created);
     // Takes all publishers that it may have on a topic open to everybody.
     return topics + takes_all([&](std::uint64_t) { return node.wire().create_publisher("/full"); },
-                              "[quota] publishers_per_topic");
+                              "one user may have 192");
   });
 }
 
@@ -205,12 +205,12 @@ TEST(HostileQuotas, NobodyTakesTheLastPlacesOfATopicAlone) {
               },
               limit);
         };
-        const std::uint64_t publishers =
-            takes(Opcode::create_publisher, "/published", "[quota] publishers_per_topic is 191");
+        const std::uint64_t publishers = takes(Opcode::create_publisher, "/published",
+                                               "one user may have 192 of the 256 publishers");
         const std::uint64_t subscriptions = takes(Opcode::create_subscription, "/subscribed",
-                                                  "[quota] subscriptions_per_topic is 576");
-        EXPECT_EQ(publishers, 191u);
-        EXPECT_EQ(subscriptions, 576u);
+                                                  "[quota] subscriptions_per_topic is 1536");
+        EXPECT_EQ(publishers, 192u);
+        EXPECT_EQ(subscriptions, 1536u);
         static_cast<void>(new auto(std::move(nodes)));  // they stay until the attacker is killed
         return publishers + subscriptions;
       },

@@ -17,7 +17,7 @@ namespace agnocast::test {
 namespace {
 
 std::string configuration(const StageOptions& options) {
-  return "[daemon]\nsocket_mode = \"0666\"\n"
+  return "[daemon]\nsocket_mode = \"0666\"\n" + options.daemon_keys +
          "[heap]\nwindow_bytes = \"64MiB\"\narena_bytes = \"4GiB\"\n" AGNOCAST_TEST_ARENA_BASE +
          options.heap + "[quota]\n" + options.quota + options.more + "[[access]]\ntopic = \"" +
          stream_topic + "\"\npublish = [\"uid:" + std::to_string(honest_uid) + "\"]\n";

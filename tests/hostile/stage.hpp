@@ -50,6 +50,7 @@ struct StageOptions {
   std::optional<uid_t> daemon = {};  ///< none: root
   std::string quota = "held_messages = 400\n";
   std::string more = {};            ///< further text of the configuration
+  std::string daemon_keys = {};     ///< further text of [daemon]
   std::string heap = {};            ///< further text of [heap]
   bool without_passrights = false;  ///< as on a kernel before 6.16
 };

@@ -156,8 +156,11 @@ TEST(RegionsDocument, HasTheLimitsOfTheHeaders) {
        "]");
   says(number(topic_offset(1)) + "  topic 1");
   says("order ring [" + number(ring_count) + "] · QueueSlot[" + number(slot_count_max) + "]");
-  says("LinkLine[" + number(publisher_count_max) + "] · SubscriptionCounters · far hold words [" +
-       number(publisher_count_max) + "][" + number(far_hold_word_count) + "]");
+  says("SubscriptionCounters, in a page of its own · link blocks [1 or " + number(link_block_max) +
+       "]");
+  says("LinkLine[" + number(link_block_count) + "] · " +
+       number(link_block_bytes / link_part_bytes - 1) + " × further hold words [" +
+       number(link_block_count) + "][" + number(hold_words_per_line) + "]");
   says("`WindowEntry[" + number(window_count_max) + "]`");
   says("`WaitSetLine[" + number(wait_set_count_max) + "]`");
   says("slots 0 to " + number(near_slot_count - 1) + ";");

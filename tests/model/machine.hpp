@@ -268,7 +268,7 @@ inline Machine machine;
 /// offsets are an error.
 struct AddressMap {
   static constexpr std::uint32_t region_count = 4;
-  static constexpr std::uint32_t slots_per_region = 1024;
+  static constexpr std::uint32_t slots_per_region = 2048;  // as far as a link line
   std::array<std::array<std::uint8_t, slots_per_region>, region_count> table{};
   std::array<char[64], 128> names{};
   std::array<std::uint8_t, 128> region_of{};
@@ -311,6 +311,13 @@ struct ModelMemory {
     std::uint64_t fetch_and(std::uint64_t bits, std::memory_order) const {
       return machine.modify(index, [bits](std::uint64_t value) { return value & bits; });
     }
+  };
+  // A part of the state, which the explorer copies.
+  template <class T>
+  struct Zeroed {
+    T object{};
+    T* operator->() noexcept { return &object; }
+    const T* operator->() const noexcept { return &object; }
   };
   static constexpr std::uint32_t slot_capacity = 5;
   static constexpr std::uint32_t subscription_capacity = 2;

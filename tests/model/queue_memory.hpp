@@ -102,7 +102,8 @@ inline void QueueScenario::build_map() const {
     const char* line[] = {"publisher_generation", "cursor", "hold"};
     for (std::uint64_t f = 0; f < 3; ++f) {
       std::snprintf(name, sizeof name, "s%u.%s", s, line[f]);
-      address_map.add(static_cast<std::uint32_t>(client_region(s).id), extent(s) + f * 8, name);
+      address_map.add(static_cast<std::uint32_t>(client_region(s).id), line_offset(s) + f * 8,
+                      name);
     }
     if (plan_.one_executor && s == 1) continue;
     std::snprintf(name, sizeof name, "s%u.armed", s);

@@ -292,6 +292,7 @@ class QueueScenario {
   std::uint64_t extent(std::uint32_t s) const {
     return plan_.one_executor && s == 1 ? second_se : se;
   }
+  std::uint64_t line_offset(std::uint32_t s) const { return extent(s) + abi::link_offset(0); }
   /// The publisher's number for it.
   std::uint64_t executor(std::uint32_t s) const {
     const bool one = plan_.one_executor || plan_.fault == QueueFault::one_number_for_two_wait_sets;
@@ -299,7 +300,7 @@ class QueueScenario {
   }
   /// Generation, cursor, hold.
   std::uint64_t peek_line(const W& world, std::uint32_t s, std::uint64_t field) const {
-    return peek(world, static_cast<std::uint32_t>(client_region(s).id), extent(s) + field * 8);
+    return peek(world, static_cast<std::uint32_t>(client_region(s).id), line_offset(s) + field * 8);
   }
 
   static region::TopicWords<MM> topic() { return {{board}, 0}; }

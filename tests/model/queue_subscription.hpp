@@ -166,8 +166,8 @@ inline void QueueScenario::run_executor(W& world) {
 inline void QueueScenario::start_linked(W& world, std::uint32_t s) {
   const std::uint32_t region = static_cast<std::uint32_t>(client_region(s).id);
   const SubscriptionPrivate& own = sub_private(world, s);
-  poke(world, region, extent(s), generation);
-  poke(world, region, extent(s) + 8, own.link.cursor());
+  poke(world, region, line_offset(s), generation);
+  poke(world, region, line_offset(s) + 8, own.link.cursor());
   sub_private(world, s).last = own.link.cursor() - 1;
   struct {
     void ring(std::uint64_t, std::uint64_t) {}

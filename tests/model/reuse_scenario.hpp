@@ -101,7 +101,7 @@ class ReuseScenario {
     address_map.add(publisher_region, 0, "head");
     const char* line[] = {"publisher_generation", "cursor", "hold"};
     for (std::uint64_t field = 0; field < 3; ++field)
-      address_map.add(subscriber_region, field * 8, line[field]);
+      address_map.add(subscriber_region, abi::link_offset(0) + field * 8, line[field]);
     machine.store_buffers = true;
     W world;
     world.threads[daemon_main].pc = idle;
@@ -223,7 +223,7 @@ class ReuseScenario {
   };
 
   static std::uint64_t& line(W& world, std::uint64_t field) {
-    return world.memory[address_map.find(subscriber_region, field * 8)];
+    return world.memory[address_map.find(subscriber_region, abi::link_offset(0) + field * 8)];
   }
   static dataplane::LinkCore<ModelMemory> link_to(std::uint64_t generation) {
     const abi::Qos qos{1, false, true, false, false};

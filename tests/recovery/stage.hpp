@@ -90,7 +90,10 @@ class Stage {
         subscriber_region_(
             Mapping::map(subscriber_fd_.get(), region_bytes, Mapping::Access::read_write).value()) {
     // The window lies at addresses that are free now, in this process and thus in its children.
-    heap_base_ = reinterpret_cast<std::uint64_t>(Mapping::reserve(0, heap_bytes).value().base());
+    // The lower end of a gap: the kernel puts further mappings at the upper end.
+    constexpr std::uint64_t gap = std::uint64_t{1} << 30;
+    heap_base_ =
+        reinterpret_cast<std::uint64_t>(Mapping::reserve(0, heap_bytes + gap).value().base());
     words().head().store(abi::pack_entry(first_sequence(), 0), std::memory_order_relaxed);
     journal::BoardSteps<M>(topic()).add_publisher(0, publisher_generation,
                                                   {setup.offered, 0, publisher_extent, slot_count});

@@ -238,7 +238,7 @@ class Core final : private ClientChannel {
     const SharedFd& reader = regions_.region_reader(record.client);
     if (!reader) return {};
     const Mapping region =
-        Mapping::map(reader->get(), Registry::client_region_bytes, Mapping::Access::read).value();
+        Mapping::map(reader->get(), abi::client_region_bytes, Mapping::Access::read).value();
     const region::PublisherWords<SharedMemory> words{region.base(), record.extent};
     const std::uint64_t first = abi::first_sequence_of(record.generation);
     const auto is_there = [&](std::uint64_t sequence) { return sequence > first ? "+" : "-"; };

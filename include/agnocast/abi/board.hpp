@@ -4,7 +4,7 @@
 // by every client.
 //
 //      0  header page
-//   4096  topic[4096], 64 KiB each: TopicHeader, publisher[254], subscription[768]
+//   4096  topic[4096], 260 KiB each: TopicHeader, publisher[2048], subscription[2048]
 #pragma once
 
 #include <agnocast/abi/client_region.hpp>
@@ -92,8 +92,7 @@ constexpr std::uint64_t subscription_entry_offset(std::uint64_t publishers,
   return publisher_entry_offset(publishers) + index * sizeof(SubscriptionEntry);
 }
 inline constexpr std::uint64_t topic_bytes =
-    subscription_entry_offset(publisher_count_max, subscription_count_max);
-static_assert(topic_bytes == 65536);
+    whole_pages(subscription_entry_offset(publisher_count_max, subscription_count_max));
 constexpr std::uint64_t topic_offset(std::uint64_t topic) noexcept {
   return page_bytes + topic * topic_bytes;
 }

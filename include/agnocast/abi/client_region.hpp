@@ -20,6 +20,10 @@ namespace agnocast::abi {
 using SharedWord = std::atomic<std::uint64_t>;
 static_assert(SharedWord::is_always_lock_free && sizeof(SharedWord) == 8);
 
+constexpr std::uint64_t whole_pages(std::uint64_t bytes) noexcept {
+  return (bytes + page_bytes - 1) / page_bytes * page_bytes;
+}
+
 // One message in a publisher's queue.   W = the publisher's process; all others map it read-only.
 //
 //    0  id        u64  0 free · sequence live · retired_mark|sequence
@@ -51,12 +55,12 @@ static_assert(sizeof(QueueSlot) == 32 && offsetof(QueueSlot, address) == 8 &&
 //   64  intent         op, sequence, slot; read by the daemon after the owner's death
 //   88  counters       adopted messages and bytes, refused publishes by reason; for people. They
 //                      share the intent's line, which no other process reads while the owner lives
-//  128  withdrawn[24] u64  two bits for each subscription of the topic: not served any more, and
+//  128  withdrawn[64] u64  two bits for each subscription of the topic: not served any more, and
 //  why
 //                      [sync:hold] release at E1, seq_cst at T5
-//  320  order[R]  u64  sequence<<16 | slot, at sequence mod R
+//  640  order[R]  u64  sequence<<16 | slot, at sequence mod R
 //                      [sync:publish] release at P4, acquire at T2
-//    …  slot[N]        QueueSlot, from 320 + R×8
+//    …  slot[N]        QueueSlot, from 640 + R×8
 struct PublisherEndpoint {
   alignas(cache_line_bytes) SharedWord head;
   SharedWord persistent_id;
@@ -74,7 +78,7 @@ struct PublisherEndpoint {
   alignas(cache_line_bytes) SharedWord withdrawn[subscription_count_max / withdrawals_per_word];
 };
 static_assert(subscription_count_max % withdrawals_per_word == 0);
-static_assert(sizeof(PublisherEndpoint) == 320 && offsetof(PublisherEndpoint, withdrawn) == 128);
+static_assert(sizeof(PublisherEndpoint) == 640 && offsetof(PublisherEndpoint, withdrawn) == 128);
 static_assert(offsetof(PublisherEndpoint, head) == 0 &&
               offsetof(PublisherEndpoint, persistent_id) == 8 &&
               offsetof(PublisherEndpoint, inherited) == 16 &&
@@ -131,20 +135,39 @@ static_assert(sizeof(SubscriptionCounters) == 64 &&
               offsetof(SubscriptionCounters, persistent_id) == 24 &&
               offsetof(SubscriptionCounters, expired) == 32);
 
-// Subscription endpoint: link lines of all publisher indexes, counters, then the hold words of
-// slots 384… of each. All zero at join but for the cursors of J4.
-inline constexpr std::uint64_t far_hold_word_count = (slot_count_max - near_slot_count) / 64;  // 26
+// Subscription endpoint. All zero at join but for the cursors of J4.
+//
+//      0  SubscriptionCounters, in a page of its own
+//   4096  link block of publishers 0…255; in wide topics further ones for the next 256, …
+//
+// A link block is parts of 16 KiB, a line of 64 bytes for each publisher in each: first the link
+// lines, then the hold words of slots 384…895, then of the next 512, … So the daemon backs of a
+// block, from its beginning, what the deepest queue needs.
+inline constexpr std::uint64_t hold_words_per_line = cache_line_bytes / sizeof(SharedWord);
+inline constexpr std::uint64_t far_hold_word_count = (slot_count_max - near_slot_count) / 64;  // 58
+inline constexpr std::uint64_t link_part_bytes = link_block_count * cache_line_bytes;
+static_assert(link_part_bytes % page_bytes == 0);
+inline constexpr std::uint64_t link_block_bytes =
+    (1 + (far_hold_word_count + hold_words_per_line - 1) / hold_words_per_line) * link_part_bytes;
+constexpr std::uint64_t link_block_offset(std::uint64_t publisher) noexcept {
+  return page_bytes + publisher / link_block_count * link_block_bytes;
+}
 constexpr std::uint64_t link_offset(std::uint64_t publisher) noexcept {
-  return publisher * sizeof(LinkLine);
+  return link_block_offset(publisher) + publisher % link_block_count * sizeof(LinkLine);
 }
-constexpr std::uint64_t subscription_counters_offset(std::uint64_t publisher_count) noexcept {
-  return link_offset(publisher_count);
+/// From the link line.
+constexpr std::uint64_t far_hold_offset(std::uint64_t word) noexcept {
+  return (1 + word / hold_words_per_line) * link_part_bytes +
+         word % hold_words_per_line * sizeof(SharedWord);
 }
-constexpr std::uint64_t far_hold_offset(std::uint64_t publisher_count, std::uint64_t publisher,
-                                        std::uint64_t word) noexcept {
-  return subscription_counters_offset(publisher_count) + sizeof(SubscriptionCounters) +
-         (publisher * far_hold_word_count + word) * sizeof(SharedWord);
+/// Returns how many bytes of a link block are used if no publisher has more slots.
+constexpr std::uint64_t used_link_bytes(std::uint64_t slot_count) noexcept {
+  const std::uint64_t far = slot_count > near_slot_count ? slot_count - near_slot_count : 0;
+  const std::uint64_t slots_per_part = hold_words_per_line * 64;
+  return (1 + (far + slots_per_part - 1) / slots_per_part) * link_part_bytes;
 }
+static_assert(used_link_bytes(near_slot_count) == link_part_bytes &&
+              used_link_bytes(slot_count_max) == link_block_bytes);
 
 // One wait set's sleep word.   W = the process that sleeps.
 //
@@ -194,12 +217,10 @@ static_assert(sizeof(ClientRegionHeader) == page_bytes);
 static_assert(std::is_standard_layout_v<ClientRegionHeader>);
 
 // Extent sizes of endpoints: whole pages, enough for the largest geometry.
-constexpr std::uint64_t whole_pages(std::uint64_t bytes) noexcept {
-  return (bytes + page_bytes - 1) / page_bytes * page_bytes;
-}
 inline constexpr std::uint64_t publisher_extent_bytes =
     whole_pages(slot_offset(ring_count, slot_count_max));
-inline constexpr std::uint64_t subscription_extent_bytes =
-    whole_pages(far_hold_offset(publisher_count_max, publisher_count_max, 0));
+constexpr std::uint64_t subscription_extent_bytes(std::uint64_t link_blocks) noexcept {
+  return link_block_offset(link_blocks * link_block_count);
+}
 
 }  // namespace agnocast::abi

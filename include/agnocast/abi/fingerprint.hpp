@@ -72,7 +72,7 @@ constexpr std::uint64_t fingerprint() noexcept {
           offsetof(QosWords, lifespan_ns), offsetof(QosWords, lease_ns));
   sum.add(BoardState::free, BoardState::active, BoardState::leaving, BoardState::orphan,
           BoardState::revoked, BoardState::dead);
-  sum.add(order_offset(3), slot_offset(ring_count, 3), link_offset(3), far_hold_offset(5, 3, 1),
+  sum.add(order_offset(3), slot_offset(ring_count, 3), link_offset(300), far_hold_offset(9),
           publisher_entry_offset(3), subscription_entry_offset(5, 3), topic_offset(3), topic_bytes);
   sum.add(sizeof(QueueSlot), offsetof(QueueSlot, id), offsetof(QueueSlot, address),
           offsetof(QueueSlot, stamp_ns), offsetof(QueueSlot, size));
@@ -85,7 +85,7 @@ constexpr std::uint64_t fingerprint() noexcept {
           offsetof(PublisherEndpoint, refused_would_block),
           offsetof(PublisherEndpoint, refused_heap_exhausted),
           offsetof(PublisherEndpoint, withdrawn));
-  sum.add(subscription_counters_offset(5), sizeof(SubscriptionCounters),
+  sum.add(link_block_count, client_region_bytes, sizeof(SubscriptionCounters),
           offsetof(SubscriptionCounters, lost), offsetof(SubscriptionCounters, malformed),
           offsetof(SubscriptionCounters, unreachable),
           offsetof(SubscriptionCounters, persistent_id), offsetof(SubscriptionCounters, expired));
@@ -287,7 +287,7 @@ constexpr std::uint64_t fingerprint() noexcept {
           offsetof(wire::DumpProcess, threads_left_out), offsetof(wire::DumpProcess, name),
           offsetof(wire::DumpProcess, blocked_by));
   sum.add(sizeof(wire::DumpTopic), offsetof(wire::DumpTopic, header),
-          offsetof(wire::DumpTopic, topic), offsetof(wire::DumpTopic, reserved),
+          offsetof(wire::DumpTopic, topic), offsetof(wire::DumpTopic, link_blocks),
           offsetof(wire::DumpTopic, generation), offsetof(wire::DumpTopic, domain),
           offsetof(wire::DumpTopic, layout_hash), offsetof(wire::DumpTopic, name),
           offsetof(wire::DumpTopic, type));

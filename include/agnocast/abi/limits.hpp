@@ -21,9 +21,10 @@ inline constexpr std::uint32_t depth_max = 1000;
 inline constexpr std::uint32_t ring_count = 1024;
 static_assert(ring_count > depth_max + 1 && (ring_count & (ring_count - 1)) == 0);
 
-// Slots of one publisher: the deepest history plus as many messages again that subscriptions may
-// hold. 32 B each = 64 KiB.
-inline constexpr std::uint32_t slot_count_max = 2048;
+// Slots of one publisher: the deepest history, one message in the hands of each subscription, and
+// some hundred for those that hold more (daemon/state/hold_pool.hpp). 32 B each; a publisher gets
+// as many as its subscriptions may need.
+inline constexpr std::uint32_t slot_count_max = 4096;
 static_assert(slot_count_max <= 0x10000, "a slot index is 16 bits of the commit word");
 // Consecutive publishes that may skip the reclamation scan (docs/protocol.md, deferred scan): each
 // needs one slot that the scan would have freed.
@@ -32,20 +33,30 @@ inline constexpr std::uint32_t deferred_scan_count_max = 32;
 // cursor.
 inline constexpr std::uint32_t near_slot_count = 384;
 
-// One topic's board entry is 64 KiB = 2 lines + (254 + 768) lines: enough for the required 128
-// endpoints of each kind.
-inline constexpr std::uint32_t publisher_count_max = 254;
-inline constexpr std::uint32_t subscription_count_max = 768;
-// Dead publishers of one topic with unread messages: the indexes left beside the 128 required
-// ones. The daemon abandons the oldest beyond that, so that a subscription that does not read
+// Publishers and subscriptions of one topic: as many as processes, because each node of ROS 2
+// publishes /rosout, and subscribes to /parameter_events as well.
+inline constexpr std::uint32_t publisher_count_max = 2048;
+inline constexpr std::uint32_t subscription_count_max = 2048;
+// Publishers for which a subscription has lines in one block. A subscription of most topics has one
+// block; of topics that the daemon's configuration calls wide, all: processes of other users can
+// read, and so allocate, what lies in a region, used or not.
+inline constexpr std::uint32_t link_block_count = 256;
+inline constexpr std::uint32_t link_block_max = publisher_count_max / link_block_count;
+static_assert(publisher_count_max % link_block_count == 0);
+// Dead publishers of one topic with unread messages. Each keeps its memory, and a place for a
+// process; the daemon abandons the oldest beyond that, so that a subscription that does not read
 // cannot keep publishers from joining. Where [limits] allows fewer publishers, half of those.
-inline constexpr std::uint32_t orphan_count_max = publisher_count_max - 128;
-// 4096 topics × 64 KiB = 256 MiB of addresses, touched only for existing topics.
+inline constexpr std::uint32_t orphan_count_max = 126;
+// 4096 topics × 260 KiB = 1 GiB of addresses, touched only for existing endpoints.
 inline constexpr std::uint32_t topic_count_max = 4096;
 
 // Processes registered at once. A thousand are required; the daemon keeps one bit per process for
 // everything it announces.
 inline constexpr std::uint32_t client_count_max = 2048;
+
+// Addresses of one client region. Room for 7,000 endpoints; for 200 nodes of rclcpp, whose
+// subscriptions to /parameter_events are wide, two thirds. The memory grows with the extents.
+inline constexpr std::uint64_t client_region_bytes = std::uint64_t{1} << 30;
 
 // Heap windows of one process: the first and its growth (each the configured length, 16 GiB by
 // default).

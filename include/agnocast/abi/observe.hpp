@@ -216,7 +216,7 @@ struct DumpProcess {
 struct DumpTopic {
   Header header;
   std::uint32_t topic;
-  std::uint32_t reserved;
+  std::uint32_t link_blocks;  // of each subscription; more than one: a wide topic
   std::uint64_t generation;
   std::uint64_t domain;
   std::uint64_t layout_hash;

@@ -56,6 +56,11 @@ constexpr std::uint64_t generation_of(std::uint64_t board_word) noexcept {
 constexpr BoardState state_of(std::uint64_t board_word) noexcept {
   return static_cast<BoardState>(board_word & 0xff);
 }
+/// Returns whether the holds of the subscription with this board word count.
+constexpr bool takes_part(std::uint64_t board_word) noexcept {
+  const BoardState state = state_of(board_word);
+  return state == BoardState::active || state == BoardState::leaving;
+}
 
 // --- quality of service, evaluated by both sides of a match
 struct Qos {

@@ -1,7 +1,7 @@
 // SPDX-License-Identifier: Apache-2.0
 //
 // A component for components_test: publishes on "/out_0" to "/out_9", by its name, what it hears on
-// "/in". One topic would be full: a user has at most 191 publishers on it.
+// "/in". One topic would be full: a user has at most 192 publishers on it.
 
 #include <agnocast_rclcpp/agnocast_rclcpp.hpp>
 

@@ -21,7 +21,7 @@ namespace {
 
 Range extent_of(Kind kind, std::uint64_t at) {
   return {at, at + (kind == Kind::publisher ? abi::publisher_extent_bytes
-                                            : abi::subscription_extent_bytes)};
+                                            : abi::subscription_extent_bytes(1))};
 }
 
 wire::Header header_of(const Outgoing& packet) {
@@ -235,7 +235,7 @@ void Oracle::create_served(Process& who, const CreateRequest& request, bool was_
   AGNOCAST_CHECK(created_.generation > last_generation_);
   last_generation_ = created_.generation;
   const Range extent = extent_of(request.kind, created_.extent);
-  AGNOCAST_CHECK(extent.from >= abi::page_bytes && extent.to <= Registry::client_region_bytes);
+  AGNOCAST_CHECK(extent.from >= abi::page_bytes && extent.to <= abi::client_region_bytes);
   for (const Process& process : processes_) {
     if (!process.client) continue;
     const auto same = process.notified.find({request.kind, created_.topic, created_.index});

@@ -88,6 +88,22 @@ TEST_F(DoctorDaemon, NamesTheTableThatIsFull) {
   expect_mended_by_reload(daemon, doctor, findings);
 }
 
+TEST_F(DoctorDaemon, NamesATopicThatWillNeedToBeWide) {
+  DaemonProcess daemon;
+  Doctored doctor(daemon.socket_path());
+  Node node(daemon.socket_path());
+  for (int i = 0; i < 180; ++i) node.publisher("/crowded");
+  const Findings findings = doctor.look();
+  ASSERT_THAT(findings.all, ElementsAre("table-full: /crowded has 180 of 256 publishers; it "
+                                        "began without being in [limits] wide_topics"));
+  for (int times = 0; times < 2; ++times) {
+    const Remedy remedy(findings.remedies[0]);
+    std::ifstream in(daemon.directory() + "/agnocastd.toml");
+    const std::string config{std::istreambuf_iterator<char>(in), {}};
+    EXPECT_THAT(config, HasSubstr("wide_topics = [\"/crowded\", \"/rosout\", "));
+  }
+}
+
 TEST_F(DoctorDaemon, NamesTheDepthThatWasRefused) {
   DaemonProcess daemon({.more_config = "[limits]\ndepth_max = 10\n"});
   Doctored doctor(daemon.socket_path());

@@ -77,7 +77,8 @@ TEST(DaemonLimits, CountsEndpointsExecutorsAndHeldMessagesOfAUser) {
 // The memory of an endpoint stays with its process after the endpoint has ended.
 TEST(DaemonLimits, CountsMemoryThatAUsersProcessesKeepForEndedEndpoints) {
   DaemonProcess daemon(
-      {.config = std::string(small_heap) + "[quota]\npublishers = 3\nsubscriptions = 1\n"});
+      {.config = std::string(small_heap) +
+                 "[limits]\nwide_topics = []\n[quota]\npublishers = 3\nsubscriptions = 1\n"});
   std::vector<std::unique_ptr<WireClient>> processes;
   Incoming refused;
   while (processes.size() < 20 && refused.bytes.empty()) {
@@ -133,18 +134,20 @@ TEST(DaemonLimits, CountsThePlacesOfAUserInEachTopic) {
 
 TEST(DaemonLimits, GivesAHoldQuotaOrNamesThePossibleOne) {
   if (::geteuid() != 0) GTEST_SKIP() << "needs root and another user";
-  DaemonProcess daemon;
+  // The pool has 245 messages.
+  DaemonProcess daemon(
+      {.more_config = "[limits]\nslots_per_publisher = 2048\nsubscriptions_per_topic = 768\n"});
   const auto a = greeted(daemon);
   EXPECT_EQ(a->create_publisher("/t").opcode(), Opcode::endpoint_created);
   EXPECT_EQ(a->open_wait_set().opcode(), Opcode::wait_set_opened);
   auto wanted = WireClient::endpoint("/t", Qos{});
-  wanted.quota = abi::slot_count_max;
+  wanted.quota = 2048;
   for (int i = 0; i < 5; ++i) {
     EXPECT_EQ(a->ask(Opcode::create_subscription, wanted).opcode(), Opcode::endpoint_created);
-    EXPECT_EQ(a->expect<wire::Announcement>(Opcode::announce).quota, abi::slot_count_max)
+    EXPECT_EQ(a->expect<wire::Announcement>(Opcode::announce).quota, 2048u)
         << "for the user's own publisher";
     // The daemon announces the subscription to the publisher as well.
-    EXPECT_EQ(a->expect<wire::Announcement>(Opcode::announce).quota, abi::slot_count_max);
+    EXPECT_EQ(a->expect<wire::Announcement>(Opcode::announce).quota, 2048u);
   }
   EXPECT_EQ(in_other_user([&] {
               const auto other = greeted(daemon);
@@ -153,7 +156,7 @@ TEST(DaemonLimits, GivesAHoldQuotaOrNamesThePossibleOne) {
                 wanted.quota = quota;
                 return other->ask(Opcode::create_subscription, wanted);
               };
-              const Incoming refused = ask(abi::slot_count_max);
+              const Incoming refused = ask(2048);
               EXPECT_EQ(refused.refused_code(), Errc::quota_exceeded);
               EXPECT_EQ(
                   refused.refused_text(),
@@ -289,9 +292,9 @@ void live_and_die(const DaemonProcess& daemon, std::string_view topic) {
   ::waitpid(pid, nullptr, 0);
 }
 
-/// Writes lines that claim to hold a message of every publisher there.
+/// Writes lines that claim to hold a message of every publisher of a topic that is not wide.
 void hold_something_of_everybody(RawNode& node, const wire::EndpointCreated& subscription) {
-  for (std::uint64_t p = 0; p < abi::publisher_count_max; ++p)
+  for (std::uint64_t p = 0; p < abi::link_block_count; ++p)
     SharedMemory::word(node.region.base(),
                        subscription.extent + abi::link_offset(p) + offsetof(abi::LinkLine, hold))
         .store(1);

@@ -395,8 +395,9 @@ TEST(DaemonProtocol, ReusesThePlaceOfASubscriptionOnlyWhenItIsUnlinked) {
     return abi::state_of(subscription_word(publisher.board, s.topic, index));
   };
   // A process may leave any value in an extent, near and far.
-  const std::uint64_t places[] = {s.extent,
-                                  s.extent + abi::far_hold_offset(abi::publisher_count_max, 3, 0)};
+  const std::uint64_t last = abi::link_block_count - 1;
+  const std::uint64_t places[] = {s.extent, s.extent + abi::link_offset(0),
+                                  s.extent + abi::link_offset(last) + abi::far_hold_offset(0)};
   for (const std::uint64_t place : places)
     SharedMemory::word(subscriber.region.base(), place).store(~std::uint64_t{0});
   EXPECT_EQ(
@@ -533,8 +534,7 @@ TEST(DaemonProtocol, RaisesThePublishersSlotsForADeepSubscription) {
   EXPECT_GE(slots, 900u + 4u + 2u);
   // Both ends of the raised slots, and of the far hold words, are memory and zero.
   EXPECT_EQ(word(publisher.region, p.extent + abi::slot_offset(abi::ring_count, slots - 1)), 0u);
-  EXPECT_EQ(word(subscriber.region,
-                 s.extent + abi::far_hold_offset(abi::publisher_count_max, p.index, 0)),
+  EXPECT_EQ(word(subscriber.region, s.extent + abi::link_offset(p.index) + abi::far_hold_offset(0)),
             0u);
 }
 }  // namespace

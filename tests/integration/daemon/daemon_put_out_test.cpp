@@ -56,7 +56,7 @@ TEST(DaemonRevoke, RevokesAStoppedProcessBeforeDeadPublishersLockTheTopic) {
   ASSERT_EQ(stopped.command('t'), '-');
   ASSERT_EQ(::kill(stopped.pid(), SIGSTOP), 0);
   constexpr int lives = 300;
-  static_assert(lives > abi::publisher_count_max);
+  static_assert(lives > abi::link_block_count, "more than the places for publishers");
   for (int life = 0; life < lives; ++life) {
     const auto publisher = next_of(publisher_child, daemon.socket_path(), 'p');
     ASSERT_TRUE(living.wait_for([&] { return living.link_count() == 1; }));

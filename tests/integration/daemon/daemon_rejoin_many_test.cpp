@@ -18,7 +18,7 @@ namespace {
 using wire::Kind;
 using wire::Opcode;
 
-constexpr std::size_t publisher_count = 28;
+constexpr std::size_t publisher_count = 11;
 constexpr std::size_t peer_count = publisher_count * abi::subscription_count_max;
 static_assert(peer_count > daemon::Session::queue_count_max + 4096, "and what the socket takes");
 
@@ -29,7 +29,7 @@ void read_all(RawNode& node) {
   }
 }
 
-/// 28 publishers of one topic, and as many subscriptions as a topic can have.
+/// 11 publishers of one topic, and as many subscriptions as a topic can have.
 void fill_one_topic(RawNode& publisher, RawNode& subscriber) {
   for (std::size_t p = 0; p < publisher_count; ++p) publisher.publisher("/wide");
   for (std::size_t s = 0; s < abi::subscription_count_max; ++s) {
@@ -93,7 +93,7 @@ TEST(DaemonRejoinMany, LivingPeersAreAnnouncedAsTheProcessReads) {
 }
 
 TEST(DaemonRejoinMany, DeadPeersAreAnnouncedAsTheProcessReads) {
-  constexpr std::size_t topics = 22, topics_of_one = 4;
+  constexpr std::size_t topics = 9, topics_of_one = 2;
   constexpr std::size_t dead_count = topics * abi::subscription_count_max;
   static_assert(dead_count > daemon::Session::queue_count_max + 500, "small packets");
   DaemonProcess daemon({.more_config = all_places, .arguments = {"--log-level", "debug"}});
@@ -144,7 +144,7 @@ bool publishes_and_ends(const DaemonProcess& daemon) {
 
 // It is stopped: packets wait for it, and still it does not keep the places of others.
 TEST(DaemonRejoinMany, AProcessThatReadsNothingIsRevokedLikeAnyOther) {
-  DaemonProcess daemon({.config = "[limits]\npublishers_per_topic = 28\n"
+  DaemonProcess daemon({.config = "[limits]\npublishers_per_topic = 11\n"
                                   "[quota]\npublishers_per_topic = \"unlimited\"\n"
                                   "subscriptions_per_topic = \"unlimited\"\n"});
   RawNode sender(daemon), many(daemon);

@@ -206,7 +206,7 @@ TEST_F(Routes, GiveDdsWritersHalfOfATopicsPlacesAndLetThemKeepThese) {
     EXPECT_TRUE(all.contains(guid));
   ASSERT_THAT(full.unbridged, SizeIs(1));
   EXPECT_EQ(full.unbridged[0].why, WhyNot::too_many);
-  EXPECT_THAT(full.unbridged[0].detail, HasSubstr("301 of 428"));
+  EXPECT_THAT(full.unbridged[0].detail, HasSubstr("301 of 429"));
   // A place that becomes free is given away.
   remotes_.erase(*all.begin());
   EXPECT_TRUE(plan().remote_publishers.contains(early.guid));

@@ -41,6 +41,7 @@ struct Made {
     for (std::uint64_t i = 0; i < 2; ++i) add_process(i);
     Topic topic;
     topic.facts.topic = 1;
+    topic.facts.link_blocks = 1;
     topic.name = "/topic";
     system.topics.emplace(1, std::move(topic));
     add_endpoint(wire::Kind::publisher, 0, 0, 11, abi::page_bytes);

@@ -210,7 +210,7 @@ TEST_F(Lifespan, OlderMessagesOfAGonePublisherKeepNothingOfIt) {
   brief.reset();
   EXPECT_TRUE(test::eventually([&] { return listener->get_linked_publisher_count() == 0; }));
   EXPECT_THAT(values_of(*listener), ElementsAre());
-  // Its place is free again: a topic has 254.
+  // Its place is free again: a topic has 256.
   for (int i = 0; i < 300; ++i) {
     const auto next = publisher(at_once);
     publish(*next, 3);

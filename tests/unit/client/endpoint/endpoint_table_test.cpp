@@ -104,11 +104,6 @@ TEST_F(EndpointTableTest, FindsEndpointsByPlaceAndGeneration) {
   EXPECT_EQ(table.departure_of(Kind::subscription, {1, 2}, 8), &subscription->departure());
   EXPECT_EQ(table.departure_of(Kind::subscription, {1, 2}, 7), nullptr);
   EXPECT_EQ(table.departure_of(Kind::region, {1, 2}, 7), nullptr);
-  EXPECT_TRUE(table.is_here(Kind::publisher, {1, 2}));
-  EXPECT_FALSE(table.is_here(Kind::publisher, {1, 3}));
-  add_subscription({1, 3}, 9);
-  EXPECT_FALSE(table.is_here(Kind::publisher, {1, 3}));
-  EXPECT_TRUE(table.is_here(Kind::subscription, {1, 3}));
   EXPECT_FALSE(table.is_linked(1, 2, 7));
   EXPECT_FALSE(table.is_attached(1, 2, 8));
 }
@@ -132,7 +127,7 @@ TEST_F(EndpointTableTest, CollectsAClosedSubscriptionWhenTheDaemonKnows) {
   EXPECT_TRUE(collect().empty()) << "the daemon does not know yet";
   gone->departure().known();
   EXPECT_EQ(collect(), (std::vector{Key{1, 0}}));
-  EXPECT_FALSE(table.is_here(Kind::subscription, {1, 0}));
+  EXPECT_EQ(table.subscription({1, 0}, 1), nullptr);
   EXPECT_EQ(table.subscriptions(), std::vector{here});
   EXPECT_TRUE(collect().empty());
   EXPECT_TRUE(unlinked.empty());

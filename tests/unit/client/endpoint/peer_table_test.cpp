@@ -30,8 +30,10 @@ struct PeerTableTest : testing::Test {
   PeerTableTest() { table.begin({self, &region, &arena, wake}); }
 
   static UniqueFd file(std::uint64_t bytes) { return make_memfd("test", bytes).value(); }
+  /// The lower end of a gap: the kernel puts further mappings at the upper end.
   static std::uint64_t free_addresses() {
-    return reinterpret_cast<std::uint64_t>(Mapping::reserve(0, peer_arena_bytes).value().base());
+    return reinterpret_cast<std::uint64_t>(
+        Mapping::reserve(0, peer_arena_bytes + (1 << 30)).value().base());
   }
   abi::wire::Announcement announcement(const PeerTable::Key& process,
                                        std::uint32_t windows = 0) const {

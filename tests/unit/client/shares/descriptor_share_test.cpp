@@ -72,15 +72,17 @@ TEST_F(Share, AlsoLimitsMappings) {
         SparseRegion::make(std::move(fd), region_bytes, Mapping::Access::read).value());
   };
   const auto can_open_one = [&](Owner owner) {
-    return peer_of(owner)->open(abi::page_bytes, abi::page_bytes, UniqueFd()).has_value();
+    UniqueFd none;
+    return peer_of(owner)->open(abi::page_bytes, abi::page_bytes, none).has_value();
   };
   Part most = mappings.take({1, false}, quarter - 2);
   ASSERT_TRUE(most);
   const auto peer = peer_of({1, false});
-  ASSERT_TRUE(peer->open(abi::page_bytes, abi::page_bytes, UniqueFd()));
-  EXPECT_TRUE(peer->open(abi::page_bytes, abi::page_bytes, UniqueFd()))
+  UniqueFd none;
+  ASSERT_TRUE(peer->open(abi::page_bytes, abi::page_bytes, none));
+  EXPECT_TRUE(peer->open(abi::page_bytes, abi::page_bytes, none))
       << "the same part needs no second mapping";
-  EXPECT_FALSE(peer->open(3 * abi::page_bytes, abi::page_bytes, UniqueFd()));
+  EXPECT_FALSE(peer->open(3 * abi::page_bytes, abi::page_bytes, none));
   EXPECT_FALSE(can_open_one({1, false}));
   EXPECT_TRUE(can_open_one({1, true})) << "the same user with this uid has no limit";
   const Part other = mappings.take({2, false}, quarter);

@@ -66,6 +66,7 @@ clients = 11
 topics = 12
 publishers_per_topic = 13
 subscriptions_per_topic = 14
+wide_topics = ["/a", "/b/c"]
 [quota]
 clients = 15
 topics = 19
@@ -106,6 +107,7 @@ publish = []
   EXPECT_EQ(config->limits.topics, 12U);
   EXPECT_EQ(config->limits.publishers_per_topic, 13U);
   EXPECT_EQ(config->limits.subscriptions_per_topic, 14U);
+  EXPECT_EQ(config->limits.wide_topics, (std::vector<std::string>{"/a", "/b/c"}));
   EXPECT_EQ(config->quota.clients, 15U);
   EXPECT_EQ(config->quota.topics, 19U);
   EXPECT_EQ(config->quota.publishers, 0U);
@@ -124,7 +126,7 @@ publish = []
   const AccessRule& first = config->access[0];
   EXPECT_EQ(first.topic, "/lidar/**");
   EXPECT_EQ(first.domain, 7U);
-  EXPECT_EQ(first.line, 35U);
+  EXPECT_EQ(first.line, 36U);
   EXPECT_THAT(first.publish->uids, ElementsAre(1000U, 0U));
   EXPECT_FALSE(first.publish->everybody);
   EXPECT_THAT(first.subscribe->gids, ElementsAre(50U, 4294967294U));
@@ -237,8 +239,8 @@ TEST(Config, MistakesAreReportedWithPositionAndRemedy) {
       {"[limits]\nslots_per_publisher = 1500\n",
        "f.toml:2:23: limits.slots_per_publisher: slots_per_publisher (1500) leaves no room for a "
        "message "
-       "of each of subscriptions_per_topic (768) beside a history of depth_max (1000); make it at "
-       "least 1803, or one of the others less"},
+       "of each of subscriptions_per_topic (2048) beside a history of depth_max (1000); make it at "
+       "least 3083, or one of the others less"},
       {"[heap]\nwindow_bytes = \"1GiB\"\narena_bytes = \"512MiB\"\n",
        "f.toml:3:15: heap.arena_bytes: arena_bytes (512MiB) is less than one window_bytes (1GiB); "
        "use one window for each process at least"},
@@ -293,6 +295,15 @@ TEST(Config, MistakesAreReportedWithPositionAndRemedy) {
        "f.toml:4:1: access.publish: never decides: line 1 has the same topics and comes first; "
        "join "
        "both rules, or put the narrower one first"},
+      {"[limits]\nwide_topics = [\"/a\", \"b\"]\n",
+       "f.toml:2:22: limits.wide_topics: \"b\": a fully qualified name starts with a slash, at "
+       "character 1; "
+       "write it as "
+       "`agnocast-ctl topic list` shows it: \"/rosout\""},
+      {"[limits]\nwide_topics = [\"/a\", \"/a\"]\n",
+       "f.toml:2:22: limits.wide_topics: \"/a\" is there twice; remove one"},
+      {"[limits]\nwide_topics = \"/a\"\n",
+       "f.toml:2:15: limits.wide_topics: a string is not allowed here; write a list of topics"},
   };
   for (const auto& row : rows) EXPECT_EQ(errors_of(row.text), row.errors);
 }
@@ -382,6 +393,7 @@ TEST(Config, PrintedConfigurationsReadBackTheSame) {
         1 + below(std::min<std::uint64_t>(
                 abi::subscription_count_max,
                 config.limits.slots_per_publisher - config.limits.depth_max - 35)));
+    if (below(2)) config.limits.wide_topics.resize(below(3));
     config.quota.publishers = below(1 << 20);
     if (below(2)) config.quota.publishers_per_topic = 1 + below(300);
     if (below(3) == 0) config.quota.subscriptions_per_topic = unlimited;

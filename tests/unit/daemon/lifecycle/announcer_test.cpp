@@ -110,7 +110,7 @@ TEST_F(AnnouncerTest, AReaderGetsTheRegionAndAllWindowsOfAPublisher) {
   const EndpointRef before = add(owner, Kind::publisher);
   add(reader, Kind::subscription);
   CreateRequest asked = core.request(Kind::subscription, "/topic");
-  asked.quota = 200;  // more than it may have of others
+  asked.quota = 600;  // more than it may have of others
   const EndpointRef subscription = core.create(reader, asked);
   const EndpointRef after = add(owner, Kind::publisher);
   constexpr WindowRecord windows[] = {{0x200000000000, 1 << 20, 0}, {0x200000200000, 2 << 20, 1}};

@@ -222,13 +222,40 @@ TEST_F(EndpointManagerTest, ReadersHaveMemoryForAllHoldsBeforeAFarPublisherIsAnn
   const std::uint64_t extent = registry.subscription(subscription.topic, subscription.index).extent;
   std::uint64_t backed = 0;
   core.channel.on_send = [&](ClientIndex to, const Outgoing&) {
-    if (to == owner && backed == 0) backed = backed_bytes(reader, extent);
+    if (to == owner && backed == 0)
+      backed = backed_bytes(reader, extent + abi::link_block_offset(0));
   };
   CreateRequest asked = core.request(Kind::publisher, "/topic");
   asked.qos.depth = abi::near_slot_count;
   const EndpointRef publisher = core.create(owner, asked);
   ASSERT_GT(record_of(publisher).slot_count, std::uint64_t{abi::near_slot_count});
-  EXPECT_GE(backed, abi::subscription_extent_bytes);
+  EXPECT_GE(backed, abi::used_link_bytes(record_of(publisher).slot_count));
+  EXPECT_GT(backed, abi::link_part_bytes);
+}
+
+TEST_F(EndpointManagerTest, AReaderHasMemoryForTheLinkBlocksWithPublishersAlone) {
+  manager.use_wide_topics({"/wide"});
+  const ClientIndex owner = core.process(1), reader = core.process(2);
+  const auto backed = [&](const EndpointRef& subscription, std::uint64_t block) {
+    const std::uint64_t extent =
+        registry.subscription(subscription.topic, subscription.index).extent;
+    return backed_bytes(reader, extent + abi::link_block_offset(block * abi::link_block_count));
+  };
+  const EndpointRef earlier = add(reader, Kind::subscription, "/wide");
+  EXPECT_EQ(registry.topic(earlier.topic).link_blocks, abi::link_block_max);
+  EXPECT_EQ(backed(earlier, 0), 0u);
+  for (std::uint32_t i = 0; i < abi::link_block_count; ++i) add(owner, Kind::publisher, "/wide");
+  EXPECT_EQ(backed(earlier, 0), abi::link_part_bytes);
+  EXPECT_EQ(backed(earlier, 1), 0u);
+  CreateRequest deep = core.request(Kind::publisher, "/wide");
+  deep.qos.depth = abi::near_slot_count;
+  core.create(owner, deep);
+  const EndpointRef later = add(reader, Kind::subscription, "/wide");
+  for (const EndpointRef& one : {earlier, later}) {
+    EXPECT_EQ(backed(one, 0), abi::link_part_bytes);
+    EXPECT_EQ(backed(one, 1), 2 * abi::link_part_bytes);
+    EXPECT_EQ(backed(one, 2), 0u);
+  }
 }
 
 TEST_F(EndpointManagerTest, ADeepSubscriptionIsAnsweredWhenAllHaveTheMemoryThatItNeeds) {
@@ -243,14 +270,15 @@ TEST_F(EndpointManagerTest, ADeepSubscriptionIsAnsweredWhenAllHaveTheMemoryThatI
     if (one.opcode() != Opcode::endpoint_created) return;
     slot_count = record_of(publisher).slot_count;
     of_publisher = backed_bytes(owner, record_of(publisher).extent);
-    of_other = backed_bytes(reader, registry.subscription(other.topic, other.index).extent);
-    of_deep = backed_bytes(deep, one.body<wire::EndpointCreated>().extent);
+    const auto links = abi::link_block_offset(0);
+    of_other = backed_bytes(reader, registry.subscription(other.topic, other.index).extent + links);
+    of_deep = backed_bytes(deep, one.body<wire::EndpointCreated>().extent + links);
   };
   core.create(deep, asked);
   EXPECT_GT(slot_count, std::uint64_t{abi::near_slot_count});
   EXPECT_GE(of_publisher, abi::slot_offset(abi::ring_count, slot_count));
-  EXPECT_GE(of_other, abi::subscription_extent_bytes);
-  EXPECT_GE(of_deep, abi::subscription_extent_bytes);
+  EXPECT_GE(of_other, abi::used_link_bytes(slot_count));
+  EXPECT_GE(of_deep, abi::used_link_bytes(slot_count));
 }
 
 TEST_F(EndpointManagerTest, OnlyHoldsOfOtherUsersMessagesComeFromThePool) {

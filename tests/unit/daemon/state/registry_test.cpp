@@ -53,11 +53,12 @@ TEST_F(RegistryTest, KeepsExtentsApart) {
   const auto s = subscription(a, t);
   const auto q = publisher(a, t);
   EXPECT_EQ(s.extent, p.extent + abi::publisher_extent_bytes);
-  EXPECT_EQ(q.extent, s.extent + abi::subscription_extent_bytes);
+  EXPECT_EQ(q.extent, s.extent + abi::subscription_extent_bytes(1));
   registry.change_subscription(t, s.index, EndpointState::over);
   registry.free_subscription(t, s.index);
-  EXPECT_EQ(publisher(a, t).extent, q.extent + abi::publisher_extent_bytes)
-      << "a publisher does not fit into a subscription's extent";
+  const TopicIndex wide = registry.add_topic({0, "/wide", "T", 5, abi::link_block_max}).value();
+  EXPECT_EQ(subscription(a, wide).extent, q.extent + abi::publisher_extent_bytes)
+      << "it does not fit into the extent of the other one";
   EXPECT_EQ(subscription(a, t).extent, s.extent);
 }
 
@@ -70,11 +71,22 @@ TEST_F(RegistryTest, RaisesSlotsBeforeADeepSubscriptionJoins) {
   const auto plan = registry.plan_subscription(a, t, qos, {100, 1}).value();
   ASSERT_EQ(plan.raises.size(), 1u);
   EXPECT_EQ(plan.raises[0].slot_count, 640u);  // 500 + 100 + 34, whole words
+  for (int i = 0; i < 3; ++i) publisher(a, t, 1);
+  EXPECT_EQ(registry.plan_subscription(a, t, qos, {100, 1}).value().raises.size(), 4u)
+      << "they need the same";
+  const ClientIndex of_another = client(7);
+  publisher(of_another, t, 1);
+  const auto raises = registry.plan_subscription(a, t, qos, {100, 1}).value().raises;
+  EXPECT_EQ(raises.back().slot_count, 576u);  // 500 + 1 + 34, whole words
+  abi::Qos ignoring = qos;
+  ignoring.ignore_local = true;
+  EXPECT_EQ(registry.plan_subscription(a, t, ignoring, {100, 1}).value().raises.size(), 1u)
+      << "of other processes only";
   registry.raise_slots(t, plan.raises[0]);
   EXPECT_EQ(
       board_word(t, abi::publisher_entry_offset(0) + offsetof(abi::PublisherEntry, slot_count)),
       640u);
-  EXPECT_TRUE(registry.uses_far_slots(t));
+  EXPECT_EQ(registry.slots_by_link_block(t)[0], 640u);
   registry.add_subscription(a, t, qos, {100, 1}, 0, plan, "node");
   EXPECT_EQ(publisher(a, t, 1).slot_count, 640u);
 }
@@ -176,15 +188,41 @@ TEST_F(RegistryTest, KeepsDomainsApart) {
 
 TEST_F(RegistryTest, ReportsAFullTable) {
   const ClientIndex a = client();
-  const TopicIndex t = topic();
-  for (std::uint32_t i = 0; i < abi::publisher_count_max; ++i) publisher(a, t);
-  const auto full = registry.plan_publisher(a, t, {1, false, true, false, false});
-  ASSERT_FALSE(full);
-  EXPECT_EQ(full.error().code, Errc::limit_reached);
+  const auto refusal = [&](TopicIndex at) {
+    const auto full = registry.plan_publisher(a, at, {1, false, true, false, false});
+    EXPECT_EQ(full.error().code, Errc::limit_reached);
+    return std::string(detail_of(full.error()));
+  };
+  const TopicIndex narrow = topic();
+  for (std::uint32_t i = 0; i < abi::link_block_count; ++i) publisher(a, narrow);
+  EXPECT_EQ(refusal(narrow),
+            "the topic has 256 publishers, as many as one that began without being in [limits] "
+            "wide_topics may have");
+  const TopicIndex wide = registry.add_topic({0, "/wide", "T", 5, abi::link_block_max}).value();
+  for (std::uint32_t i = 0; i < abi::publisher_count_max; ++i) publisher(a, wide);
+  EXPECT_EQ(refusal(wide), "[limits] publishers_per_topic is 2048, as many are there");
   for (std::uint32_t i = 1; i < abi::client_count_max; ++i) client();
   const auto no_client = registry.add_client({0, 0, 0, 0, ""});
   ASSERT_FALSE(no_client);
   EXPECT_EQ(no_client.error().code, Errc::limit_reached);
+}
+
+TEST_F(RegistryTest, ASubscriptionOfAWideTopicHasAllLinkBlocks) {
+  const ClientIndex a = client();
+  const TopicIndex wide = registry.add_topic({0, "/wide", "T", 5, abi::link_block_max}).value();
+  const auto s = subscription(a, wide);
+  const auto next = subscription(a, wide);
+  EXPECT_EQ(next.extent, s.extent + abi::subscription_extent_bytes(abi::link_block_max));
+  for (std::uint32_t i = 0; i <= abi::link_block_count; ++i) publisher(a, wide, 1);
+  publisher(a, wide, 1000);
+  const LinkBlocks slots = registry.slots_by_link_block(wide);
+  EXPECT_EQ(slots[0], abi::near_slot_count);
+  EXPECT_GT(slots[1], 1000u);
+  EXPECT_EQ(slots[2], 0u);
+  Registry later(memory.parts());
+  ASSERT_TRUE(later.open());
+  EXPECT_EQ(later.topic(wide).link_blocks, abi::link_block_max);
+  EXPECT_EQ(later.slots_by_link_block(wide), slots);
 }
 
 TEST_F(RegistryTest, IsFoundAgainAfterARestart) {
@@ -270,11 +308,14 @@ TEST_F(RegistryTest, RefusesDamageAndDescribesIt) {
   refused_with([&] { tables.header.client_high = abi::client_count_max + 1; }, "out of range");
   refused_with([&] { tables.client[0].window_count = 99; }, "windows of a process");
   refused_with([&] { tables.client[0].state = static_cast<ClientState>(9); }, "state of a process");
-  refused_with([&] { tables.publisher[0][0].extent = Registry::client_region_bytes; },
-               "a publisher");
+  refused_with([&] { tables.publisher[0][0].extent = abi::client_region_bytes; }, "a publisher");
   refused_with([&] { tables.publisher[0][0].client = ClientIndex{77}; }, "a publisher");
   refused_with([&] { tables.publisher[0][0].state = EndpointState::free; }, "a publisher");
   refused_with([&] { tables.topic[0].subscriptions[3] = 1; }, "places of a topic");
+  refused_with([&] { tables.topic[0].link_blocks = 0; }, "link blocks of a topic");
+  refused_with([&] { tables.topic[0].link_blocks = 9; }, "link blocks of a topic");
+  refused_with([&] { tables.topic[0].publisher_high = abi::link_block_count + 1; },
+               "link blocks of a topic");
   refused_with([&] { log_word(16).store(2); }, "are of different incarnations");
 }
 
@@ -322,7 +363,7 @@ TEST_F(RegistryTest, ReturnsTheMemoryOfFreePlaces) {
   const std::uint64_t before = pages_of(memory.parts());
   for (const TopicIndex at : topics) {
     while (registry.topic(at).subscription_high < abi::subscription_count_max) subscription(a, at);
-    while (registry.topic(at).publisher_high < abi::publisher_count_max) publisher(a, at);
+    while (registry.topic(at).publisher_high < abi::link_block_count) publisher(a, at);
   }
   const std::uint64_t full = pages_of(memory.parts());
   EXPECT_GT(full, before + 300);
@@ -338,8 +379,8 @@ TEST_F(RegistryTest, ReturnsTheMemoryOfFreePlaces) {
   };
   // The first topic keeps its first and last places: the memory between them is returned too.
   const auto is_kept = [&](const EndpointRef& ref) {
-    const std::uint32_t last = ref.kind == Kind::publisher ? abi::publisher_count_max - 1
-                                                           : abi::subscription_count_max - 1;
+    const std::uint32_t last =
+        ref.kind == Kind::publisher ? abi::link_block_count - 1 : abi::subscription_count_max - 1;
     return ref.topic == topics[0] && (ref.index == 0 || ref.index == last);
   };
   for (const EndpointRef& ref : std::vector(registry.endpoints_of(a))) {
