@@ -79,6 +79,7 @@ EndpointInfo info_of(const region::GraphFacts& facts) {
 GraphSnapshot read(const GraphTable& table) {
   GraphSnapshot snapshot;
   snapshot.incarnation = table.incarnation();
+  snapshot.missing = table.missing_count();
   const std::uint64_t count = table.entry_count();
   for (std::uint64_t i = 0; i < count; ++i) {
     if (const auto facts = region::load_entry(table.entry(i)))

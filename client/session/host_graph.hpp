@@ -47,6 +47,10 @@ class GraphTable {
     return std::min<std::uint64_t>(header().entry_high.load(std::memory_order_acquire),
                                    abi::graph_entry_max);
   }
+  /// Returns how many endpoints have no entry.
+  std::uint64_t missing_count() const noexcept {
+    return header().missing.load(std::memory_order_relaxed);
+  }
   const abi::GraphEntry& entry(std::uint64_t index) const noexcept {
     return *reinterpret_cast<const abi::GraphEntry*>(mapping_.base() +
                                                      abi::graph_entry_offset(index));

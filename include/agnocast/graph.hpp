@@ -43,6 +43,7 @@ struct GraphSnapshot {
   std::uint64_t incarnation =
       0;  ///< of the daemon's tables; if it differs, earlier snapshots are void
   std::vector<EndpointInfo> endpoints;  ///< by topic, publishers before subscriptions
+  std::uint64_t missing = 0;            ///< endpoints that agnocastd had no room for, or no memory
 };
 
 /// One thread at a time, except for interrupt().

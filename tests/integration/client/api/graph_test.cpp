@@ -116,6 +116,7 @@ TEST_F(GraphTest, ReportsHowEveryEndpointWasCreated) {
   EXPECT_EQ(second.generation, subscription.generation);
   EXPECT_NE(second.client, first.client);
   EXPECT_EQ(now.incarnation, test::wire_dump(daemon->socket_path()).incarnation);
+  EXPECT_EQ(now.missing, 0u);
 }
 
 TEST_F(GraphTest, ReportsAgainWhenAnEndpointComesLeavesOrDies) {
