@@ -151,8 +151,8 @@ TEST(Systemd, LosesNoMessageOfTwoUsersOverDeathsAndRestartsUnderTraffic) {
       ASSERT_TRUE(systemctl("restart"));
     }
     // Requested while no daemon runs, or while all processes rejoin.
-    EXPECT_EQ(stream.publisher.ask("create /more"), "ok");
-    EXPECT_EQ(stream.subscriber.ask("create /more"), "ok");
+    EXPECT_TRUE(creates_more(stream.publisher));
+    EXPECT_TRUE(creates_more(stream.subscriber));
     ASSERT_TRUE(soon([&] { return is_next(old); })) << output_of("systemctl status agnocastd");
     EXPECT_TRUE(stream.goes_on());
     EXPECT_EQ(wire_dump(socket_path).incarnation, incarnation);
@@ -188,8 +188,8 @@ TEST(Systemd, TwoUsersRejoinAfterAStopAndStartUnderTraffic) {
       const WireDump all = wire_dump(socket_path);
       return all.processes.size() == 2 && all.endpoints.size() == 2;
     })) << "both processes joined again by themselves";
-    EXPECT_EQ(stream.subscriber.ask("create /more"), "ok");
-    EXPECT_EQ(stream.publisher.ask("create /more"), "ok");
+    EXPECT_TRUE(creates_more(stream.subscriber));
+    EXPECT_TRUE(creates_more(stream.publisher));
     EXPECT_TRUE(stream.goes_on());
   }
   ASSERT_NO_FATAL_FAILURE(stream.end());
@@ -204,9 +204,9 @@ TEST(Systemd, NodesThatComeFirstStartTheDaemonAndAreServedWhenItIsUp) {
   EXPECT_EQ(property("ActiveState"), "inactive");
   const DropIn late("ExecStartPre=/bin/sleep 2");
   UserNode subscriber(one), publisher(two);
-  EXPECT_EQ(subscriber.ask("subscribe /first"), "ok");
+  EXPECT_TRUE(creates(subscriber, "subscribe /first"));
   EXPECT_EQ(property("ActiveState"), "active");
-  EXPECT_EQ(publisher.ask("publish /first"), "ok");
+  EXPECT_TRUE(creates(publisher, "publish /first"));
   EXPECT_TRUE(soon([&] { return subscriber.state().received >= 50; }));
 }
 
@@ -251,8 +251,8 @@ TEST(Systemd, ARestartOfTheSocketIsARestartOfTheDaemonUnderTraffic) {
     const pid_t old = main_pid();
     ASSERT_TRUE(systemctl("restart", "agnocastd.socket"));
     ASSERT_TRUE(soon([&] { return is_next(old); }));
-    EXPECT_EQ(stream.publisher.ask("create /more"), "ok");
-    EXPECT_EQ(stream.subscriber.ask("create /more"), "ok");
+    EXPECT_TRUE(creates_more(stream.publisher));
+    EXPECT_TRUE(creates_more(stream.subscriber));
     EXPECT_EQ(wire_dump(socket_path).incarnation, incarnation);
     EXPECT_FALSE(std::filesystem::is_empty("/run/agnocast/agnocastd.sock.bells"));
   }
@@ -286,8 +286,8 @@ TEST(Systemd, ADaemonThatListenedByItselfGoesOnWithTheUnitOfASocketUnderTraffic)
   EXPECT_TRUE(socket_listens());
   EXPECT_EQ(wire_dump(socket_path).incarnation, incarnation);
   EXPECT_TRUE(soon([&] { return property("NFileDescriptorStore") == std::to_string(kept - 1); }));
-  EXPECT_EQ(stream.publisher.ask("create /more"), "ok");
-  EXPECT_EQ(stream.subscriber.ask("create /more"), "ok");
+  EXPECT_TRUE(creates_more(stream.publisher));
+  EXPECT_TRUE(creates_more(stream.subscriber));
   ASSERT_NO_FATAL_FAILURE(stream.end());
 }
 
@@ -321,7 +321,7 @@ TEST(Systemd, ConnectionsDoNotRestartADyingDaemonFasterThanItsUnitAllows) {
   }
   ASSERT_TRUE(systemctl("restart"));
   ASSERT_TRUE(soon([&] { return is_next(old); }));
-  EXPECT_EQ(node.ask("create /more"), "ok");
+  EXPECT_TRUE(creates_more(node));
 }
 
 // A socket unit has limits of its own, after which it would be closed.
@@ -348,7 +348,7 @@ TEST(Systemd, DiesAndFailsToStartAgainAndAgainUnderTrafficAndTheSocketStays) {
   }
   EXPECT_TRUE(soon([] { return property("SubState") == "running"; }));
   EXPECT_TRUE(socket_listens());
-  EXPECT_EQ(stream.publisher.ask("create /more"), "ok");
+  EXPECT_TRUE(creates_more(stream.publisher));
   EXPECT_EQ(wire_dump(socket_path).incarnation, incarnation);
   ASSERT_NO_FATAL_FAILURE(stream.end());
 }
@@ -375,7 +375,7 @@ TEST(Systemd, ADaemonThatHangsIsEndedAndGoesOnUnderTrafficAndOneThatIsIdleIsNot)
     ASSERT_EQ(send(old, SIGSTOP), 0);
     ASSERT_TRUE(soon([&] { return is_next(old); })) << output_of("systemctl status agnocastd");
     EXPECT_TRUE(stream.goes_on());
-    EXPECT_EQ(stream.publisher.ask("create /more"), "ok");
+    EXPECT_TRUE(creates_more(stream.publisher));
     EXPECT_EQ(wire_dump(socket_path).incarnation, incarnation);
   }
   ASSERT_NO_FATAL_FAILURE(stream.end());

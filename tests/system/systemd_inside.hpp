@@ -159,6 +159,20 @@ inline pid_t pid_in(const WireDump& all, const char* user) {
   return 0;
 }
 
+/// Creates an endpoint, again while the daemon has not answered within five seconds: load alone may
+/// delay it for so long. No other refusal is accepted.
+inline bool creates(UserNode& node, const std::string& line) {
+  return soon([&] {
+    const auto began = std::chrono::steady_clock::now();
+    const std::string answer = node.ask(line);
+    const bool is_late = answer.find("agnocastd does not answer") != std::string::npos &&
+                         std::chrono::steady_clock::now() - began >= std::chrono::seconds(5);
+    EXPECT_TRUE(answer == "ok" || is_late) << answer;
+    return !is_late;
+  });
+}
+inline bool creates_more(UserNode& node) { return creates(node, "create /more"); }
+
 /// A stream from one user to another, until the end.
 struct Stream {
   UserNode subscriber{one}, publisher{two};
