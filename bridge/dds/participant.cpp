@@ -303,19 +303,30 @@ DdsResult<Endpoint> make_endpoint(const DdsParticipantState& state, const std::s
 
 std::string DdsFailure::text() const { return std::string(what) + ": " + dds_strretcode(code); }
 
-DdsResult<void> check_dds_configuration(std::uint32_t domain) {
+std::string fault_in_dds_configuration(std::uint32_t domain) {
   const char* const uri = std::getenv("CYCLONEDDS_URI");
   if (uri == nullptr || *uri == '\0') return {};
+  std::string said;
+  dds_set_log_sink(
+      [](void* to, const dds_log_data_t* data) {
+        if ((data->priority & (DDS_LC_ERROR | DDS_LC_FATAL)) == 0) return;
+        std::string line(data->message, data->size);
+        while (!line.empty() && (line.back() == '\n' || line.back() == '\0')) line.pop_back();
+        std::replace(line.begin(), line.end(), '\n', ' ');
+        static_cast<std::string*>(to)->append(": ").append(line);
+      },
+      &said);
   // Without multicast each process of a domain has an index, and Cyclone DDS has few: that all are
-  // in use is no fault of the configuration. Later parts of the list override earlier ones.
+  // in use is no fault of the configuration. Later parts of the list override earlier ones. Where
+  // multicast is wanted and an interface has none, Cyclone DDS takes an index all the same.
   const std::string anywhere =
       std::string(uri) +
-      ",<CycloneDDS><Domain><Discovery><ParticipantIndex>none</ParticipantIndex>"
-      "</Discovery></Domain></CycloneDDS>";
+      ",<CycloneDDS><Domain><General><AllowMulticast>false</AllowMulticast></General>"
+      "<Discovery><ParticipantIndex>none</ParticipantIndex></Discovery></Domain></CycloneDDS>";
   const dds_entity_t made = dds_create_domain(domain, anywhere.c_str());
-  if (made < 0) return refused(made, "CYCLONEDDS_URI");
-  dds_delete(made);
-  return {};
+  if (made >= 0) dds_delete(made);
+  dds_set_log_sink(nullptr, nullptr);
+  return made >= 0 ? "" : DdsFailure{made, "CYCLONEDDS_URI"}.text() + said;
 }
 
 std::size_t GuidHash::operator()(const Guid& guid) const noexcept {

@@ -88,9 +88,9 @@ enum class WriteOutcome : std::uint8_t {
   refused,      ///< `fill` refused, or there was no memory for the sample
 };
 
-/// Checks whether Cyclone DDS accepts CYCLONEDDS_URI. Announces nothing; Cyclone prints errors to
-/// stderr.
-[[nodiscard]] DdsResult<void> check_dds_configuration(std::uint32_t domain);
+/// Checks whether Cyclone DDS accepts CYCLONEDDS_URI. Announces nothing. Returns what is wrong, in
+/// one line, with Cyclone's own words; empty: nothing. One thread at a time.
+[[nodiscard]] std::string fault_in_dds_configuration(std::uint32_t domain);
 
 class DdsParticipantState;
 

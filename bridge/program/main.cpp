@@ -229,8 +229,8 @@ int run(const Options& options) {
   if (!limited)
     return complain(limited.error().variable + ": " + limited.error().what, limited.error().remedy);
   if (options.check_config) {
-    const auto checked = check_dds_configuration(config->bridge.domain);
-    return checked ? 0 : complain(checked.error().text(), "correct it, or: unset CYCLONEDDS_URI");
+    const std::string fault = fault_in_dds_configuration(config->bridge.domain);
+    return fault.empty() ? 0 : complain(fault, "correct it, or: unset CYCLONEDDS_URI");
   }
   const std::string domain = std::to_string(config->bridge.domain);
   // The library takes the socket and the domain from the environment.
