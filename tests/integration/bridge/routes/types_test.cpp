@@ -209,7 +209,8 @@ class Types : public BridgeTest {
     }
     for (const Tried& tried : list) {
       ASSERT_TRUE(other_.eventually([&] {
-        return tried.reader->matched() == 1 && tried.writer->matched() == 1;
+        return tried.reader->matched() == 1 && tried.writer->matched() == 1 &&
+               tried.publisher->get_linked_subscription_count() == 1;
       })) << tried.name;
     }
     for (Tried& tried : list) {
