@@ -25,13 +25,26 @@ std::string line_of(const Topic& topic, const Arguments& arguments, bool with_ty
   return text;
 }
 
-Object summary_of(const Topic& topic) {
+/// How many publishers and subscriptions a topic may have.
+struct Room {
+  std::uint64_t publishers, subscriptions;
+};
+Room room_of(const System& system, const Topic& topic) {
+  const auto& limits = system.daemon.limits;
+  const std::uint64_t links = topic.facts.link_blocks * abi::link_block_count;
+  return {std::min(links, limits.publishers_per_topic), limits.subscriptions_per_topic};
+}
+
+Object summary_of(const System& system, const Topic& topic) {
+  const Room room = room_of(system, topic);
   return {{"name", topic.name},
           {"type", topic.type},
           {"domain", topic.facts.domain},
           {"layout_hash", hexadecimal(topic.facts.layout_hash)},
           {"publisher_count", active_count(topic.publishers)},
-          {"subscription_count", active_count(topic.subscriptions)}};
+          {"publisher_count_max", room.publishers},
+          {"subscription_count", active_count(topic.subscriptions)},
+          {"subscription_count_max", room.subscriptions}};
 }
 
 void list_both_sides(const std::vector<const Topic*>& topics, const Arguments& arguments,
@@ -285,7 +298,7 @@ Outcome<void> list_topics(const Arguments& arguments, Console& console) {
     std::erase_if(topics, [](const Topic* t) { return is_hidden(t->name); });
   if (arguments.json != Json::no) {
     Object list = Object::array();
-    for (const Topic* topic : topics) list.push_back(summary_of(*topic));
+    for (const Topic* topic : topics) list.push_back(summary_of(look->system, *topic));
     console.object(
         {{"schema", "agnocast.topic-list/1"}, {"topic_count", topics.size()}, {"topics", list}},
         arguments.json);
@@ -309,7 +322,12 @@ Outcome<void> show_topic(const Arguments& arguments, Console& console) {
                       std::pair("Subscription count", &(*topic)->subscriptions)};
   if (arguments.json == Json::no) {
     console.line("Type: " + escaped((*topic)->type));
-    if (arguments.has(options::verbose)) console.line("");
+    if (arguments.has(options::verbose)) {
+      const Room room = room_of(look->system, **topic);
+      console.line("Room: " + counted(room.publishers, "publisher") + ", " +
+                   counted(room.subscriptions, "subscription"));
+      console.line("");
+    }
     for (const auto& [heading, endpoints] : sides)
       print_side(look->system, **topic, heading, *endpoints, arguments.has(options::verbose),
                  console);
@@ -323,7 +341,7 @@ Outcome<void> show_topic(const Arguments& arguments, Console& console) {
 }
 
 Object topic_object(const System& system, const Topic& topic) {
-  Object object = summary_of(topic);
+  Object object = summary_of(system, topic);
   object["publishers"] = Object::array();
   object["subscriptions"] = Object::array();
   for (const Endpoint& publisher : topic.publishers)

@@ -144,7 +144,8 @@ TEST(Ctl, ShowsATopicAsRos2DoesAndItsCost) {
   info = run_ctl(daemon.socket_path(), {"topic", "info", "points", "--verbose"});
   const std::string gid = without_gids(info.out);
   EXPECT_EQ(gid,
-            "Type: test/msg/Type\n\nPublisher count: 1\n\n"
+            "Type: test/msg/Type\nRoom: 256 publishers, 2048 subscriptions\n\n"
+            "Publisher count: 1\n\n"
             "Node name: talker\nNode namespace: /ns\nTopic type: test/msg/Type\n"
             "Endpoint type: PUBLISHER\nGID: X\nQoS profile:\n  Reliability: RELIABLE\n"
             "  History (Depth): KEEP_LAST (7)\n  Durability: TRANSIENT_LOCAL\n"
