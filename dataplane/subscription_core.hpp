@@ -200,6 +200,13 @@ class LinkCore {
         std::max(cursor_, region::minus_at_least(end, abi::window_of(self_.requested), 0));
     return end > from ? end - from : 0;
   }
+  /// Returns the number of messages that came and were neither taken nor counted as lost: more than
+  /// unread() when some of them are beyond the window.
+  std::uint64_t pending() noexcept {
+    const std::uint64_t end = abi::sequence_of(newest()) + 1;
+    pass_over_history(end - 1);
+    return end > cursor_ ? end - cursor_ : 0;
+  }
   /// Returns the stamp of the message that take() would try next, if there is one. Orders the
   /// links of a subscription; a hint, unvalidated.
   std::optional<std::uint64_t> next_stamp() const noexcept { return next_stamp(newest()); }

@@ -321,6 +321,7 @@ SubscriptionEndpoint::Attempt SubscriptionEndpoint::take_from(const std::shared_
     place->taken = *taken;
     place->link = link;
     receiver.took();
+    ++taken_;
     attempt = Attempt::taken;
   } while (--most != 0 && link->core_.has_news(link->head_) && can_take(*link));
   return attempt;
@@ -562,6 +563,27 @@ bool SubscriptionEndpoint::has_news_in_order() const noexcept {
         return true;
     }
     return false;
+  });
+}
+
+detail::ArrivedCounts SubscriptionEndpoint::arrived() const noexcept {
+  if (!is_served()) return {};
+  const std::lock_guard lock(mutex_);
+  return with_successors_locked([this] {
+    detail::ArrivedCounts sum;
+    for (std::size_t age = 0; age <= successors_.size(); ++age) {
+      const SubscriptionEndpoint& of = in_age(age);
+      sum.received += of.taken_ + of.lost_before_;
+      for (const auto& link : of.links_) {
+        sum.received += link->core_.lost();
+        if (!of.may_take() || is_held_back(*link, age) || !of.can_take(*link)) continue;
+        sum.received += link->core_.pending();
+        sum.unread += link->core_.unread();
+      }
+    }
+    if (!self_.qos.keep_all && !self_.depth_per_publisher)
+      sum.unread = std::min<std::uint64_t>(sum.unread, self_.qos.depth);
+    return sum;
   });
 }
 

@@ -14,6 +14,7 @@
 // what was linked and unlinked last: linking a generation again would deliver its messages twice.
 #pragma once
 
+#include <agnocast/events.hpp>
 #include <agnocast/ipc_shared_ptr.hpp>
 #include <agnocast/result.hpp>
 #include <base/clock.hpp>
@@ -269,6 +270,8 @@ class SubscriptionEndpoint {
   void close() noexcept;
   /// Returns whether there is anything to take. For the check between arming and sleeping.
   bool has_news() const noexcept;
+  /// Looks at each link.
+  detail::ArrivedCounts arrived() const noexcept;
   /// Counts missed deadlines up to now, and publishers that are alive.
   void look_at_times() noexcept {
     if (is_forked_child()) return;
@@ -371,7 +374,8 @@ class SubscriptionEndpoint {
   std::shared_ptr<WaitSet> wait_set_;
   mutable std::mutex mutex_;
   std::vector<std::shared_ptr<Link>> links_;
-  std::vector<Book> books_;             // by publisher index, as far as one was announced
+  std::vector<Book> books_;  // by publisher index, as far as one was announced
+  std::uint64_t taken_ = 0;
   std::uint64_t lost_before_ = 0;       // of links that are over
   bool may_expire_ = false;             // messages of some publisher
   std::uint64_t newest_before_ns_ = 0;  // stamp of their newest message

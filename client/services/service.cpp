@@ -362,6 +362,11 @@ bool UntypedService::has_unread() const noexcept {
   return requests != nullptr && requests->has_unread();
 }
 
+ArrivedCounts UntypedService::arrived() const noexcept {
+  const auto requests = core_->requests();
+  return requests != nullptr ? requests->arrived() : ArrivedCounts{};
+}
+
 LenderId UntypedService::lender_of(const ServiceCore& core) noexcept { return core.lender(); }
 
 const std::string& UntypedService::service() const noexcept { return core_->service().topic; }

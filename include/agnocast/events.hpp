@@ -156,4 +156,13 @@ class EventOptions {
 };
 
 }  // namespace detail
+namespace detail {
+
+/// See SubscriptionBase::get_received_count(), get_unread_count().
+struct ArrivedCounts {
+  std::uint64_t received = 0, unread = 0;
+};
+
+}  // namespace detail
+
 }  // namespace agnocast

@@ -59,6 +59,11 @@ class WideTopic : public test::SuiteDaemon {
     std::sort(values.begin(), values.end());
     return values;
   }
+  /// Returns how many publishers the topic may have, as agnocast-ctl says.
+  static std::uint64_t room_of(const std::string& topic) {
+    const auto info = test::run_ctl(daemon->socket_path(), {"topic", "info", topic, "-j"});
+    return info.json().value("publisher_count_max", std::uint64_t{0});
+  }
   void expect_intact() const {
     const test::CtlResult verify = test::run_ctl(daemon->socket_path(), {"verify"});
     EXPECT_EQ(verify.status, 0) << verify.out << verify.err;
@@ -75,8 +80,11 @@ TEST_F(WideTopic, ServesPublishersOfEveryLinkBlock) {
   std::vector<std::uint64_t> all(publisher_count);
   std::iota(all.begin(), all.end(), 0);
   EXPECT_EQ(earlier->get_publisher_count(), publisher_count);
+  EXPECT_EQ(room_of("/wide"), std::uint64_t{abi::publisher_count_max});
   publish();
+  EXPECT_TRUE(eventually([&] { return earlier->get_unread_count() == publisher_count; }));
   EXPECT_EQ(taken(*earlier), all);
+  EXPECT_EQ(earlier->get_unread_count(), 0u);
   EXPECT_EQ(taken(*later), all);
   for (const auto& one : publishers)
     ASSERT_TRUE(eventually([&] { return one->get_linked_subscription_count() == 3; }));
@@ -101,6 +109,7 @@ TEST_F(WideTopic, ServesPublishersOfEveryLinkBlock) {
 
 TEST_F(WideTopic, AnotherTopicRefusesTheFirstPublisherBeyondOneBlock) {
   while (publishers.size() < abi::link_block_count) publishers.push_back(publisher("/narrow"));
+  EXPECT_EQ(room_of("/narrow"), std::uint64_t{abi::link_block_count});
   const auto refused = try_create_publisher<Number>(PlainNode{}, "/narrow", QoS(1));
   ASSERT_FALSE(refused);
   EXPECT_EQ(refused.error().code, Errc::limit_reached);
