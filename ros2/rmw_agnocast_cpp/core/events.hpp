@@ -10,10 +10,13 @@
 #include <agnocast/events.hpp>
 #include <agnocast/publisher.hpp>
 #include <agnocast/subscription.hpp>
-#include <ros2/rmw_agnocast_cpp/core/wait_set.hpp>
+#include <ros2/rmw_agnocast_cpp/core/listener.hpp>
 
+#include <algorithm>
+#include <array>
 #include <chrono>
 #include <cstdint>
+#include <cstdlib>
 #include <mutex>
 #include <type_traits>
 
@@ -28,21 +31,24 @@ struct MessageLostInfo {
 
 namespace detail {
 
-/// Adds what is new to what was not taken yet; returns whether anything is new.
+/// Adds what is new to what was not taken yet; returns how often it has changed.
 template <class Info>
-bool add_changes(Info& kept, const Info& now) noexcept {
+std::uint64_t add_changes(Info& kept, const Info& now) noexcept {
   const auto change = kept.total_count_change + now.total_count_change;
   kept = now;
   kept.total_count_change = change;
-  return now.total_count_change != 0;
+  return static_cast<std::uint64_t>(now.total_count_change);
 }
-inline bool add_changes(LivelinessChangedInfo& kept, const LivelinessChangedInfo& now) noexcept {
+inline std::uint64_t add_changes(LivelinessChangedInfo& kept,
+                                 const LivelinessChangedInfo& now) noexcept {
   const std::int32_t alive = kept.alive_count_change + now.alive_count_change;
   const std::int32_t not_alive = kept.not_alive_count_change + now.not_alive_count_change;
   kept = now;
   kept.alive_count_change = alive;
   kept.not_alive_count_change = not_alive;
-  return now.alive_count_change != 0 || now.not_alive_count_change != 0;
+  // A publisher that is alive no more changes both.
+  return static_cast<std::uint64_t>(
+      std::max(std::abs(now.alive_count_change), std::abs(now.not_alive_count_change)));
 }
 template <class Info>
 void take_changes(Info& kept) noexcept {
@@ -62,14 +68,19 @@ inline constexpr bool is_timed =
 
 /// One kind of event of one endpoint, which must outlive it. Any thread.
 template <class Info, class Endpoint, Info (*look)(Endpoint&, const Info& last) noexcept>
-class Event final : public Readable {
+class Event final : public Listenable {
  public:
   explicit Event(Endpoint& endpoint) noexcept : endpoint_(endpoint) {}
 
   bool is_ready() const noexcept override {
     const std::lock_guard lock(mutex_);
     gather();
-    return has_changed_;
+    return changes_.unread != 0;
+  }
+  Arrivals arrivals() const noexcept override {
+    const std::lock_guard lock(mutex_);
+    gather();
+    return changes_;
   }
   Clock::time_point look_due() const noexcept override {
     return is_timed<Info> ? endpoint_.get_event_due() : Clock::time_point::max();
@@ -78,7 +89,7 @@ class Event final : public Readable {
   Info take() noexcept {
     const std::lock_guard lock(mutex_);
     gather();
-    has_changed_ = false;
+    changes_.unread = 0;
     const Info taken = kept_;
     detail::take_changes(kept_);
     return taken;
@@ -86,13 +97,15 @@ class Event final : public Readable {
 
  private:
   void gather() const noexcept {
-    has_changed_ |= detail::add_changes(kept_, look(endpoint_, kept_));
+    const std::uint64_t changes = detail::add_changes(kept_, look(endpoint_, kept_));
+    changes_.count += changes;
+    changes_.unread += changes;
   }
 
   Endpoint& endpoint_;
   mutable std::mutex mutex_;
   mutable Info kept_{};
-  mutable bool has_changed_ = false;
+  mutable Arrivals changes_;
 };
 
 /// The events of a publisher.
@@ -107,6 +120,10 @@ class PublisherEvents {
  public:
   explicit PublisherEvents(PublisherBase& publisher) noexcept
       : deadline_missed(publisher), liveliness_lost(publisher), incompatible_qos(publisher) {}
+
+  std::array<Listenable*, 3> all() noexcept {
+    return {&deadline_missed, &liveliness_lost, &incompatible_qos};
+  }
 
   Of<DeadlineMissedInfo, &PublisherBase::get_deadline_missed_status> deadline_missed;
   Of<LivelinessLostInfo, &PublisherBase::get_liveliness_lost_status> liveliness_lost;
@@ -133,6 +150,10 @@ class SubscriptionEvents {
         liveliness_changed(subscription),
         incompatible_qos(subscription),
         message_lost(subscription) {}
+
+  std::array<Listenable*, 4> all() noexcept {
+    return {&deadline_missed, &liveliness_changed, &incompatible_qos, &message_lost};
+  }
 
   Of<DeadlineMissedInfo, &SubscriptionBase::get_deadline_missed_status> deadline_missed;
   Of<LivelinessChangedInfo, &SubscriptionBase::get_liveliness_changed_status> liveliness_changed;

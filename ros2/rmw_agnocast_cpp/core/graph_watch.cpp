@@ -2,6 +2,8 @@
 
 #include <ros2/rmw_agnocast_cpp/core/graph_watch.hpp>
 
+#include <base/signals.hpp>
+
 #include <unistd.h>
 
 #include <algorithm>
@@ -12,10 +14,10 @@
 namespace agnocast::rmw {
 
 GraphWatch::GraphWatch(std::uint64_t domain, std::function<void()> changed)
-    : domain_(domain),
-      changed_(std::move(changed)),
-      process_(::getpid()),
-      thread_([this] { run(); }) {}
+    : domain_(domain), changed_(std::move(changed)), process_(::getpid()), thread_([this] {
+        const SignalsBlocked blocked;  // the thread inherits them
+        return std::thread([this] { run(); });
+      }()) {}
 
 GraphWatch::~GraphWatch() {
   if (::getpid() != process_) {  // a forked child, where there is no such thread

@@ -90,6 +90,14 @@ bool ServiceClient::is_ready() const noexcept {
   return !inbox_->responses.empty();
 }
 
+Listenable::Arrivals ServiceClient::arrivals() const noexcept {
+  // Nothing moves from the unread ones to the inbox meanwhile.
+  const std::lock_guard polling(polling_);
+  const auto now = client_.untyped().arrived();
+  const std::lock_guard lock(inbox_->mutex);
+  return {now.received, now.unread + inbox_->responses.size()};
+}
+
 Result<std::int64_t> ServiceClient::send(const void* request) {
   {
     // Ends those whose server has gone; nobody takes for them. Before the loan: from there on this

@@ -9,10 +9,11 @@
 
 #include <agnocast/generic_service.hpp>
 #include <agnocast/result.hpp>
+#include <ros2/rmw_agnocast_cpp/core/listener.hpp>
 #include <ros2/rmw_agnocast_cpp/core/message_support.hpp>
 #include <ros2/rmw_agnocast_cpp/core/topics.hpp>
-#include <ros2/rmw_agnocast_cpp/core/wait_set.hpp>
 
+#include <array>
 #include <atomic>
 #include <cstdint>
 #include <deque>
@@ -29,7 +30,7 @@ struct ServiceSupport {
 };
 
 /// Any thread.
-class ServiceServer final : public Readable {
+class ServiceServer final : public Listenable {
  public:
   /// Errors: as of create_service. Throws std::bad_alloc.
   [[nodiscard]] static Result<std::unique_ptr<ServiceServer>> create(const NodeName& node,
@@ -38,7 +39,12 @@ class ServiceServer final : public Readable {
                                                                      const QoS& qos);
 
   bool is_ready() const noexcept override { return untyped_->has_unread(); }
+  Arrivals arrivals() const noexcept override {
+    const auto now = untyped_->arrived();
+    return {now.received, now.unread};
+  }
 
+  std::array<Listenable*, 1> listenables() noexcept { return {this}; }
   /// Takes the oldest request into the node's message. Returns false, and leaves it, if there is
   /// none. A request that leads out of its client's memory is dropped, as a message by
   /// TopicSubscription::take(). Throws std::bad_alloc.
@@ -68,7 +74,7 @@ class ServiceServer final : public Readable {
 };
 
 /// Any thread.
-class ServiceClient final : public Readable {
+class ServiceClient final : public Listenable {
  public:
   /// Errors: as of create_client. Throws std::bad_alloc.
   [[nodiscard]] static Result<std::unique_ptr<ServiceClient>> create(const NodeName& node,
@@ -77,6 +83,8 @@ class ServiceClient final : public Readable {
                                                                      const QoS& qos);
 
   bool is_ready() const noexcept override;
+  Arrivals arrivals() const noexcept override;
+  std::array<Listenable*, 1> listenables() noexcept { return {this}; }
   /// Returns whether a server is there that gets requests sent now, and can answer them.
   bool has_server() const { return client_.service_is_ready(); }
 
@@ -114,7 +122,7 @@ class ServiceClient final : public Readable {
   const ServiceSupport support_;
   Client client_;
   const std::shared_ptr<Inbox> inbox_ = std::make_shared<Inbox>();
-  std::mutex polling_;
+  mutable std::mutex polling_;
   std::atomic<std::int64_t> last_{0};
   std::atomic<std::uint64_t> dropped_{0};
 };

@@ -16,10 +16,12 @@
 #include <agnocast/qos.hpp>
 #include <agnocast/result.hpp>
 #include <ros2/rmw_agnocast_cpp/core/events.hpp>
+#include <ros2/rmw_agnocast_cpp/core/listener.hpp>
 #include <ros2/rmw_agnocast_cpp/core/message_support.hpp>
-#include <ros2/rmw_agnocast_cpp/core/wait_set.hpp>
 
+#include <array>
 #include <cstddef>
+#include <cstdint>
 #include <memory>
 #include <mutex>
 #include <span>
@@ -100,6 +102,8 @@ class TopicPublisher {
 
   GenericPublisher& endpoint() const noexcept { return *publisher_; }
   PublisherEvents& events() noexcept { return events_; }
+  /// What a Listener has to forget before this ends.
+  std::array<Listenable*, 3> listenables() noexcept { return events_.all(); }
   const MessageSupport& support() const noexcept { return support_; }
 
  private:
@@ -112,7 +116,7 @@ class TopicPublisher {
   Loans<GenericLoan> loans_;
 };
 
-class TopicSubscription final : public Readable {
+class TopicSubscription final : public Listenable {
  public:
   /// Errors: as of create_subscription. Throws std::bad_alloc.
   [[nodiscard]] static Result<std::unique_ptr<TopicSubscription>> create(
@@ -120,6 +124,10 @@ class TopicSubscription final : public Readable {
       bool ignores_local_publications);
 
   bool is_ready() const noexcept override { return subscription_->has_unread(); }
+  Arrivals arrivals() const noexcept override {
+    const std::uint64_t count = subscription_->get_received_count();
+    return {count, subscription_->get_unread_count()};  // one that comes in between is reported
+  }
 
   /// Takes the oldest message into the node's. Returns false, and leaves it, if there is none. A
   /// message that leads out of its publisher's memory is dropped, and may leave some of its members
@@ -138,6 +146,10 @@ class TopicSubscription final : public Readable {
 
   GenericSubscription& endpoint() const noexcept { return *subscription_; }
   SubscriptionEvents& events() noexcept { return events_; }
+  std::array<Listenable*, 5> listenables() noexcept {
+    const auto [a, b, c, d] = events_.all();
+    return {this, a, b, c, d};
+  }
 
  private:
   TopicSubscription(MessageSupport support, GenericSubscription::SharedPtr subscription) noexcept

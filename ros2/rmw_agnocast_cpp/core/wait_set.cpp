@@ -142,8 +142,10 @@ Result<bool> WaitSet::wait(const Conditions& conditions, const Readables& readab
   ready_conditions_.assign(conditions.size(), false);
   ready_readables_.assign(readables.size(), false);
   attach(conditions);
+  auto due = MessageWait::Clock::time_point::max();
   const auto has_any = [&]() noexcept {
-    return has_trigger() ||
+    // A period may begin while it sleeps.
+    return has_trigger() || due_of(readables) < due ||
            std::any_of(readables.begin(), readables.end(), [](const Readable* readable) {
              return readable != nullptr && readable->is_ready();
            });
@@ -154,7 +156,8 @@ Result<bool> WaitSet::wait(const Conditions& conditions, const Readables& readab
   // Another thread may take the message that ended the sleep.
   auto earliest = MessageWait::Clock::time_point::min();
   while (!found && !is_over) {
-    const auto until = std::min(end, std::max(due_of(readables), earliest));
+    due = due_of(readables);
+    const auto until = std::min(end, std::max(due, earliest));
     if (!wait_->wait_until(until, has_any))
       is_over = until == end || MessageWait::Clock::now() < until;  // a forked child never sleeps
     found = look(readables);

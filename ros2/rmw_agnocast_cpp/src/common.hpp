@@ -15,6 +15,7 @@
 #include <agnocast/error.hpp>
 #include <agnocast/result.hpp>
 #include <ros2/rmw_agnocast_cpp/core/graph_watch.hpp>
+#include <ros2/rmw_agnocast_cpp/core/listener.hpp>
 #include <ros2/rmw_agnocast_cpp/core/services.hpp>
 #include <ros2/rmw_agnocast_cpp/core/topics.hpp>
 #include <ros2/rmw_agnocast_cpp/core/wait_set.hpp>
@@ -77,6 +78,15 @@ struct NodeData {
 
 template <class Endpoint>
 struct EndpointData {
+  explicit EndpointData(Listener& of_context) noexcept : listener(of_context) {}
+  ~EndpointData() {
+    if (endpoint == nullptr) return;
+    for (Listenable* const one : endpoint->listenables()) listener.forget(*one);
+  }
+  EndpointData(const EndpointData&) = delete;
+  EndpointData& operator=(const EndpointData&) = delete;
+
+  Listener& listener;
   std::unique_ptr<Endpoint> endpoint;
   rmw_qos_profile_t qos{};
 };
@@ -91,7 +101,16 @@ Data& data_of(const Handle* handle) noexcept {
 }
 
 /// Returns what a wait set waits for; null: the event is of no type.
-const Readable* readable_of(const rmw_event_t& event) noexcept;
+Listenable* listenable_of(const rmw_event_t& event) noexcept;
+
+/// The functions "set on new …".
+inline rmw_ret_t listen(Listener& listener, Listenable& to, rmw_event_callback_t callback,
+                        const void* user_data) noexcept {
+  return guarded([&] {
+    const Result<void> set = listener.listen(to, callback, user_data);
+    return set ? rmw_ret_t{RMW_RET_OK} : refuse(set.error());
+  });
+}
 
 /// Fills in what the profile leaves to this rmw. Returns false, with the error set, if a policy is
 /// unknown.
@@ -106,6 +125,7 @@ const char* copied_text(const std::string& text) noexcept;
 /// also after rmw_shutdown().
 struct rmw_context_impl_s {
   agnocast::rmw::WaitPool pool;
+  agnocast::rmw::Listener listener{pool};
   std::atomic<bool> is_shut_down{false};
   std::mutex mutex;
   std::vector<agnocast::rmw::NodeData*> nodes;  // under the mutex

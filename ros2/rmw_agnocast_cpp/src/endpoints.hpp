@@ -47,7 +47,7 @@ Handle* make_endpoint(const rmw_node_t* node, const Support* type_support, const
   }
   Handle* handle = nullptr;
   const rmw_ret_t made = guarded([&] {
-    auto data = std::make_unique<Data>();
+    auto data = std::make_unique<Data>(node->context->impl->listener);
     if (!resolve_qos(*qos, data->qos)) return rmw_ret_t{RMW_RET_INVALID_ARGUMENT};
     handle = allocate();
     if (handle == nullptr) throw std::bad_alloc();

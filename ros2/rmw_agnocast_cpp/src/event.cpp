@@ -46,7 +46,7 @@ void write(void* to, const Info& from) noexcept {
 
 namespace agnocast::rmw {
 
-const Readable* readable_of(const rmw_event_t& handle) noexcept {
+Listenable* listenable_of(const rmw_event_t& handle) noexcept {
   switch (handle.event_type) {
     case RMW_EVENT_LIVELINESS_CHANGED:
       return &of_subscription(handle).liveliness_changed;
@@ -127,9 +127,15 @@ rmw_ret_t rmw_take_event(const rmw_event_t* event_handle, void* event_info, bool
   *taken = true;
   return RMW_RET_OK;
 }
-rmw_ret_t rmw_event_set_callback(rmw_event_t* event, rmw_event_callback_t, const void*) {
+rmw_ret_t rmw_event_set_callback(rmw_event_t* event, rmw_event_callback_t callback,
+                                 const void* user_data) {
   AGNOCAST_RMW_OURS(event);
-  return refuse(RMW_RET_UNSUPPORTED, "there are no listener callbacks yet");
+  Listenable* const to = listenable_of(*event);
+  if (to == nullptr) return refuse(RMW_RET_UNSUPPORTED, "there is no such event");
+  Listener& listener = is_of_publisher(event->event_type)
+                           ? data_of<PublisherData>(event).listener
+                           : data_of<SubscriptionData>(event).listener;
+  return listen(listener, *to, callback, user_data);
 }
 
 }  // extern "C"

@@ -136,10 +136,11 @@ rmw_ret_t rmw_service_response_publisher_get_actual_qos(const rmw_service_t* ser
 }
 
 rmw_ret_t rmw_service_set_on_new_request_callback(rmw_service_t* service,
-                                                  rmw_event_callback_t callback, const void*) {
+                                                  rmw_event_callback_t callback,
+                                                  const void* user_data) {
   AGNOCAST_RMW_OURS(service);
-  if (callback == nullptr) return RMW_RET_OK;
-  return refuse(RMW_RET_UNSUPPORTED, "there are no listener callbacks yet");
+  auto& data = data_of<ServiceData>(service);
+  return listen(data.listener, *data.endpoint, callback, user_data);
 }
 
 rmw_client_t* rmw_create_client(const rmw_node_t* node,
@@ -204,10 +205,11 @@ rmw_ret_t rmw_client_response_subscription_get_actual_qos(const rmw_client_t* cl
 }
 
 rmw_ret_t rmw_client_set_on_new_response_callback(rmw_client_t* client,
-                                                  rmw_event_callback_t callback, const void*) {
+                                                  rmw_event_callback_t callback,
+                                                  const void* user_data) {
   AGNOCAST_RMW_OURS(client);
-  if (callback == nullptr) return RMW_RET_OK;
-  return refuse(RMW_RET_UNSUPPORTED, "there are no listener callbacks yet");
+  auto& data = data_of<ClientData>(client);
+  return listen(data.listener, *data.endpoint, callback, user_data);
 }
 
 rmw_ret_t rmw_service_server_is_available(const rmw_node_t* node, const rmw_client_t* client,

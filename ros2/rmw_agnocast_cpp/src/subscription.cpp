@@ -237,10 +237,11 @@ rmw_ret_t rmw_return_loaned_message_from_subscription(const rmw_subscription_t* 
 }
 
 rmw_ret_t rmw_subscription_set_on_new_message_callback(rmw_subscription_t* subscription,
-                                                       rmw_event_callback_t callback, const void*) {
+                                                       rmw_event_callback_t callback,
+                                                       const void* user_data) {
   AGNOCAST_RMW_OURS(subscription);
-  if (callback == nullptr) return RMW_RET_OK;
-  return refuse(RMW_RET_UNSUPPORTED, "there are no listener callbacks yet");
+  auto& data = data_of<SubscriptionData>(subscription);
+  return listen(data.listener, *data.endpoint, callback, user_data);
 }
 
 rmw_ret_t rmw_subscription_get_network_flow_endpoints(const rmw_subscription_t*,

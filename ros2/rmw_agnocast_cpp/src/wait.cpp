@@ -82,7 +82,7 @@ rmw_ret_t rmw_wait(rmw_subscriptions_t* subscriptions, rmw_guard_conditions_t* g
     if (events != nullptr) {
       for (std::size_t i = 0; i < events->event_count; ++i) {
         const auto* const event = static_cast<const rmw_event_t*>(events->events[i]);
-        data.readables.push_back(event != nullptr ? readable_of(*event) : nullptr);
+        data.readables.push_back(event != nullptr ? listenable_of(*event) : nullptr);
       }
     }
     std::optional<WaitSet::Duration> timeout;

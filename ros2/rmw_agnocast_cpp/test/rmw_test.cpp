@@ -179,6 +179,40 @@ TEST_F(Rmw, AnEventOfTheOtherKindIsRefused) {
   OK(rmw_destroy_subscription(node_, reader));
 }
 
+TEST_F(Rmw, CallbacksTellWhatIsNew) {
+  rmw_subscription_t* const reader = subscription();
+  rmw_event_t event = rmw_get_zero_initialized_event();
+  OK(rmw_subscription_event_init(&event, reader, RMW_EVENT_LIVELINESS_CHANGED));
+  std::atomic<std::size_t> messages{0}, events{0};
+  const auto add = [](const void* to, std::size_t count) {
+    *static_cast<std::atomic<std::size_t>*>(const_cast<void*>(to)) += count;
+  };
+  const auto come = [](const std::atomic<std::size_t>& counted, std::size_t count) {
+    const auto end = std::chrono::steady_clock::now() + 60s;
+    while (counted < count && std::chrono::steady_clock::now() < end)
+      std::this_thread::sleep_for(1ms);
+    EXPECT_EQ(counted, count);
+  };
+  OK(rmw_event_set_callback(&event, add, &events));
+  rmw_publisher_t* const writer = publisher();
+  come(events, 1);
+  const String message;
+  OK(rmw_publish(writer, &message, nullptr));
+  OK(rmw_publish(writer, &message, nullptr));
+  OK(rmw_subscription_set_on_new_message_callback(reader, add, &messages));
+  come(messages, 2);
+  OK(rmw_publish(writer, &message, nullptr));
+  come(messages, 3);
+  OK(rmw_subscription_set_on_new_message_callback(reader, nullptr, nullptr));
+  OK(rmw_publish(writer, &message, nullptr));
+  OK(rmw_destroy_publisher(node_, writer));
+  come(events, 2);
+  EXPECT_EQ(messages, 3u);
+  // The callback of the event ends with its subscription.
+  OK(rmw_event_fini(&event));
+  OK(rmw_destroy_subscription(node_, reader));
+}
+
 TEST_F(Rmw, OpenLoansEndWithTheirEndpoints) {
   rmw_publisher_t* const writer = publisher();
   rmw_subscription_t* const reader = subscription();
