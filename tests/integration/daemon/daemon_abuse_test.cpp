@@ -179,6 +179,9 @@ TEST(DaemonProtocol, SurvivesAnyOrderOfPlausibleRequests) {
           const bool publisher = random() % 2 == 0;
           const Incoming created = publisher ? client.create_publisher(topic, qos)
                                              : client.create_subscription(topic, qos);
+          // Others have not unmapped yet what is gone: how much that is depends on who runs when.
+          if (created.opcode() == Opcode::refused && created.refused_code() == Errc::quota_exceeded)
+            break;
           ASSERT_EQ(created.opcode(), Opcode::endpoint_created) << created.refused_text();
           const auto body = created.as<wire::EndpointCreated>();
           endpoints.push_back({publisher ? Kind::publisher : Kind::subscription, body.topic,
