@@ -200,12 +200,14 @@ class LinkCore {
         std::max(cursor_, region::minus_at_least(end, abi::window_of(self_.requested), 0));
     return end > from ? end - from : 0;
   }
-  /// Returns the number of messages that came and were neither taken nor counted as lost: more than
-  /// unread() when some of them are beyond the window.
-  std::uint64_t pending() noexcept {
+  /// Returns how many messages came since the last call and are still here to be taken, also beyond
+  /// the window. `counted` is what the last call left there, 0 at first.
+  std::uint64_t count_arrivals(std::uint64_t& counted) noexcept {
     const std::uint64_t end = abi::sequence_of(newest()) + 1;
     pass_over_history(end - 1);
-    return end > cursor_ ? end - cursor_ : 0;
+    const std::uint64_t from = std::max(std::min(counted, end), cursor_);
+    counted = end;
+    return end > from ? end - from : 0;
   }
   /// Returns the stamp of the message that take() would try next, if there is one. Orders the
   /// links of a subscription; a hint, unvalidated.

@@ -7,8 +7,10 @@
 #include <dds/ddsi/ddsi_sertype.h>
 
 #include <algorithm>
+#include <cstdio>
 #include <cstdlib>
 #include <deque>
+#include <mutex>
 #include <string_view>
 #include <utility>
 
@@ -306,14 +308,21 @@ std::string DdsFailure::text() const { return std::string(what) + ": " + dds_str
 std::string fault_in_dds_configuration(std::uint32_t domain) {
   const char* const uri = std::getenv("CYCLONEDDS_URI");
   if (uri == nullptr || *uri == '\0') return {};
-  std::string said;
+  struct Said {
+    std::mutex mutex;  // Cyclone's own threads may speak as well
+    std::string text;
+  } said;
   dds_set_log_sink(
       [](void* to, const dds_log_data_t* data) {
-        if ((data->priority & (DDS_LC_ERROR | DDS_LC_FATAL)) == 0) return;
         std::string line(data->message, data->size);
         while (!line.empty() && (line.back() == '\n' || line.back() == '\0')) line.pop_back();
+        // Cyclone ends the process then.
+        if ((data->priority & DDS_LC_FATAL) != 0) std::fprintf(stderr, "%s\n", line.c_str());
+        if ((data->priority & DDS_LC_ERROR) == 0) return;
         std::replace(line.begin(), line.end(), '\n', ' ');
-        static_cast<std::string*>(to)->append(": ").append(line);
+        auto& all = *static_cast<Said*>(to);
+        const std::lock_guard lock(all.mutex);
+        all.text.append(": ").append(line);
       },
       &said);
   // Without multicast each process of a domain has an index, and Cyclone DDS has few: that all are
@@ -326,7 +335,7 @@ std::string fault_in_dds_configuration(std::uint32_t domain) {
   const dds_entity_t made = dds_create_domain(domain, anywhere.c_str());
   if (made >= 0) dds_delete(made);
   dds_set_log_sink(nullptr, nullptr);
-  return made >= 0 ? "" : DdsFailure{made, "CYCLONEDDS_URI"}.text() + said;
+  return made >= 0 ? "" : DdsFailure{made, "CYCLONEDDS_URI"}.text() + said.text;
 }
 
 std::size_t GuidHash::operator()(const Guid& guid) const noexcept {

@@ -239,8 +239,8 @@ Block* UntypedSubscription::take(std::size_t count) noexcept {
 bool UntypedSubscription::has_unread() const noexcept {
   return endpoint_ != nullptr && endpoint_->has_news();
 }
-ArrivedCounts UntypedSubscription::arrived() const noexcept {
-  return endpoint_ != nullptr ? endpoint_->arrived() : ArrivedCounts{};
+Arrivals UntypedSubscription::arrivals() noexcept {
+  return endpoint_ != nullptr ? endpoint_->arrivals() : Arrivals{};
 }
 std::uint64_t UntypedSubscription::lost() const noexcept {
   return endpoint_ != nullptr ? endpoint_->lost() : 0;

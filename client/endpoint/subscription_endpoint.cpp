@@ -231,10 +231,13 @@ bool SubscriptionEndpoint::can_take(Link& link) const noexcept {
   if (link.held_count() >= link.quota()) [[unlikely]] {
     if (!link.is_quota_reported_.exchange(true, std::memory_order_relaxed))
       events_->quota_reached();
+    link.is_refused_ = true;
     return false;
   }
-  return (!link.core_.is_awaiting_window() || link.is_orphaned_ || is_alone_ ||
-          link.peer().heap().window_count() != link.windows_seen_);
+  const bool may_try = !link.core_.is_awaiting_window() || link.is_orphaned_ || is_alone_ ||
+                       link.peer().heap().window_count() != link.windows_seen_;
+  if (!may_try) link.is_refused_ = true;
+  return may_try;
 }
 
 void SubscriptionEndpoint::look_at(Link& link) const noexcept {
@@ -312,6 +315,7 @@ SubscriptionEndpoint::Attempt SubscriptionEndpoint::take_from(const std::shared_
     const auto taken = link->core_.take<only_next>(link->windows_, link->head_);
     note_losses(*link);
     if (!taken) {
+      if (link->core_.is_awaiting_window()) link->is_refused_ = true;
       if (link->ceased_ && !link->core_.has_news()) events_->drained();
       return attempt;
     }
@@ -321,7 +325,6 @@ SubscriptionEndpoint::Attempt SubscriptionEndpoint::take_from(const std::shared_
     place->taken = *taken;
     place->link = link;
     receiver.took();
-    ++taken_;
     attempt = Attempt::taken;
   } while (--most != 0 && link->core_.has_news(link->head_) && can_take(*link));
   return attempt;
@@ -500,14 +503,14 @@ bool SubscriptionEndpoint::has_former(const Link& link, std::size_t age) const n
 // A publisher commits to its previous queue, marks it, and then commits to the next one. So a
 // reader that sees a message in the next queue, and looks at the previous one afterwards, sees the
 // mark and all messages there. Queues of other publishers hold nothing back.
-bool SubscriptionEndpoint::is_held_back(const Link& link, std::size_t age) const noexcept {
+bool SubscriptionEndpoint::is_held_back(Link& link, std::size_t age) const noexcept {
   for (std::size_t i = 0; i < age; ++i) {
     const SubscriptionEndpoint& former = in_age(i);
     if (former.may_take() &&
         std::any_of(former.links_.begin(), former.links_.end(), [&](const auto& other) {
           return other->origin() == link.origin() && other->has_moved() && other->core_.has_news();
         }))
-      return true;
+      return link.is_refused_ = true;
   }
   return false;
 }
@@ -566,20 +569,25 @@ bool SubscriptionEndpoint::has_news_in_order() const noexcept {
   });
 }
 
-detail::ArrivedCounts SubscriptionEndpoint::arrived() const noexcept {
+// A message that cannot be taken yet is counted as well. Somebody may have tried in vain meanwhile,
+// so all of its link are counted again when they can be taken.
+Arrivals SubscriptionEndpoint::arrivals() noexcept {
   if (!is_served()) return {};
   const std::lock_guard lock(mutex_);
   return with_successors_locked([this] {
-    detail::ArrivedCounts sum;
+    Arrivals sum;
     for (std::size_t age = 0; age <= successors_.size(); ++age) {
-      const SubscriptionEndpoint& of = in_age(age);
-      sum.received += of.taken_ + of.lost_before_;
+      SubscriptionEndpoint& of = in_age(age);
       for (const auto& link : of.links_) {
-        sum.received += link->core_.lost();
-        if (!of.may_take() || is_held_back(*link, age) || !of.can_take(*link)) continue;
-        sum.received += link->core_.pending();
-        sum.unread += link->core_.unread();
+        if (!of.may_take()) break;
+        of.arrived_ += link->core_.count_arrivals(link->counted_);
+        if (!link->core_.has_news()) continue;
+        if (is_held_back(*link, age) || !of.can_take(*link)) continue;
+        const std::uint64_t unread = link->core_.unread();
+        if (std::exchange(link->is_refused_, false)) of.arrived_ += unread;
+        sum.unread += unread;
       }
+      sum.count += of.arrived_;
     }
     if (!self_.qos.keep_all && !self_.depth_per_publisher)
       sum.unread = std::min<std::uint64_t>(sum.unread, self_.qos.depth);

@@ -153,6 +153,8 @@ class Link {
   std::atomic<detail::Block*> kept_{nullptr};
   detail::Block* spares_ = nullptr;
   std::atomic<bool> is_quota_reported_{false};  // and nothing was released since
+  std::uint64_t counted_ = 0;                   // by count_arrivals()
+  bool is_refused_ = false;                     // a take may have been in vain
   bool ceased_ = false;                         // the publisher adds no more
   LeaseWatch lease_;
   bool continues_ = false;  // it had an earlier queue of the same publisher
@@ -270,8 +272,8 @@ class SubscriptionEndpoint {
   void close() noexcept;
   /// Returns whether there is anything to take. For the check between arming and sleeping.
   bool has_news() const noexcept;
-  /// Looks at each link.
-  detail::ArrivedCounts arrived() const noexcept;
+  /// See SubscriptionBase::get_arrivals(). Looks at each link.
+  Arrivals arrivals() noexcept;
   /// Counts missed deadlines up to now, and publishers that are alive.
   void look_at_times() noexcept {
     if (is_forked_child()) return;
@@ -359,7 +361,7 @@ class SubscriptionEndpoint {
     return age == 0 ? *this : *successors_[age - 1];
   }
   Candidate oldest_in_order() noexcept;
-  bool is_held_back(const Link& link, std::size_t age) const noexcept;
+  bool is_held_back(Link& link, std::size_t age) const noexcept;
   void absorb(SubscriptionEndpoint& successor) noexcept;
   bool has_former(const Link& link, std::size_t age) const noexcept;
   bool has_next(const Link& link, std::size_t age) const noexcept;
@@ -375,7 +377,7 @@ class SubscriptionEndpoint {
   mutable std::mutex mutex_;
   std::vector<std::shared_ptr<Link>> links_;
   std::vector<Book> books_;  // by publisher index, as far as one was announced
-  std::uint64_t taken_ = 0;
+  std::uint64_t arrived_ = 0;
   std::uint64_t lost_before_ = 0;       // of links that are over
   bool may_expire_ = false;             // messages of some publisher
   std::uint64_t newest_before_ns_ = 0;  // stamp of their newest message

@@ -113,7 +113,7 @@ void SubscriptionEndpoint::absorb(SubscriptionEndpoint& successor) noexcept {
   if (found == successors_.end()) return;
   const std::lock_guard its_lock(successor.mutex_);
   newest_before_ns_ = std::max(newest_before_ns_, successor.newest_before_ns_);
-  taken_ += std::exchange(successor.taken_, 0);
+  arrived_ += std::exchange(successor.arrived_, 0);
   lost_before_ += std::exchange(successor.lost_before_, 0);
   malformed_before_ += std::exchange(successor.malformed_before_, 0);
   unreachable_before_ += std::exchange(successor.unreachable_before_, 0);

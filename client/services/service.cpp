@@ -362,9 +362,9 @@ bool UntypedService::has_unread() const noexcept {
   return requests != nullptr && requests->has_unread();
 }
 
-ArrivedCounts UntypedService::arrived() const noexcept {
+Arrivals UntypedService::arrivals() noexcept {
   const auto requests = core_->requests();
-  return requests != nullptr ? requests->arrived() : ArrivedCounts{};
+  return requests != nullptr ? requests->arrivals() : Arrivals{};
 }
 
 LenderId UntypedService::lender_of(const ServiceCore& core) noexcept { return core.lender(); }

@@ -17,6 +17,12 @@
 
 namespace agnocast {
 
+/// What has come to a subscription: see SubscriptionBase::get_arrivals().
+struct Arrivals {
+  std::uint64_t count = 0;
+  std::uint64_t unread = 0;
+};
+
 /// Endpoints on the other side that are connected to this one. Fields as in rclcpp::MatchedInfo.
 struct MatchedInfo {
   std::size_t total_count = 0;
@@ -156,13 +162,4 @@ class EventOptions {
 };
 
 }  // namespace detail
-namespace detail {
-
-/// See SubscriptionBase::get_received_count(), get_unread_count().
-struct ArrivedCounts {
-  std::uint64_t received = 0, unread = 0;
-};
-
-}  // namespace detail
-
 }  // namespace agnocast

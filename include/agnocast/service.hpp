@@ -51,7 +51,7 @@ class AGNOCAST_PUBLIC UntypedService {
   Block* take() noexcept;
   /// Returns whether take() may find one. No system call.
   bool has_unread() const noexcept;
-  ArrivedCounts arrived() const noexcept;
+  Arrivals arrivals() noexcept;
 
   /// Returns the publisher of responses to `client`. Never waits. Errors: endpoint_gone (the
   /// client or this service has ended), would_block (the publisher is being created), and the

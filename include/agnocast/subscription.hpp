@@ -118,7 +118,7 @@ class AGNOCAST_PUBLIC UntypedSubscription {
   /// none.
   Block* take(std::size_t count = 1) noexcept;
   bool has_unread() const noexcept;
-  ArrivedCounts arrived() const noexcept;
+  Arrivals arrivals() noexcept;
   std::uint64_t lost() const noexcept;
   std::size_t publisher_count() const noexcept;
   /// Of these, returns how many this process has mapped.
@@ -232,13 +232,12 @@ class SubscriptionBase {
   /// Returns whether take() may find a message. It finds none after all if the message has expired
   /// or was given up meanwhile. No system call.
   bool has_unread() const noexcept { return untyped_->has_unread(); }
-  /// Returns how many messages can be taken now; as has_unread(), some of them may turn out to be
-  /// gone. Looks at each connected publisher, some 20 ns each. No system call.
-  std::uint64_t get_unread_count() const noexcept { return untyped_->arrived().unread; }
-  /// Returns how many messages have come since creation: taken, lost, or to be taken; those that
-  /// the hold quota keeps from being taken count as soon as they can be. Falls when messages are
-  /// gone without being lost: with their publisher, or beyond its lifespan. Costs the same.
-  std::uint64_t get_received_count() const noexcept { return untyped_->arrived().received; }
+  /// Returns how many messages can be taken now (`unread`; as with has_unread() some may be gone),
+  /// and a `count` that grows by each message that has come since the last call, unless it was
+  /// taken before this one. Where a take was refused (hold quota) it grows again by what can be
+  /// taken now. So a loop that takes once for each step of `count` misses nothing. Looks at each
+  /// connected publisher, some 20 ns each. No system call.
+  Arrivals get_arrivals() noexcept { return untyped_->arrivals(); }
   /// Returns the number of messages dropped because this subscription's depth was exceeded.
   std::uint64_t get_lost_count() const noexcept { return untyped_->lost(); }
   /// Returns the number of matched publishers. One counts as soon as its creation has returned, in

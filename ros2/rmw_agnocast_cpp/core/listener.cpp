@@ -2,12 +2,14 @@
 
 #include <ros2/rmw_agnocast_cpp/core/listener.hpp>
 
+#include <agnocast/heap.hpp>
 #include <base/signals.hpp>
 
 #include <unistd.h>
 
 #include <algorithm>
 #include <chrono>
+#include <new>
 #include <system_error>
 #include <utility>
 
@@ -38,6 +40,9 @@ Result<void> Listener::listen(Listenable& to, Callback callback, const void* use
     return {};
   }
   if (::getpid() != process_) return fail(Errc::shut_down, "listening in a forked child");
+  const LoanPause pause;  // what it keeps is private memory
+  Entry wanted{&to, callback, user_data, {}};
+  ::pthread_sigmask(SIG_SETMASK, nullptr, &wanted.signals);
   std::unique_lock lock(mutex_);
   if (wait_ == nullptr) {
     if (Result<void> begun = begin(); !begun) return begun;
@@ -45,9 +50,10 @@ Result<void> Listener::listen(Listenable& to, Callback callback, const void* use
   auto entry = std::find_if(entries_.begin(), entries_.end(),
                             [&](const Entry& one) { return one.to == &to; });
   if (entry == entries_.end()) entry = entries_.insert(entries_.end(), Entry{});
-  *entry = {&to, callback, user_data};
-  const Listenable::Arrivals now = to.arrivals();
-  to.reported_ = std::max(to.reported_, now.count - std::min(now.count, now.unread));
+  *entry = wanted;
+  const Arrivals now = to.arrivals();
+  const std::uint64_t gone = now.count - std::min(now.count, now.unread);
+  if (to.reported_ < gone || to.reported_ > now.count) to.reported_ = gone;
   is_changed_ = true;
   wait_->wake();
   wait_for_callback(lock, to);
@@ -64,7 +70,7 @@ void Listener::forget(Listenable& to) noexcept {
 void Listener::wait_for_callback(std::unique_lock<std::mutex>& lock,
                                  const Listenable& of) noexcept {
   if (std::this_thread::get_id() == thread_.get_id()) return;
-  callback_ended_.wait(lock, [&] { return running_ != &of; });
+  callback_ended_.wait(lock, [&, call = call_] { return running_ != &of || call_ != call; });
 }
 
 Result<void> Listener::begin() {
@@ -74,11 +80,14 @@ Result<void> Listener::begin() {
   try {
     const SignalsBlocked blocked;  // the thread inherits them
     thread_ = std::thread([this] { run(); });
+    return {};
   } catch (const std::system_error& error) {
     pool_.give_back(std::move(wait_));
     return fail(Errc::os_failure, "starting the thread of callbacks", error.code().value());
+  } catch (const std::bad_alloc&) {
+    pool_.give_back(std::move(wait_));
+    throw;
   }
-  return {};
 }
 
 bool Listener::has_news() const noexcept {
@@ -103,12 +112,17 @@ void Listener::report() noexcept {
   is_changed_ = false;
   for (std::size_t i = 0; i < entries_.size() && !is_over_; ++i) {
     const Entry entry = entries_[i];
-    const std::uint64_t now = entry.to->arrivals().count;
-    const std::uint64_t before = std::exchange(entry.to->reported_, now);
-    if (now <= before) continue;
+    const Arrivals now = entry.to->arrivals();
+    std::uint64_t before = std::exchange(entry.to->reported_, now.count);
+    if (now.count < before) before = now.count - std::min(now.count, now.unread);
+    if (now.count == before) continue;
     running_ = entry.to;
+    ++call_;
     lock.unlock();
-    entry.callback(entry.user_data, now - before);
+    sigset_t own;
+    ::pthread_sigmask(SIG_SETMASK, &entry.signals, &own);
+    entry.callback(entry.user_data, now.count - before);
+    ::pthread_sigmask(SIG_SETMASK, &own, nullptr);
     lock.lock();
     running_ = nullptr;
     callback_ended_.notify_all();

@@ -4,12 +4,15 @@
 // "set on new …" functions, from which an executor that sleeps in one place is made).
 //
 // One thread for all of a context, from the first callback on. It compares how many have come with
-// how many it has reported, so no arrival is lost between two looks.
+// how many it has reported: whoever takes once for each that is reported misses none, and may find
+// nothing at times.
 #pragma once
 
+#include <agnocast/events.hpp>
 #include <agnocast/result.hpp>
 #include <ros2/rmw_agnocast_cpp/core/wait_set.hpp>
 
+#include <signal.h>
 #include <sys/types.h>
 
 #include <condition_variable>
@@ -25,11 +28,7 @@ namespace agnocast::rmw {
 /// What a Listener can listen to: it counts what has come.
 class Listenable : public Readable {
  public:
-  struct Arrivals {
-    std::uint64_t count = 0;   // since the beginning, also those that were taken or lost
-    std::uint64_t unread = 0;  // that can be taken
-  };
-  /// The count may fall: messages go with their publisher, for instance.
+  /// As of SubscriptionBase::get_arrivals(). A count that falls is taken for a new beginning.
   virtual Arrivals arrivals() const noexcept = 0;
 
  private:
@@ -49,11 +48,12 @@ class Listener {
   Listener(const Listener&) = delete;
   Listener& operator=(const Listener&) = delete;
 
-  /// From now on calls `callback` in the listener's thread; null ends that. What came before is
-  /// reported at once, as far as no callback was told of it and nobody has taken it. When this
-  /// function returns, an earlier callback of `to` runs no more, unless it is what calls this.
-  /// `to` must stay until forget(). Errors: as MessageWait::try_create; os_failure: no thread can
-  /// be started; shut_down: a forked child, which has no such thread. Throws std::bad_alloc.
+  /// From now on calls `callback` in the listener's thread, with the signals blocked that the
+  /// calling thread blocks now; null ends that. What came before is reported at once, as far as no
+  /// callback was told of it and nobody has taken it. When this function returns, an earlier
+  /// callback of `to` runs no more, unless it is what calls this. `to` must stay until forget().
+  /// Errors: as MessageWait::try_create; os_failure: no thread can be started; shut_down: a forked
+  /// child, which has no such thread. Throws std::bad_alloc.
   [[nodiscard]] Result<void> listen(Listenable& to, Callback callback, const void* user_data);
   void forget(Listenable& to) noexcept;
 
@@ -62,6 +62,7 @@ class Listener {
     Listenable* to;
     Callback callback;
     const void* user_data;
+    sigset_t signals;
   };
   Result<void> begin();
   void run() noexcept;
@@ -76,6 +77,7 @@ class Listener {
   std::condition_variable callback_ended_;
   std::vector<Entry> entries_;
   const Listenable* running_ = nullptr;  // whose callback runs
+  std::uint64_t call_ = 0;               // its number
   bool is_changed_ = false;              // entries_, since the last report()
   bool is_over_ = false;
   std::unique_ptr<MessageWait> wait_;  // of the thread; null: there is none

@@ -9,6 +9,7 @@
 #include <rosidl_typesupport_introspection_cpp/identifier.hpp>
 
 #include <cstddef>
+#include <cstring>
 #include <string>
 
 namespace agnocast::rmw {
@@ -52,6 +53,16 @@ Result<MessageSupport> MessageSupport::of(const rosidl_message_type_support_t* h
   Result<bridge::CdrType> cdr = bridge::CdrType::of(*members);
   if (!cdr) return tl::unexpected<Failure>(cdr.error());
   return MessageSupport(IntrospectedType(*members), std::move(*cdr), std::move(c_layout));
+}
+
+bool MessageSupport::is_layout_of(const rosidl_message_type_support_t& handle) const {
+  const MessageMembers& own = type_.members();
+  const auto* const other = static_cast<const MessageMembers*>(
+      table_of(&handle, rosidl_typesupport_introspection_cpp::typesupport_identifier));
+  // Two libraries may have a table of the same type.
+  return other == &own || (other != nullptr && other->size_of_ == own.size_of_ &&
+                           std::strcmp(other->message_namespace_, own.message_namespace_) == 0 &&
+                           std::strcmp(other->message_name_, own.message_name_) == 0);
 }
 
 Result<void> MessageSupport::to_node(const void* from, void* to, const WindowSet& within) const {

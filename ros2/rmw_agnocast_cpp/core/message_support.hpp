@@ -29,6 +29,9 @@ class MessageSupport {
   /// Null: the node's messages are in C++.
   const CLayout* c_layout() const noexcept { return c_layout_ ? &*c_layout_ : nullptr; }
 
+  /// Returns whether the handle is of this type, in C++: a message of it has the layout of a loan.
+  bool is_layout_of(const rosidl_message_type_support_t& handle) const;
+
   /// Copies a received message into a message of the node, following only what lies `within`: its
   /// windows_of(). Errors and exceptions: as of CLayout::to_c.
   [[nodiscard]] Result<void> to_node(const void* from, void* to, const WindowSet& within) const;

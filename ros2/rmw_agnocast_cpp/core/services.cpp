@@ -90,12 +90,12 @@ bool ServiceClient::is_ready() const noexcept {
   return !inbox_->responses.empty();
 }
 
-Listenable::Arrivals ServiceClient::arrivals() const noexcept {
+Arrivals ServiceClient::arrivals() const noexcept {
   // Nothing moves from the unread ones to the inbox meanwhile.
   const std::lock_guard polling(polling_);
-  const auto now = client_.untyped().arrived();
+  const std::uint64_t unread = client_.untyped().unread_count();
   const std::lock_guard lock(inbox_->mutex);
-  return {now.received, now.unread + inbox_->responses.size()};
+  return {inbox_->count + unread, inbox_->responses.size() + unread};
 }
 
 Result<std::int64_t> ServiceClient::send(const void* request) {
@@ -115,6 +115,7 @@ Result<std::int64_t> ServiceClient::send(const void* request) {
           GenericMessage message = response.get();
           const std::lock_guard lock(inbox->mutex);
           inbox->responses.push_back({number, std::move(message)});
+          ++inbox->count;
         } catch (const Error&) {
           // Its server has ended: as in DDS, nothing comes.
         }

@@ -39,10 +39,7 @@ class ServiceServer final : public Listenable {
                                                                      const QoS& qos);
 
   bool is_ready() const noexcept override { return untyped_->has_unread(); }
-  Arrivals arrivals() const noexcept override {
-    const auto now = untyped_->arrived();
-    return {now.received, now.unread};
-  }
+  Arrivals arrivals() const noexcept override { return untyped_->arrivals(); }
 
   std::array<Listenable*, 1> listenables() noexcept { return {this}; }
   /// Takes the oldest request into the node's message. Returns false, and leaves it, if there is
@@ -114,6 +111,7 @@ class ServiceClient final : public Listenable {
   struct Inbox {
     std::mutex mutex;
     std::deque<Response> responses;
+    std::uint64_t count = 0;  // that have been here
   };
   ServiceClient(const ServiceSupport& support,
                 std::shared_ptr<agnocast::detail::UntypedClient> untyped, const Kind& kind)

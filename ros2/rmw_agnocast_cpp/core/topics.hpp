@@ -124,10 +124,7 @@ class TopicSubscription final : public Listenable {
       bool ignores_local_publications);
 
   bool is_ready() const noexcept override { return subscription_->has_unread(); }
-  Arrivals arrivals() const noexcept override {
-    const std::uint64_t count = subscription_->get_received_count();
-    return {count, subscription_->get_unread_count()};  // one that comes in between is reported
-  }
+  Arrivals arrivals() const noexcept override { return subscription_->get_arrivals(); }
 
   /// Takes the oldest message into the node's. Returns false, and leaves it, if there is none. A
   /// message that leads out of its publisher's memory is dropped, and may leave some of its members

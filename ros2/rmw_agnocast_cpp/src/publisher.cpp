@@ -94,7 +94,11 @@ rmw_ret_t rmw_borrow_loaned_message(const rmw_publisher_t* publisher,
   if (*ros_message != nullptr)
     return refuse(RMW_RET_INVALID_ARGUMENT, "there is a message already where to put the loan");
   return guarded([&] {
-    *ros_message = data_of<PublisherData>(publisher).endpoint->borrow();
+    TopicPublisher& endpoint = *data_of<PublisherData>(publisher).endpoint;
+    if (!endpoint.support().is_layout_of(*type_support))
+      return refuse(RMW_RET_INVALID_ARGUMENT,
+                    "a loan of another type than the publisher's, or in another language");
+    *ros_message = endpoint.borrow();
     return rmw_ret_t{RMW_RET_OK};
   });
 }

@@ -122,20 +122,37 @@ TEST_F(RmwListener, WhatCannotBeTakenAnyMoreIsNotReported) {
   listener.forget(*reader);
 }
 
-TEST_F(RmwListener, AReleaseAtTheHoldQuotaIsAnArrival) {
+TEST_F(RmwListener, WhatTheHoldQuotaRefusedIsReportedAgainWhenItCanBeTaken) {
   const auto writer = publisher(QoS(100));
   const auto reader = subscription(QoS(100));
   expect_match(*reader);
   Heard heard;
   hear(*reader, heard);
+  publish(*writer, 70);
+  expect(heard, 70);
   std::vector<const void*> held;
   MessageInfo info;
-  publish(*writer, 70);
   while (const void* const one = reader->take_loaned(info)) held.push_back(one);
-  ASSERT_LT(held.size(), 70u) << "there is a quota";
+  const std::size_t left = 70 - held.size();
+  ASSERT_GT(left, 0u) << "there is a quota";
   for (const void* const one : held) EXPECT_TRUE(reader->give_back(one));
-  EXPECT_TRUE(eventually([&] { return heard.count >= 70; })) << heard.count;
-  for (std::size_t i = held.size(); i < 70; ++i) EXPECT_TRUE(take(*reader));
+  EXPECT_TRUE(eventually([&] { return heard.count >= 70 + left; })) << heard.count;
+  for (std::size_t i = 0; i < left; ++i) EXPECT_TRUE(take(*reader));
+  listener.forget(*reader);
+}
+
+TEST_F(RmwListener, WhatHasExpiredKeepsNothingFromBeingReported) {
+  const auto writer = publisher(QoS(10).lifespan(20ms));
+  const auto reader = subscription(QoS(10));
+  expect_match(*reader);
+  Heard heard;
+  hear(*reader, heard);
+  publish(*writer, 5);
+  expect(heard, 5);
+  std::this_thread::sleep_for(30ms);
+  EXPECT_FALSE(take(*reader));
+  publish(*writer, 3);
+  expect(heard, 8);
   listener.forget(*reader);
 }
 
@@ -192,26 +209,35 @@ TEST_F(RmwListener, NoCallbackRunsAfterItWasReplaced) {
     while (!is_over) publish(*writer);
   });
   std::atomic<int> called{0};
+  struct Watched {
+    std::atomic<bool> is_replaced{false};
+    Reaction reaction;
+  };
+  std::unique_ptr<Watched> current;
   for (int round = 0; round < 300; ++round) {
-    bool is_gone = false;
-    const Reaction reaction{[&](std::size_t) {
-      EXPECT_FALSE(is_gone);
+    auto next = std::make_unique<Watched>();
+    next->reaction.react = [&called, one = next.get()](std::size_t) {
+      EXPECT_FALSE(one->is_replaced);
       std::this_thread::yield();
-      EXPECT_FALSE(is_gone);
+      EXPECT_FALSE(one->is_replaced);
       ++called;
-    }};
+    };
     const int before = called;
-    ASSERT_TRUE(listener.listen(*reader, &Reaction::run, &reaction));
+    ASSERT_TRUE(listener.listen(*reader, &Reaction::run, &next->reaction));
+    if (current != nullptr) current->is_replaced = true;
+    current = std::move(next);
     if (round % 2 == 0) {
       EXPECT_TRUE(eventually([&] { return called != before; }));
     }
-    if (round % 3 == 0) {
+    if (round % 3 == 0) continue;
+    if (round % 3 == 1) {
       listener.forget(*reader);
     } else {
       ASSERT_TRUE(listener.listen(*reader, nullptr, nullptr));
     }
-    is_gone = true;
+    current.reset();
   }
+  listener.forget(*reader);
   is_over = true;
   publishing.join();
 }
@@ -286,6 +312,11 @@ TEST_F(RmwListener, EventsAreReported) {
   expect_match(*reader);
   publish(*writer);
   EXPECT_TRUE(eventually([&] { return missed.count >= 2; }));
+  Heard lost;
+  hear(reader->events().message_lost, lost);
+  publish(*writer, 3);  // the depth is 1
+  EXPECT_TRUE(take(*reader));
+  EXPECT_TRUE(eventually([&] { return lost.count >= 2; }));
   writer.reset();
   expect(alive, 2);
   for (Listenable* const one : reader->listenables()) listener.forget(*one);

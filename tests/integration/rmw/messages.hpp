@@ -26,8 +26,12 @@ T valued(Result<T> result) {
   return std::move(*result);
 }
 template <class T>
+const rosidl_message_type_support_t* cpp_handle() {
+  return rosidl_typesupport_cpp::get_message_type_support_handle<T>();
+}
+template <class T>
 MessageSupport cpp_support() {
-  return valued(MessageSupport::of(rosidl_typesupport_cpp::get_message_type_support_handle<T>()));
+  return valued(MessageSupport::of(cpp_handle<T>()));
 }
 template <class T>
 MessageSupport c_support() {

@@ -150,6 +150,12 @@ TEST_F(RmwTopics, LoansArriveAsTheyAre) {
   const auto to = subscription(in_cpp()), copied = subscription(in_cpp());
   ASSERT_TRUE(from->can_lend() && to->can_lend());
   EXPECT_FALSE(publisher(in_c())->can_lend());
+  const auto is_layout_of = [&](const rosidl_message_type_support_t* handle) {
+    return from->support().is_layout_of(*handle);
+  };
+  EXPECT_TRUE(is_layout_of(cpp_handle<Everything>()));
+  EXPECT_FALSE(is_layout_of(cpp_handle<Forest>()));
+  EXPECT_FALSE(is_layout_of(InC<Everything>::handle()));
   auto* const loan = static_cast<Everything*>(from->borrow());
   const Everything message = random_message<Everything>(7);
   *loan = message;

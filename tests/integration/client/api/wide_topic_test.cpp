@@ -82,9 +82,9 @@ TEST_F(WideTopic, ServesPublishersOfEveryLinkBlock) {
   EXPECT_EQ(earlier->get_publisher_count(), publisher_count);
   EXPECT_EQ(room_of("/wide"), std::uint64_t{abi::publisher_count_max});
   publish();
-  EXPECT_TRUE(eventually([&] { return earlier->get_unread_count() == publisher_count; }));
+  EXPECT_TRUE(eventually([&] { return earlier->get_arrivals().count == publisher_count; }));
   EXPECT_EQ(taken(*earlier), all);
-  EXPECT_EQ(earlier->get_unread_count(), 0u);
+  EXPECT_EQ(earlier->get_arrivals().unread, 0u);
   EXPECT_EQ(taken(*later), all);
   for (const auto& one : publishers)
     ASSERT_TRUE(eventually([&] { return one->get_linked_subscription_count() == 3; }));
