@@ -201,13 +201,14 @@ class LinkCore {
     return end > from ? end - from : 0;
   }
   /// Returns how many messages came since the last call and are still here to be taken, also beyond
-  /// the window. `counted` is what the last call left there, 0 at first.
+  /// the window, at most as many as a queue holds. `counted` is what the last call left there, 0 at
+  /// first.
   std::uint64_t count_arrivals(std::uint64_t& counted) noexcept {
     const std::uint64_t end = abi::sequence_of(newest()) + 1;
     pass_over_history(end - 1);
     const std::uint64_t from = std::max(std::min(counted, end), cursor_);
     counted = end;
-    return end > from ? end - from : 0;
+    return end > from ? std::min<std::uint64_t>(end - from, M::ring_count()) : 0;
   }
   /// Returns the stamp of the message that take() would try next, if there is one. Orders the
   /// links of a subscription; a hint, unvalidated.
