@@ -8,9 +8,11 @@
 #include <tests/support/processes/plain_node.hpp>
 
 #include <agnocast/agnocast.hpp>
+#include <agnocast/graph.hpp>
 
 #include <std_msgs/msg/string.hpp>
 
+#include <algorithm>
 #include <cstdlib>
 #include <set>
 #include <thread>
@@ -29,6 +31,20 @@ class Standby : public BridgeTest {
   }
   std::unique_ptr<SteeredProcess> bridge(int number) {
     return make_bridge({"--status-socket", status_path(number)});
+  }
+  /// Starts the first one, which every later one then knows: its status may come before its marker.
+  std::unique_ptr<SteeredProcess> first_bridge() {
+    auto first = bridge(1);
+    EXPECT_TRUE(other_.eventually([&] {
+      const auto seen = Graph().wait(1s);
+      return seen && *seen &&
+             std::any_of((*seen)->endpoints.begin(), (*seen)->endpoints.end(),
+                         [&](const auto& one) {
+                           return one.topic == "/_agnocast_bridge" &&
+                                  static_cast<pid_t>(one.pid) == first->pid();
+                         });
+    }));
+    return first;
   }
   bool is_standby(int number) {
     const std::string status = status_at(status_path(number));
@@ -111,9 +127,7 @@ class Flow {
 };
 
 TEST_F(Standby, HasNoRouteAndTakesOverFromAKilledBridge) {
-  auto first = bridge(1);
-  ASSERT_TRUE(
-      other_.eventually([&] { return !status_at(status_path(1)).empty() && !is_standby(1); }));
+  auto first = first_bridge();
   // No topic exists yet.
   auto second = bridge(2);
   ASSERT_TRUE(other_.eventually([&] { return is_standby(2); }));
@@ -136,9 +150,7 @@ TEST_F(Standby, HasNoRouteAndTakesOverFromAKilledBridge) {
 }
 
 TEST_F(Standby, TakesOverFromARevokedBridgeWhichExits) {
-  auto first = bridge(1);
-  ASSERT_TRUE(
-      other_.eventually([&] { return !status_at(status_path(1)).empty() && !is_standby(1); }));
+  auto first = first_bridge();
   auto second = bridge(2);
   ASSERT_TRUE(other_.eventually([&] { return is_standby(2); }));
   Flow flow(other_, topic());
