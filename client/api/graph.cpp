@@ -93,6 +93,27 @@ GraphSnapshot read(const GraphTable& table) {
   return snapshot;
 }
 
+/// What somebody knows of each entry: the generation of its endpoint, 0: none.
+using Known = std::vector<std::uint64_t>;
+
+GraphChanges compare(const GraphTable& table, Known& known) {
+  GraphChanges changes;
+  changes.incarnation = table.incarnation();
+  changes.missing = table.missing_count();
+  known.resize(std::max<std::size_t>(known.size(), table.entry_count()));
+  for (std::size_t i = 0; i < known.size(); ++i) {
+    const abi::GraphEntry& entry = table.entry(i);
+    if (entry.word.load(std::memory_order_relaxed) == known[i]) continue;
+    if (known[i] != 0) changes.removed.push_back(known[i]);
+    known[i] = 0;
+    const auto facts = region::load_entry(entry);
+    if (!facts) continue;
+    changes.added.push_back(info_of(*facts));
+    known[i] = facts->generation;
+  }
+  return changes;
+}
+
 }  // namespace
 
 class Graph::State {
@@ -108,41 +129,33 @@ class Graph::State {
   State& operator=(const State&) = delete;
 
   Result<std::optional<GraphSnapshot>> wait(milliseconds patience) {
-    if (Result<void> refused = refuse_forked_child(); !refused)
-      return tl::unexpected<Failure>(refused.error());
-    const Clock::time_point deadline = Clock::now() + std::min(patience, patience_max);
-    if (table_ != nullptr && pause_until(std::min(gathered_, deadline)))
-      return std::optional<GraphSnapshot>();
-    for (;;) {
-      if (auto table = changed_table()) return std::optional(look(std::move(table)));
-      const std::uint64_t failures = graph_.failures().count;
-      Result<void> asked = graph_.ask(seen_);
-      // The present state comes at once.
-      const Clock::time_point end =
-          table_ != nullptr ? deadline
-                            : std::max(deadline, Clock::now() + Connection::answer_timeout);
-      while (asked) {
-        const bool is_over = Clock::now() >= end;
-        if (!is_over && sleep_until(end)) return std::optional<GraphSnapshot>();
-        if (auto table = changed_table()) return std::optional(look(std::move(table)));
-        if (const auto now = graph_.failures(); now.count != failures)
-          asked = tl::unexpected(failure_with(now.code, now.detail));
-        else if (is_over && connection_state() != ConnectionState::connected)
-          asked = fail(Errc::daemon_not_running, "the connection to agnocastd has ended");
-        else if (is_over)
-          return std::optional<GraphSnapshot>();
-        else
-          asked = graph_.ask(seen_);
-      }
-      const Errc why = asked.error().code;
-      if ((why != Errc::daemon_not_running && why != Errc::started_anew) ||
-          Clock::now() >= deadline) {
-        forget();
-        return tl::unexpected<Failure>(asked.error());
-      }
-      if (pause_until(std::min(deadline, Clock::now() + reconnect_interval)))
-        return std::optional<GraphSnapshot>();
+    auto table = wait_for_table(patience);
+    if (!table) return tl::unexpected<Failure>(table.error());
+    if (*table == nullptr) return std::optional<GraphSnapshot>();
+    return std::optional(look<GraphSnapshot>(std::move(*table), &read));
+  }
+  Result<std::optional<GraphChanges>> wait_for_changes(milliseconds patience) {
+    auto table = wait_for_table(patience);
+    if (!table) return tl::unexpected<Failure>(table.error());
+    if (*table == nullptr) return std::optional<GraphChanges>();
+    const bool is_anew = table_ != *table;
+    if (is_anew) known_.clear();
+    try {
+      auto changes = look<GraphChanges>(std::move(*table), [this](const GraphTable& present) {
+        return compare(present, known_);
+      });
+      changes.is_anew = is_anew;
+      return std::optional(std::move(changes));
+    } catch (const std::bad_alloc&) {
+      forget();  // known_ has what nobody was told
+      throw;
     }
+  }
+  /// The next wait returns the whole state.
+  void forget() noexcept {
+    known_.clear();
+    table_.reset();
+    seen_ = 0;
   }
   void interrupt() noexcept {
     if (is_forked_child()) return;
@@ -155,6 +168,43 @@ class Graph::State {
   }
 
  private:
+  /// Sleeps until there is something new, and returns where; null: nothing came.
+  Result<std::shared_ptr<const GraphTable>> wait_for_table(milliseconds patience) {
+    const std::shared_ptr<const GraphTable> nothing;
+    if (Result<void> refused = refuse_forked_child(); !refused)
+      return tl::unexpected<Failure>(refused.error());
+    const Clock::time_point deadline = Clock::now() + std::min(patience, patience_max);
+    if (table_ != nullptr && pause_until(std::min(gathered_, deadline))) return nothing;
+    for (;;) {
+      if (auto table = changed_table()) return table;
+      const std::uint64_t failures = graph_.failures().count;
+      Result<void> asked = graph_.ask(seen_);
+      // The present state comes at once.
+      const Clock::time_point end =
+          table_ != nullptr ? deadline
+                            : std::max(deadline, Clock::now() + Connection::answer_timeout);
+      while (asked) {
+        const bool is_over = Clock::now() >= end;
+        if (!is_over && sleep_until(end)) return nothing;
+        if (auto table = changed_table()) return table;
+        if (const auto now = graph_.failures(); now.count != failures)
+          asked = tl::unexpected(failure_with(now.code, now.detail));
+        else if (is_over && connection_state() != ConnectionState::connected)
+          asked = fail(Errc::daemon_not_running, "the connection to agnocastd has ended");
+        else if (is_over)
+          return nothing;
+        else
+          asked = graph_.ask(seen_);
+      }
+      const Errc why = asked.error().code;
+      if ((why != Errc::daemon_not_running && why != Errc::started_anew) ||
+          Clock::now() >= deadline) {
+        forget();
+        return tl::unexpected<Failure>(asked.error());
+      }
+      if (pause_until(std::min(deadline, Clock::now() + reconnect_interval))) return nothing;
+    }
+  }
   /// Returns the table if there is something new in it, else null. The control thread may drop it
   /// at any time, so one call decides.
   std::shared_ptr<const GraphTable> changed_table() const {
@@ -162,20 +212,16 @@ class Graph::State {
     if (present != nullptr && present == table_ && present->changes() == seen_) return nullptr;
     return present;
   }
-  GraphSnapshot look(std::shared_ptr<const GraphTable> table) {
+  template <class Seen, class Read>
+  Seen look(std::shared_ptr<const GraphTable> table, Read read) {
     const Clock::time_point begin = Clock::now();
     table_ = std::move(table);
     seen_ = table_->changes();
-    GraphSnapshot snapshot = read(*table_);
+    Seen seen = read(*table_);
     // Reading takes a fifth of the time at most, however often something changes.
     const Clock::time_point end = Clock::now();
     gathered_ = end + std::max<Clock::duration>(gather_time, 4 * (end - begin));
-    return snapshot;
-  }
-  /// The next wait() returns the whole state.
-  void forget() noexcept {
-    table_.reset();
-    seen_ = 0;
+    return seen;
   }
   /// Returns true once it was interrupted; false at the end, or when the daemon has answered.
   bool sleep_until(Clock::time_point end) noexcept {
@@ -207,9 +253,10 @@ class Graph::State {
   HostGraph& graph_ = HostGraph::instance();
   UniqueFd event_;
   std::atomic<bool> is_interrupted_{false};
-  std::shared_ptr<const GraphTable> table_;  // that of the last snapshot
+  std::shared_ptr<const GraphTable> table_;  // that of the last look
   std::uint64_t seen_ = 0;                   // its changes then
-  Clock::time_point gathered_{};             // the next snapshot is not made before
+  Known known_;                              // to the caller of wait_for_changes()
+  Clock::time_point gathered_{};             // the next look is not made before
 };
 
 Graph::Graph() : state_(std::make_unique<State>()) {}
@@ -220,6 +267,10 @@ Graph& Graph::operator=(Graph&&) noexcept = default;
 Result<std::optional<GraphSnapshot>> Graph::wait(milliseconds patience) {
   return state_->wait(patience);
 }
+Result<std::optional<GraphChanges>> Graph::wait_for_changes(milliseconds patience) {
+  return state_->wait_for_changes(patience);
+}
+void Graph::start_over() noexcept { state_->forget(); }
 void Graph::interrupt() noexcept { state_->interrupt(); }
 
 }  // namespace agnocast

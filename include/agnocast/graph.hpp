@@ -46,6 +46,15 @@ struct GraphSnapshot {
   std::uint64_t missing = 0;            ///< endpoints that agnocastd had no room for, or no memory
 };
 
+/// What has changed since the last state.
+struct GraphChanges {
+  std::uint64_t incarnation = 0;  ///< as in GraphSnapshot
+  bool is_anew = false;           ///< what was known before is void: `added` is the whole state
+  std::vector<EndpointInfo> added;
+  std::vector<std::uint64_t> removed;  ///< generations
+  std::uint64_t missing = 0;           ///< as in GraphSnapshot
+};
+
 /// One thread at a time, except for interrupt().
 class AGNOCAST_PUBLIC Graph {
  public:
@@ -65,7 +74,13 @@ class AGNOCAST_PUBLIC Graph {
   /// revoked, shut_down (a forked child) and others. Connecting may last five seconds more. The
   /// next call tries again.
   [[nodiscard]] Result<std::optional<GraphSnapshot>> wait(std::chrono::milliseconds patience);
-  /// Ends the present wait(), or the next one. Any thread, any signal handler.
+  /// The same, for those that keep the state themselves: it returns what is new. Cost: a word of
+  /// each endpoint, and a KiB of each new one. Use one of both functions of an object.
+  [[nodiscard]] Result<std::optional<GraphChanges>> wait_for_changes(
+      std::chrono::milliseconds patience);
+  /// Lets the next wait return the whole state: for those that could not keep the last one.
+  void start_over() noexcept;
+  /// Ends the present wait, or the next one. Any thread, any signal handler.
   void interrupt() noexcept;
 
  private:

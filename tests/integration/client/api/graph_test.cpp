@@ -14,6 +14,7 @@
 
 #include <atomic>
 #include <chrono>
+#include <map>
 #include <optional>
 #include <string>
 #include <thread>
@@ -139,6 +140,50 @@ TEST_F(GraphTest, ReportsAgainWhenAnEndpointComesLeavesOrDies) {
   node.wire.reference(abi::wire::Opcode::leave, abi::wire::Kind::publisher, publisher.topic,
                       publisher.index, publisher.generation);
   EXPECT_EQ(until_there_are(1).endpoints[0].kind, EndpointKind::subscription);
+}
+
+// The changes of one watch, put together, are what another watch sees.
+TEST_F(GraphTest, ReportsChangesOnly) {
+  Graph watch;
+  std::map<std::uint64_t, std::string> known;  // topic by generation
+  std::size_t added = 0, states = 0;
+  const auto follow_until = [&](std::size_t count) {
+    do {
+      const auto next = watch.wait_for_changes(patience);
+      ASSERT_TRUE(next && *next);
+      if ((*next)->is_anew) known.clear();
+      states += (*next)->is_anew;
+      for (const std::uint64_t generation : (*next)->removed)
+        EXPECT_EQ(known.erase(generation), 1u);
+      for (const EndpointInfo& endpoint : (*next)->added)
+        EXPECT_TRUE(known.emplace(endpoint.generation, endpoint.topic).second);
+      added += (*next)->added.size();
+    } while (known.size() != count);
+    const auto whole = Graph().wait(patience);
+    ASSERT_TRUE(whole && *whole);
+    EXPECT_EQ((*whole)->endpoints.size(), count);
+    for (const EndpointInfo& endpoint : (*whole)->endpoints)
+      EXPECT_EQ(known[endpoint.generation], endpoint.topic);
+  };
+  CtlNode stays(daemon->socket_path());
+  stays.publisher("/stays");
+  follow_until(1);
+  for (std::size_t round = 1; round <= 10; ++round) {
+    std::optional<CtlNode> node(daemon->socket_path());
+    for (std::size_t i = 0; i < round; ++i) node->publisher("/comes" + std::to_string(i));
+    follow_until(1 + round);
+    node.reset();
+    follow_until(1);
+  }
+  EXPECT_EQ(states, 1u);
+  EXPECT_EQ(added, 1u + 55u) << "each once";
+  EXPECT_FALSE(watch.wait_for_changes(50ms).value());
+  watch.start_over();
+  follow_until(1);
+  EXPECT_EQ(states, 2u);
+  daemon->kill_worker();
+  follow_until(1);  // of the next daemon, the same tables
+  EXPECT_GE(states, 3u);
 }
 
 TEST_F(GraphTest, WakesForAChangeWhileItWaits) {
