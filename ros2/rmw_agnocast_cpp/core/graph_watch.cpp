@@ -9,6 +9,7 @@
 #include <algorithm>
 #include <chrono>
 #include <new>
+#include <tuple>
 #include <utility>
 
 namespace agnocast::rmw {
@@ -36,23 +37,45 @@ GraphWatch::~GraphWatch() {
 std::shared_ptr<const GraphSnapshot> GraphWatch::now() const {
   std::unique_lock lock(mutex_);
   if (!std::exchange(has_waited_, true))
-    came_.wait_for(lock, std::chrono::seconds(1), [this] { return last_ != nullptr || is_over_; });
-  return last_ != nullptr ? last_ : std::make_shared<const GraphSnapshot>();
+    came_.wait_for(lock, std::chrono::seconds(1), [this] { return incarnation_ != 0 || is_over_; });
+  if (last_ == nullptr) {
+    auto snapshot = std::make_shared<GraphSnapshot>();
+    snapshot->incarnation = incarnation_;
+    snapshot->endpoints.reserve(endpoints_.size());
+    for (const auto& [generation, endpoint] : endpoints_) snapshot->endpoints.push_back(endpoint);
+    const auto place = [](const EndpointInfo& endpoint) {
+      return std::tie(endpoint.topic, endpoint.kind, endpoint.generation);
+    };
+    std::sort(snapshot->endpoints.begin(), snapshot->endpoints.end(),
+              [&](const EndpointInfo& a, const EndpointInfo& b) { return place(a) < place(b); });
+    last_ = std::move(snapshot);
+  }
+  return last_;
 }
 
-/// Returns whether it differs from the last one.
-bool GraphWatch::take(GraphSnapshot next) {
-  std::erase_if(next.endpoints,
+/// Returns whether the domain has changed.
+bool GraphWatch::take(GraphChanges changes) {
+  std::erase_if(changes.added,
                 [this](const EndpointInfo& endpoint) { return endpoint.domain != domain_; });
   const std::lock_guard lock(mutex_);
-  const bool is_same =
-      last_ != nullptr && last_->incarnation == next.incarnation &&
-      std::equal(last_->endpoints.begin(), last_->endpoints.end(), next.endpoints.begin(),
-                 next.endpoints.end(), [](const EndpointInfo& a, const EndpointInfo& b) {
-                   return a.generation == b.generation && a.kind == b.kind;
-                 });
-  if (is_same) return false;
-  last_ = std::make_shared<const GraphSnapshot>(std::move(next));
+  bool has_changed = incarnation_ != changes.incarnation;
+  if (changes.is_anew) {
+    decltype(endpoints_) before;
+    before.swap(endpoints_);
+    has_changed = has_changed || before.size() != changes.added.size();
+    for (const EndpointInfo& endpoint : changes.added)
+      has_changed = has_changed || !before.contains(endpoint.generation);
+  }
+  for (const std::uint64_t generation : changes.removed)
+    has_changed |= endpoints_.erase(generation) != 0;
+  has_changed |= !changes.is_anew && !changes.added.empty();
+  for (EndpointInfo& endpoint : changes.added) {
+    const std::uint64_t generation = endpoint.generation;
+    endpoints_.insert_or_assign(generation, std::move(endpoint));
+  }
+  incarnation_ = changes.incarnation;
+  if (!has_changed) return false;
+  last_.reset();
   came_.notify_all();
   return true;
 }
@@ -66,13 +89,13 @@ void GraphWatch::run() noexcept {
   };
   while (!is_over()) {
     try {
-      auto next = graph_.wait(std::chrono::seconds(10));
+      auto next = graph_.wait_for_changes(std::chrono::seconds(10));
       if (next) {
         if (*next && !is_over() && take(std::move(**next))) changed_();
         continue;
       }
     } catch (const std::bad_alloc&) {
-      // The next change brings the whole state again.
+      graph_.start_over();
     }
     std::unique_lock lock(mutex_);
     came_.wait_for(lock, pause, [this] { return is_over_; });

@@ -2,7 +2,7 @@
 //
 // GraphWatch: the endpoints of one domain of the host, as the daemon last announced them, and who
 // is told when they change. A thread of its own sleeps until there is something new
-// (agnocast::Graph).
+// (agnocast::Graph), and notes what has changed; a snapshot is made when somebody asks.
 #pragma once
 
 #include <agnocast/graph.hpp>
@@ -15,6 +15,7 @@
 #include <memory>
 #include <mutex>
 #include <thread>
+#include <unordered_map>
 
 namespace agnocast::rmw {
 
@@ -33,7 +34,7 @@ class GraphWatch {
 
  private:
   void run() noexcept;
-  bool take(GraphSnapshot next);
+  bool take(GraphChanges changes);
 
   const std::uint64_t domain_;
   const std::function<void()> changed_;
@@ -42,7 +43,9 @@ class GraphWatch {
   mutable std::mutex mutex_;
   mutable std::condition_variable came_;
   mutable bool has_waited_ = false;
-  std::shared_ptr<const GraphSnapshot> last_;  // null before the first
+  std::unordered_map<std::uint64_t, EndpointInfo> endpoints_;  // by generation
+  std::uint64_t incarnation_ = 0;                              // 0 before the first state
+  mutable std::shared_ptr<const GraphSnapshot> last_;          // null: of an earlier state
   bool is_over_ = false;
   std::thread thread_;
 };
