@@ -316,26 +316,33 @@ std::string fault_in_dds_configuration(std::uint32_t domain) {
       [](void* to, const dds_log_data_t* data) {
         std::string line(data->message, data->size);
         while (!line.empty() && (line.back() == '\n' || line.back() == '\0')) line.pop_back();
-        // Cyclone ends the process then.
-        if ((data->priority & DDS_LC_FATAL) != 0) std::fprintf(stderr, "%s\n", line.c_str());
-        if ((data->priority & DDS_LC_ERROR) == 0) return;
+        // Cyclone ends the process after a fatal one.
+        if ((data->priority & DDS_LC_ERROR) == 0)
+          return static_cast<void>(std::fprintf(stderr, "%s\n", line.c_str()));
         std::replace(line.begin(), line.end(), '\n', ' ');
         auto& all = *static_cast<Said*>(to);
         const std::lock_guard lock(all.mutex);
         all.text.append(": ").append(line);
       },
       &said);
+  const auto fault_with = [&](const std::string& more) -> std::string {
+    said.text.clear();
+    const std::string all =
+        std::string(uri) + ",<CycloneDDS><Domain>" + more + "</Domain></CycloneDDS>";
+    const dds_entity_t made = dds_create_domain(domain, all.c_str());
+    if (made >= 0) dds_delete(made);
+    return made >= 0 ? "" : DdsFailure{made, "CYCLONEDDS_URI"}.text() + said.text;
+  };
   // Without multicast each process of a domain has an index, and Cyclone DDS has few: that all are
-  // in use is no fault of the configuration. Later parts of the list override earlier ones. Where
-  // multicast is wanted and an interface has none, Cyclone DDS takes an index all the same.
-  const std::string anywhere =
-      std::string(uri) +
-      ",<CycloneDDS><Domain><General><AllowMulticast>false</AllowMulticast></General>"
-      "<Discovery><ParticipantIndex>none</ParticipantIndex></Discovery></Domain></CycloneDDS>";
-  const dds_entity_t made = dds_create_domain(domain, anywhere.c_str());
-  if (made >= 0) dds_delete(made);
+  // in use is no fault of the configuration. Later parts of the list override earlier ones.
+  const std::string without_index =
+      "<Discovery><ParticipantIndex>none</ParticipantIndex></Discovery>";
+  std::string fault = fault_with(without_index);
+  // Where multicast is wanted and an interface has none, Cyclone DDS takes an index all the same.
+  if (fault.find("participant index") != std::string::npos)
+    fault = fault_with("<General><AllowMulticast>false</AllowMulticast></General>" + without_index);
   dds_set_log_sink(nullptr, nullptr);
-  return made >= 0 ? "" : DdsFailure{made, "CYCLONEDDS_URI"}.text() + said.text;
+  return fault;
 }
 
 std::size_t GuidHash::operator()(const Guid& guid) const noexcept {
