@@ -200,9 +200,9 @@ class LinkCore {
         std::max(cursor_, region::minus_at_least(end, abi::window_of(self_.requested), 0));
     return end > from ? end - from : 0;
   }
-  /// Returns how many messages came since the last call and are still here to be taken, also beyond
-  /// the window, at most as many as a queue holds. `counted` is what the last call left there, 0 at
-  /// first.
+  /// Returns how many messages came since the last call and were not taken, also those beyond the
+  /// window that are lost, at most as many as a queue holds. `counted` is what the last call left
+  /// there, 0 at first: the sequence of the next one to count.
   std::uint64_t count_arrivals(std::uint64_t& counted) noexcept {
     const std::uint64_t end = abi::sequence_of(newest()) + 1;
     pass_over_history(end - 1);
@@ -309,6 +309,10 @@ class LinkCore {
   /// resume.
   bool withdrawn() const noexcept { return (unusual_ & is_withdrawn_here) != 0 && is_withdrawn(); }
 
+  /// Returns whether the last take(), which found nothing, left a message that a later one may get.
+  bool was_refused() const noexcept {
+    return awaiting_ != 0 || (unusual_ & is_withdrawn_here) != 0;
+  }
   /// Returns whether the last take() left a message because its window was not announced yet.
   bool is_awaiting_window() const noexcept { return awaiting_ != 0; }
   std::uint64_t cursor() const noexcept { return cursor_; }

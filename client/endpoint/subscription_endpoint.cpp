@@ -228,16 +228,14 @@ inline bool SubscriptionEndpoint::may_take() const noexcept {
 /// For a link with news. Returns false at the quota, and until a missing window is there: a retry
 /// would only spin.
 bool SubscriptionEndpoint::can_take(Link& link) const noexcept {
-  if (link.held_count() >= link.quota()) [[unlikely]] {
-    if (!link.is_quota_reported_.exchange(true, std::memory_order_relaxed))
-      events_->quota_reached();
-    link.is_refused_ = true;
-    return false;
-  }
-  const bool may_try = !link.core_.is_awaiting_window() || link.is_orphaned_ || is_alone_ ||
-                       link.peer().heap().window_count() != link.windows_seen_;
-  if (!may_try) link.is_refused_ = true;
-  return may_try;
+  const bool is_full = link.held_count() >= link.quota();
+  if (is_full && !link.is_quota_reported_.exchange(true, std::memory_order_relaxed))
+    events_->quota_reached();
+  const bool can =
+      !is_full && (!link.core_.is_awaiting_window() || link.is_orphaned_ || is_alone_ ||
+                   link.peer().heap().window_count() != link.windows_seen_);
+  link.is_refused_ |= !can;
+  return can;
 }
 
 void SubscriptionEndpoint::look_at(Link& link) const noexcept {
@@ -307,7 +305,10 @@ SubscriptionEndpoint::Attempt SubscriptionEndpoint::take_from(const std::shared_
   Attempt attempt = Attempt::lost;
   do {
     Received* const place = receiver.place(*link);
-    if (place == nullptr) return attempt == Attempt::taken ? attempt : Attempt::no_room;
+    if (place == nullptr) {
+      link->is_refused_ = true;
+      return attempt == Attempt::taken ? attempt : Attempt::no_room;
+    }
     link->windows_seen_ = link->peer().heap().window_count();
     link->windows_.expect(link->is_orphaned_ ? Unannounced::ignored
                           : is_alone_        ? Unannounced::lost
@@ -315,13 +316,14 @@ SubscriptionEndpoint::Attempt SubscriptionEndpoint::take_from(const std::shared_
     const auto taken = link->core_.take<only_next>(link->windows_, link->head_);
     note_losses(*link);
     if (!taken) {
-      if (link->core_.is_awaiting_window()) link->is_refused_ = true;
+      link->is_refused_ |= link->core_.was_refused();
       if (link->ceased_ && !link->core_.has_news()) events_->drained();
       return attempt;
     }
     link->held_.fetch_add(1, std::memory_order_relaxed);
     // The last message of a gone publisher: the control thread waits for its release.
     if (link->core_.drained()) link->closing_.store(true, std::memory_order_release);
+    arrived_ += link->count_taken(taken->sequence);
     place->taken = *taken;
     place->link = link;
     receiver.took();

@@ -113,6 +113,12 @@ class Link {
 
  private:
   friend class SubscriptionEndpoint;
+  /// Returns 1 if no look has counted this message, and counts it.
+  std::uint64_t count_taken(std::uint64_t sequence) noexcept {
+    if (sequence < counted_) return 0;
+    counted_ = sequence + 1;
+    return 1;
+  }
   /// It may take again: unread messages ring no doorbell.
   void end_wait() noexcept {
     is_quota_reported_.store(false, std::memory_order_relaxed);

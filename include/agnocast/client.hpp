@@ -64,7 +64,7 @@ class AGNOCAST_PUBLIC UntypedClient {
   void poll();
   /// Returns whether poll() may find a response. No system call.
   bool has_unread() const noexcept { return replies_->has_unread(); }
-  std::uint64_t unread_count() const noexcept { return replies_->arrivals().unread; }
+  Arrivals arrivals() const noexcept { return replies_->arrivals(); }
 
  private:
   [[nodiscard]] static Result<std::shared_ptr<UntypedClient>> make(

@@ -233,10 +233,11 @@ class SubscriptionBase {
   /// or was given up meanwhile. No system call.
   bool has_unread() const noexcept { return untyped_->has_unread(); }
   /// Returns how many messages can be taken now (`unread`; as with has_unread() some may be gone),
-  /// and a `count` that grows by each message that has come since the last call, unless it was
-  /// taken before this one. Where a take was refused (hold quota) it grows again by what can be
-  /// taken now. So a loop that takes once for each step of `count` misses nothing. Looks at each
-  /// connected publisher, some 20 ns each. No system call.
+  /// and a `count` of those that have come, which may leave out some that were lost. Once the hold
+  /// quota, or a part of the heap that is not mapped yet, keeps messages from being taken, they are
+  /// counted again when they can be. So a loop that takes once for each step of `count` misses
+  /// nothing, and may find nothing at times. Looks at each connected publisher, some 20 ns each. No
+  /// system call.
   Arrivals get_arrivals() noexcept { return untyped_->arrivals(); }
   /// Returns the number of messages dropped because this subscription's depth was exceeded.
   std::uint64_t get_lost_count() const noexcept { return untyped_->lost(); }

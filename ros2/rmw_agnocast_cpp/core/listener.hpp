@@ -28,7 +28,8 @@ namespace agnocast::rmw {
 /// What a Listener can listen to: it counts what has come.
 class Listenable : public Readable {
  public:
-  /// As of SubscriptionBase::get_arrivals(). A count that falls is taken for a new beginning.
+  /// As of SubscriptionBase::get_arrivals(). A count that falls (0 once the session is revoked) is
+  /// a new beginning.
   virtual Arrivals arrivals() const noexcept = 0;
 
  private:

@@ -85,17 +85,19 @@ Result<std::unique_ptr<ServiceClient>> ServiceClient::create(const NodeName& nod
 }
 
 bool ServiceClient::is_ready() const noexcept {
+  // Nothing moves from the unread ones to the inbox meanwhile.
+  const std::lock_guard polling(polling_);
   if (client_.untyped().has_unread()) return true;
   const std::lock_guard lock(inbox_->mutex);
   return !inbox_->responses.empty();
 }
 
 Arrivals ServiceClient::arrivals() const noexcept {
-  // Nothing moves from the unread ones to the inbox meanwhile.
   const std::lock_guard polling(polling_);
-  const std::uint64_t unread = client_.untyped().unread_count();
+  Arrivals now = client_.untyped().arrivals();
   const std::lock_guard lock(inbox_->mutex);
-  return {inbox_->count + unread, inbox_->responses.size() + unread};
+  now.unread += inbox_->responses.size();
+  return now;
 }
 
 Result<std::int64_t> ServiceClient::send(const void* request) {
@@ -115,7 +117,6 @@ Result<std::int64_t> ServiceClient::send(const void* request) {
           GenericMessage message = response.get();
           const std::lock_guard lock(inbox->mutex);
           inbox->responses.push_back({number, std::move(message)});
-          ++inbox->count;
         } catch (const Error&) {
           // Its server has ended: as in DDS, nothing comes.
         }

@@ -111,7 +111,6 @@ class ServiceClient final : public Listenable {
   struct Inbox {
     std::mutex mutex;
     std::deque<Response> responses;
-    std::uint64_t count = 0;  // that have been here
   };
   ServiceClient(const ServiceSupport& support,
                 std::shared_ptr<agnocast::detail::UntypedClient> untyped, const Kind& kind)

@@ -37,8 +37,8 @@ struct Heard {
 
   static void hear(const void* self, std::size_t count) {
     auto& heard = *static_cast<Heard*>(const_cast<void*>(self));
-    heard.count += count;
     ++heard.calls;
+    heard.count += count;
   }
 };
 
@@ -176,6 +176,34 @@ TEST_F(RmwListener, ATakerThatOnlyTakesWhatItHearsOfGetsAll) {
   listener.forget(*reader);
 }
 
+TEST_F(RmwListener, OfSeveralPublishersAsWell) {
+  constexpr std::uint64_t count = 5'000;
+  constexpr std::size_t threads = 3;
+  const auto reader = subscription(QoS(1000).keep_all());
+  std::vector<std::unique_ptr<TopicPublisher>> writers(threads);
+  for (auto& writer : writers) writer = publisher(QoS(1000).keep_all());
+  ASSERT_TRUE(
+      eventually([&] { return reader->endpoint().get_linked_publisher_count() == threads; }));
+  std::uint64_t taken = 0;  // in the thread of callbacks
+  std::atomic<std::uint64_t> shown{0};
+  const Reaction reaction{[&](std::size_t come) {
+    for (; come > 0; --come) taken += take(*reader);
+    shown = taken;
+  }};
+  ASSERT_TRUE(listener.listen(*reader, &Reaction::run, &reaction));
+  std::vector<std::thread> publishing;
+  for (auto& writer : writers)
+    publishing.emplace_back([&] {
+      const Everything message{};
+      for (std::uint64_t i = 0; i < count; ++i) {
+        while (!writer->publish(&message)) std::this_thread::yield();
+      }
+    });
+  for (std::thread& thread : publishing) thread.join();
+  EXPECT_TRUE(eventually([&] { return shown == threads * count; })) << shown;
+  listener.forget(*reader);
+}
+
 TEST_F(RmwListener, AnotherTakerLosesNoArrival) {
   constexpr std::uint64_t count = 20'000;
   const auto writer = publisher(QoS(1000).keep_all());
@@ -295,6 +323,59 @@ TEST_F(RmwListener, RequestsAndResponsesAreReported) {
   ASSERT_TRUE(server->send(id, &message));
   expect(later, 1);
   listener.forget(*server);
+  listener.forget(*client);
+}
+
+TEST_F(RmwListener, AResponseThatNobodyWantsHidesNone) {
+  const ServiceSupport support{cpp_support<Everything>(), cpp_support<Everything>()};
+  const std::string name = "/" + own("service");
+  const auto client = valued(ServiceClient::create(node, name, support, ServicesQoS()));
+  const auto stays = valued(ServiceServer::create(node, name, support, ServicesQoS()));
+  auto goes = valued(ServiceServer::create(node, name, support, ServicesQoS()));
+  Heard stays_heard, goes_heard, responses;
+  hear(*stays, stays_heard);
+  hear(*goes, goes_heard);
+  hear(*client, responses);
+  const Everything message{};
+  Everything got;
+  std::int64_t number = 0;
+  const auto answer = [&](ServiceServer& server, const Heard& heard, std::uint64_t requests) {
+    EXPECT_TRUE(eventually([&] { return heard.count >= requests; }));
+    RequestId id;
+    ASSERT_TRUE(server.take(&got, id));
+    ASSERT_TRUE(server.send(id, &message));
+  };
+  // A request reaches the servers that are connected by then.
+  ASSERT_TRUE(eventually([&] { return client->has_server(); }));
+  while (goes_heard.count == 0 || stays_heard.count == 0) {
+    ASSERT_TRUE(client->send(&message));
+    std::this_thread::sleep_for(5ms);
+  }
+  const auto drain = [&](ServiceServer& server) {
+    RequestId id;
+    while (server.take(&got, id)) {
+    }
+  };
+  drain(*stays);
+  drain(*goes);
+  const std::uint64_t begun = stays_heard.count, others = goes_heard.count;
+  for (std::uint64_t i = 1; i <= 5; ++i) {
+    const std::uint64_t before = responses.count;
+    ASSERT_TRUE(client->send(&message));
+    answer(*stays, stays_heard, begun + i);
+    answer(*goes, goes_heard, others + i);
+    EXPECT_TRUE(eventually([&] { return responses.count >= before + 2; })) << responses.count;
+    EXPECT_TRUE(client->take(&got, number));
+    EXPECT_FALSE(client->take(&got, number)) << "of the other server, for a request that is over";
+  }
+  listener.forget(*goes);
+  goes.reset();
+  const std::uint64_t before = responses.count;
+  ASSERT_TRUE(client->send(&message));
+  answer(*stays, stays_heard, begun + 6);
+  EXPECT_TRUE(eventually([&] { return responses.count > before; }));
+  EXPECT_TRUE(client->take(&got, number));
+  listener.forget(*stays);
   listener.forget(*client);
 }
 
