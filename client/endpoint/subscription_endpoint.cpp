@@ -225,17 +225,16 @@ inline bool SubscriptionEndpoint::may_take() const noexcept {
   return !closed_ && !has_finished_ && takes_part();
 }
 
-/// For a link with news. Returns false at the quota, and until a missing window is there: a retry
-/// would only spin.
+/// For a link with news. False at the quota, or while a window is missing: a retry would only spin.
 bool SubscriptionEndpoint::can_take(Link& link) const noexcept {
   const bool is_full = link.held_count() >= link.quota();
+  if (!is_full && (!link.core_.is_awaiting_window() || link.is_orphaned_ || is_alone_ ||
+                   link.peer().heap().window_count() != link.windows_seen_)) [[likely]]
+    return true;
+  link.is_refused_ = true;
   if (is_full && !link.is_quota_reported_.exchange(true, std::memory_order_relaxed))
     events_->quota_reached();
-  const bool can =
-      !is_full && (!link.core_.is_awaiting_window() || link.is_orphaned_ || is_alone_ ||
-                   link.peer().heap().window_count() != link.windows_seen_);
-  link.is_refused_ |= !can;
-  return can;
+  return false;
 }
 
 void SubscriptionEndpoint::look_at(Link& link) const noexcept {
@@ -323,7 +322,7 @@ SubscriptionEndpoint::Attempt SubscriptionEndpoint::take_from(const std::shared_
     link->held_.fetch_add(1, std::memory_order_relaxed);
     // The last message of a gone publisher: the control thread waits for its release.
     if (link->core_.drained()) link->closing_.store(true, std::memory_order_release);
-    arrived_ += link->count_taken(taken->sequence);
+    if (counts_) arrived_ += link->count_taken(taken->sequence);
     place->taken = *taken;
     place->link = link;
     receiver.took();
@@ -580,6 +579,7 @@ Arrivals SubscriptionEndpoint::arrivals() noexcept {
     Arrivals sum;
     for (std::size_t age = 0; age <= successors_.size(); ++age) {
       SubscriptionEndpoint& of = in_age(age);
+      of.counts_ = true;
       for (const auto& link : of.links_) {
         if (!of.may_take()) break;
         of.arrived_ += link->core_.count_arrivals(link->counted_);

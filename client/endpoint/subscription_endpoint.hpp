@@ -383,6 +383,7 @@ class SubscriptionEndpoint {
   mutable std::mutex mutex_;
   std::vector<std::shared_ptr<Link>> links_;
   std::vector<Book> books_;  // by publisher index, as far as one was announced
+  bool counts_ = false;      // somebody wants to know arrivals()
   std::uint64_t arrived_ = 0;
   std::uint64_t lost_before_ = 0;       // of links that are over
   bool may_expire_ = false;             // messages of some publisher

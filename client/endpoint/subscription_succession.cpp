@@ -34,6 +34,7 @@ bool SubscriptionEndpoint::add_successor(const std::shared_ptr<SubscriptionEndpo
     const std::lock_guard lock(mutex_);
     if (closed_) return false;
     if (!successors_.empty()) successors_.back()->be_succeeded();
+    successor->counts_ = counts_;  // nobody takes from it yet
     successors_.push_back(successor);
   }
   AGNOCAST_CRASH_POINT(C_succeeded);
