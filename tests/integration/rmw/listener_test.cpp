@@ -66,10 +66,24 @@ class RmwListener : public test::SuiteDaemon {
     const Everything message{};
     for (int i = 0; i < count; ++i) ASSERT_TRUE(writer.publish(&message));
   }
+  /// Waits for keep-all subscriptions.
+  static void publish_all(TopicPublisher& writer, std::uint64_t count) {
+    const Everything message{};
+    for (std::uint64_t i = 0; i < count; ++i) {
+      while (!writer.publish(&message)) std::this_thread::yield();
+    }
+  }
   static bool take(TopicSubscription& reader) {
     Everything message;
     MessageInfo info;
     return reader.take(&message, info);
+  }
+  /// Takes once for each message that is reported.
+  static Reaction taking_what_it_hears_of(TopicSubscription& reader,
+                                          std::atomic<std::uint64_t>& taken) {
+    return {[&](std::size_t come) {
+      for (; come > 0; --come) taken += take(reader);
+    }};
   }
   void hear(Listenable& from, Heard& heard) {
     ASSERT_TRUE(listener.listen(from, &Heard::hear, &heard));
@@ -161,18 +175,11 @@ TEST_F(RmwListener, ATakerThatOnlyTakesWhatItHearsOfGetsAll) {
   const auto writer = publisher(QoS(1000).keep_all());
   const auto reader = subscription(QoS(1000).keep_all());
   expect_match(*reader);
-  std::uint64_t taken = 0;  // in the thread of callbacks
-  std::atomic<std::uint64_t> shown{0};
-  const Reaction reaction{[&](std::size_t come) {
-    for (; come > 0; --come) taken += take(*reader);
-    shown = taken;
-  }};
+  std::atomic<std::uint64_t> taken{0};
+  const Reaction reaction = taking_what_it_hears_of(*reader, taken);
   ASSERT_TRUE(listener.listen(*reader, &Reaction::run, &reaction));
-  const Everything message{};
-  for (std::uint64_t i = 0; i < count; ++i) {
-    while (!writer->publish(&message)) std::this_thread::yield();
-  }
-  EXPECT_TRUE(eventually([&] { return shown == count; })) << shown;
+  publish_all(*writer, count);
+  EXPECT_TRUE(eventually([&] { return taken == count; })) << taken;
   listener.forget(*reader);
 }
 
@@ -184,23 +191,13 @@ TEST_F(RmwListener, OfSeveralPublishersAsWell) {
   for (auto& writer : writers) writer = publisher(QoS(1000).keep_all());
   ASSERT_TRUE(
       eventually([&] { return reader->endpoint().get_linked_publisher_count() == threads; }));
-  std::uint64_t taken = 0;  // in the thread of callbacks
-  std::atomic<std::uint64_t> shown{0};
-  const Reaction reaction{[&](std::size_t come) {
-    for (; come > 0; --come) taken += take(*reader);
-    shown = taken;
-  }};
+  std::atomic<std::uint64_t> taken{0};
+  const Reaction reaction = taking_what_it_hears_of(*reader, taken);
   ASSERT_TRUE(listener.listen(*reader, &Reaction::run, &reaction));
   std::vector<std::thread> publishing;
-  for (auto& writer : writers)
-    publishing.emplace_back([&] {
-      const Everything message{};
-      for (std::uint64_t i = 0; i < count; ++i) {
-        while (!writer->publish(&message)) std::this_thread::yield();
-      }
-    });
+  for (auto& writer : writers) publishing.emplace_back([&] { publish_all(*writer, count); });
   for (std::thread& thread : publishing) thread.join();
-  EXPECT_TRUE(eventually([&] { return shown == threads * count; })) << shown;
+  EXPECT_TRUE(eventually([&] { return taken == threads * count; })) << taken;
   listener.forget(*reader);
 }
 
@@ -210,18 +207,13 @@ TEST_F(RmwListener, AnotherTakerLosesNoArrival) {
   const auto reader = subscription(QoS(1000).keep_all());
   expect_match(*reader);
   std::atomic<std::uint64_t> taken{0};
-  const Reaction reaction{[&](std::size_t come) {
-    for (; come > 0; --come) taken += take(*reader);
-  }};
+  const Reaction reaction = taking_what_it_hears_of(*reader, taken);
   ASSERT_TRUE(listener.listen(*reader, &Reaction::run, &reaction));
   std::atomic<bool> is_over{false};
   std::thread other([&] {
     while (!is_over) taken += take(*reader);
   });
-  const Everything message{};
-  for (std::uint64_t i = 0; i < count; ++i) {
-    while (!writer->publish(&message)) std::this_thread::yield();
-  }
+  publish_all(*writer, count);
   is_over = true;
   other.join();
   EXPECT_TRUE(eventually([&] { return taken == count; })) << taken;
