@@ -15,6 +15,7 @@
 
 #include <array>
 #include <atomic>
+#include <cstddef>
 #include <cstdint>
 #include <deque>
 #include <memory>
@@ -82,8 +83,8 @@ class ServiceClient final : public Listenable {
   bool is_ready() const noexcept override;
   Arrivals arrivals() const noexcept override;
   std::array<Listenable*, 1> listenables() noexcept { return {this}; }
-  /// Returns whether a server is there that gets requests sent now, and can answer them.
-  bool has_server() const { return client_.service_is_ready(); }
+  /// Returns how many servers get requests sent now, and can answer them.
+  std::size_t server_count() const { return client_.get_server_count(); }
 
   /// Sends a request and returns its number, from 1. Errors: type_refused (a member is longer than
   /// its type allows), those of this process in PublishResult. Without a server, or with one that

@@ -221,7 +221,7 @@ rmw_ret_t rmw_service_server_is_available(const rmw_node_t* node, const rmw_clie
   AGNOCAST_RMW_OURS(client);
   RMW_CHECK_ARGUMENT_FOR_NULL(is_available, RMW_RET_ERROR);
   return guarded([&] {
-    *is_available = data_of<ClientData>(client).endpoint->has_server();
+    *is_available = data_of<ClientData>(client).endpoint->server_count() != 0;
     return rmw_ret_t{RMW_RET_OK};
   });
 }
