@@ -121,7 +121,11 @@ Result<std::int64_t> ServiceClient::send(const void* request) {
           // Its server has ended: as in DDS, nothing comes.
         }
       });
-  if (sent) return number;
+  if (sent) {
+    // The ids of this client's pending requests have no gaps.
+    client_.remove_pending_request(sent->request_id - unanswered_max);
+    return number;
+  }
   if (is_of_this_process(sent.error().code)) return tl::unexpected<Failure>(sent.error());
   dropped_.fetch_add(1, std::memory_order_relaxed);
   return number;

@@ -74,6 +74,10 @@ class ServiceServer final : public Listenable {
 /// Any thread.
 class ServiceClient final : public Listenable {
  public:
+  /// Requests that may wait for their responses. A server that lives need not answer, and rmw has
+  /// no call that gives a request up: the bound keeps a client below 2 MiB.
+  static constexpr std::int64_t unanswered_max = 4096;
+
   /// Errors: as of create_client. Throws std::bad_alloc.
   [[nodiscard]] static Result<std::unique_ptr<ServiceClient>> create(const NodeName& node,
                                                                      const std::string& service,
@@ -88,7 +92,8 @@ class ServiceClient final : public Listenable {
 
   /// Sends a request and returns its number, from 1. Errors: type_refused (a member is longer than
   /// its type allows), those of this process in PublishResult. Without a server, or with one that
-  /// does not read, it is dropped: dropped_count(). Throws std::bad_alloc.
+  /// does not read, it is dropped: dropped_count(). Where unanswered_max later ones wait for a
+  /// response, the response to an earlier one is dropped. Throws std::bad_alloc.
   [[nodiscard]] Result<std::int64_t> send(const void* request);
   std::uint64_t dropped_count() const noexcept { return dropped_.load(std::memory_order_relaxed); }
 

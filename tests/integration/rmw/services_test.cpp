@@ -121,6 +121,27 @@ TEST_F(RmwServices, EachClientGetsItsOwnResponsesInAnyOrder) {
   }
 }
 
+TEST_F(RmwServices, ServersThatDoNotAnswerFillNoClient) {
+  const auto serving = server(service_in_cpp());
+  const auto asking = client(service_in_cpp());
+  expect_server(*asking);
+  const Everything request;
+  std::vector<RequestId> ids;
+  for (std::int64_t i = 0; i <= ServiceClient::unanswered_max; ++i) {
+    ASSERT_TRUE(asking->send(&request));
+    Everything got;
+    ASSERT_TRUE(serving->take(&got, ids.emplace_back()));
+  }
+  const Forest response;
+  for (const std::size_t answered : {0u, 1u}) ASSERT_TRUE(serving->send(ids[answered], &response));
+  wait_for(*asking);
+  Forest got;
+  std::int64_t number = 0;
+  ASSERT_TRUE(asking->take(&got, number));
+  EXPECT_EQ(number, 2) << "the response to the first request comes too late";
+  EXPECT_FALSE(asking->take(&got, number));
+}
+
 TEST_F(RmwServices, ServicesAndClientsOfThisLibraryTakePart) {
   Node other(own("other"));
   SingleThreadedExecutor executor;
