@@ -97,7 +97,9 @@ class Core final : private ClientChannel {
         doorbells_(doorbells, memory.store()),
         endpoint_manager_(registry_, regions_, doorbells_, *this),
         sessions_(core_client_count),
-        references_(references) {}
+        references_(references) {
+    endpoint_manager_.use_wide_topics({"/wide"});
+  }
 
   Registry& registry() { return registry_; }
 

@@ -8,6 +8,7 @@
 //   - a daemon that resumes and gets the interrupted request again reaches the state that the
 //     operation had without a death, and from there completes the rest of the script;
 //   - pairs: the same when the resuming daemon is first killed at its m-th crash point.
+// A second script has a topic of two link blocks; its deaths are tried by turns, without pairs.
 // AGNOCAST_SWEEP=all: all pairs; single: none; otherwise all in which the second daemon dies while
 // it opens its tables, and about every 15th of the others. AGNOCAST_ROTATION: pairs of a part of
 // the first deaths (tests/support/rotation.hpp).
@@ -49,11 +50,13 @@ Operation window(std::uint32_t c, std::uint64_t w) {
 Operation executor(std::uint32_t c) {
   return {"executor", [=](Core& core, bool) { core.open_wait_set(c); }, {}};
 }
-Operation publisher(std::uint32_t c, const char* topic, std::uint64_t request) {
-  return {
-      "create a publisher",
-      [=](Core& core, bool again) { core.create(c, Kind::publisher, topic, request, 5, again); },
-      {}};
+Operation publisher(std::uint32_t c, const char* topic, std::uint64_t request,
+                    std::uint32_t depth = 5) {
+  return {"create a publisher",
+          [=](Core& core, bool again) {
+            core.create(c, Kind::publisher, topic, request, depth, again);
+          },
+          {}};
 }
 Operation subscription(std::uint32_t c, const char* topic, std::uint64_t request,
                        std::uint32_t depth = 5) {
@@ -98,10 +101,12 @@ Operation reap_both(std::uint32_t first, std::uint32_t second) {
           {first, second}};
 }
 
+using Script = std::vector<Operation>;
+
 // Processes 0 … 4. A publisher's depth, slots that must grow, reused indexes, both orders of
 // leaving, deaths of processes with both kinds of endpoints, two of them in the middle of a
 // publish, a revoked process that ends later, and no process at the end.
-const std::vector<Operation> script = {
+const Script everything = {
     hello(0), window(0, 0), publisher(0, "/a", 1), hello(1), executor(1), subscription(1, "/a", 2),
     hello(2), executor(2), window(2, 0), subscription(2, "/a", 3, 500), publisher(2, "/b", 4),
     subscription(1, "/b", 5), window(0, 1), subscription(2, "/b", 6), publisher(1, "/a", 7),
@@ -118,6 +123,26 @@ const std::vector<Operation> script = {
     unlinked_region(1, 3), unlinked_region(2, 3), stop_in_publish(2, 4, true), reap(2),
     unlinked(1, 4), unlinked(1, 3), unlinked(0, 3), unlinked_region(1, 2), unlinked_region(0, 2),
     leave(1, 5), drained(1, 5), leave(1, 7), unlinked(1, 7), drained(1, 7), reap_both(1, 0)};
+
+// A topic whose first link block is full, and what follows in the second: it is backed in the
+// subscriptions that are there, for deeper queues as well, and in new ones; its publishers leave
+// and die, and so do subscriptions that have it.
+Script full_link_block() {
+  Script script{hello(0), hello(1), executor(1), subscription(1, "/wide", 1)};
+  for (std::uint64_t i = 0; i < abi::link_block_count; ++i)
+    script.push_back(publisher(0, "/wide", 100 + i));
+  return script;
+}
+const Script second_link_block = {
+    hello(2), publisher(2, "/wide", 2), hello(3), executor(3), subscription(3, "/wide", 3),
+    publisher(0, "/wide", 4, 500),
+    // one of the first block leaves; its place is used again
+    leave(0, 100), unlinked(1, 100), unlinked(3, 100), drained(0, 100), publisher(2, "/wide", 5),
+    // of the second one leaves, one dies in a publish
+    leave(0, 4), unlinked(1, 4), unlinked(3, 4), drained(0, 4), stop_in_publish(2, 2, false),
+    reap(2), unlinked(1, 2), unlinked(3, 2), unlinked(1, 5), unlinked(3, 5), unlinked_region(1, 2),
+    unlinked_region(3, 2), subscription(1, "/wide", 6), reap(3), unlinked(0, 3),
+    unlinked_region(0, 3), leave(1, 1), drained(1, 1), unlinked(0, 1)};
 
 class CoreSweep : public testing::Test {
  protected:
@@ -137,14 +162,19 @@ class CoreSweep : public testing::Test {
 
   /// Runs without a death: records what the processes know, and the state after each operation.
   void rehearse() {
-    crash_points::arm(0);
     KeptMemory memory;
+    crash_points::arm(0);
     Core core(memory, doorbells(), references_);
     core.registry().create(1);
-    for (const Operation& operation : script) {
+    if (!before_.empty()) {
+      for (const Operation& operation : before_) operation.run(core, false);
+      crash_points::arm(0);
+    }
+    for (const Operation& operation : script_) {
       operation.run(core, false);
       after_.push_back(core.state(Core::Generations::order));
     }
+    points_ = crash_points::reached();
   }
 
   struct Death {
@@ -189,7 +219,12 @@ class CoreSweep : public testing::Test {
     return dies(n, [&] {
       Core core(memory, directory, references_);
       core.registry().create(1);
-      for (const Operation& operation : script) {
+      if (!before_.empty()) {
+        crash_points::arm(0);
+        for (const Operation& operation : before_) operation.run(core, false);
+        crash_points::arm(n);
+      }
+      for (const Operation& operation : script_) {
         operation.run(core, false);
         progress_->fetch_add(1);
       }
@@ -200,31 +235,39 @@ class CoreSweep : public testing::Test {
     if (const auto opened = core.registry().open(); !opened)
       throw std::runtime_error("no tables of ours");
     progress_->store(1);
-    core.resume(script[at].ended);
-    script[at].run(core, true);
+    core.resume(script_[at].ended);
+    script_[at].run(core, true);
   }
+
+  Script before_;  // runs without deaths
+  Script script_ = everything;
+  /// Which deaths are tried: of the first daemon at a part of the points or at all, or, with pairs,
+  /// of the second one as well.
+  enum class Extent { part, single, pairs };
+  void sweep(Extent extent);
 
   test::TemporaryDirectory directory_;
   crash_points::Control* control_ = nullptr;
   std::atomic<std::uint64_t>* progress_ = nullptr;
   References references_;
   std::vector<std::string> after_;
+  std::uint64_t points_ = 0;                                       // of the script
+  std::vector<First> firsts_;                                      // deaths that were tried
+  std::map<std::string, std::uint64_t> by_name_, second_by_name_;  // by the name of the step
 };
 
 // Long because one loop dies, restarts, compares and counts, and each uses what the former found.
-TEST_F(CoreSweep, AfterADeathAtAnyStoreTheNextDaemonContinues) {
-  const char* const extent = std::getenv("AGNOCAST_SWEEP");
-  const std::uint64_t stride = extent != nullptr && std::string(extent) == "all" ? 1 : 29;
-  const bool with_pairs = extent == nullptr || std::string(extent) != "single";
+void CoreSweep::sweep(Extent extent) {
+  const char* const wanted = std::getenv("AGNOCAST_SWEEP");
+  const std::uint64_t stride = wanted != nullptr && std::string(wanted) == "all" ? 1 : 29;
   const test::Rotation rotation;
   rehearse();
   std::map<std::uint64_t, std::pair<std::string, std::string>> by_lsn;  // state, and its origin
-  std::map<std::string, std::uint64_t> by_name, second_by_name;
-  std::set<std::uint64_t> untouched;  // states without a repair
+  std::set<std::uint64_t> untouched;                                    // states without a repair
   std::uint64_t pairs = 0, opening = 0, violations = 0;
-  const auto where = [](const First& first) {
+  const auto where = [this](const First& first) {
     return "death at point " + std::to_string(first.n) + " (" + name_of(first.step) +
-           ") in operation " + std::to_string(first.at + 1) + ", " + script[first.at].name;
+           ") in operation " + std::to_string(first.at + 1) + ", " + script_[first.at].name;
   };
   const auto expect_equal = [&](const First& first, const std::string& got,
                                 const std::string& wanted, const std::string& what) {
@@ -242,8 +285,8 @@ TEST_F(CoreSweep, AfterADeathAtAnyStoreTheNextDaemonContinues) {
       if (!expect_equal(first, core.state(Core::Generations::order), after_[first.at],
                         "the operation asked for again"))
         return;
-      for (std::size_t i = first.at + 1; to_the_end && i < script.size(); ++i) {
-        script[i].run(core, false);
+      for (std::size_t i = first.at + 1; to_the_end && i < script_.size(); ++i) {
+        script_[i].run(core, false);
         if (!expect_equal(first, core.state(Core::Generations::order), after_[i],
                           "operation " + std::to_string(i + 1)))
           return;
@@ -256,14 +299,14 @@ TEST_F(CoreSweep, AfterADeathAtAnyStoreTheNextDaemonContinues) {
   // The repair of a queue takes a few points among many, which a sample of second deaths may miss:
   // for every fourth first death of these operations all points are tried.
   std::set<std::size_t> repairing;
-  std::vector<First> firsts;
-  for (std::uint64_t n = 1; violations < 5; ++n) {
+  for (std::uint64_t n = 1; n <= points_ && violations < 5; ++n) {
+    if (extent == Extent::part && !rotation.takes(n, points_)) continue;
     KeptMemory memory;
     const Death death = first_life(memory, n);
-    if (!death.died) break;
+    ASSERT_TRUE(death.died) << "point " << n;
     const First first{n, death.progress, death.step};
-    firsts.push_back(first);
-    ++by_name[name_of(first.step)];
+    firsts_.push_back(first);
+    ++by_name_[name_of(first.step)];
     if (first.step == steps::D3_slot) repairing.insert(first.at);
     {
       Core core(memory, doorbells(), references_);
@@ -279,9 +322,9 @@ TEST_F(CoreSweep, AfterADeathAtAnyStoreTheNextDaemonContinues) {
     complete(first, memory, true);
   }
   std::uint64_t repairs = 0;
-  for (const First& first : firsts) {
+  for (const First& first : firsts_) {
     const bool whole = repairing.count(first.at) != 0 && repairs++ % 4 == 0;
-    if (!with_pairs || !rotation.takes(first.n, firsts.size())) continue;
+    if (extent != Extent::pairs || !rotation.takes(first.n, firsts_.size())) continue;
     KeptMemory left;
     ASSERT_TRUE(first_life(left, first.n).died) << where(first);
     for (std::uint64_t m = 1; violations < 5;) {
@@ -294,33 +337,49 @@ TEST_F(CoreSweep, AfterADeathAtAnyStoreTheNextDaemonContinues) {
       });
       if (!second.died) break;
       ++pairs;
-      ++second_by_name[name_of(second.step)];
+      ++second_by_name_[name_of(second.step)];
       opening += second.progress == 0;
       complete(first, again, false);
       m += whole || second.progress == 0 ? 1 : 1 + (first.n + m) % stride;
     }
   }
-  std::printf("daemon core: %ju points, %zu records, %zu of their states seen without a repair\n",
-              std::uintmax_t{firsts.size()}, by_lsn.size(), untouched.size());
+  std::printf(
+      "daemon core: %zu of %ju points, %zu records, %zu of their states seen without a repair\n",
+      firsts_.size(), std::uintmax_t{points_}, by_lsn.size(), untouched.size());
   std::printf(
       "daemon core: %ju pairs, in %ju of them the second died while it opened its tables%s\n",
       std::uintmax_t{pairs}, std::uintmax_t{opening},
       stride == 1 ? "; all pairs" : "; of the others a sample");
   std::printf("daemon core: %ju violations; rotation: %s\n", std::uintmax_t{violations},
               rotation.text().c_str());
-  for (const auto& [name, count] : by_name)
+  for (const auto& [name, count] : by_name_)
     std::printf("  %-20s %5ju, in pairs %6ju\n", name.c_str(), std::uintmax_t{count},
-                std::uintmax_t{second_by_name[name]});
+                std::uintmax_t{second_by_name_[name]});
   EXPECT_EQ(violations, 0u);
-  EXPECT_GT(firsts.size(), 500u);
+}
+
+TEST_F(CoreSweep, AfterADeathAtAnyStoreTheNextDaemonContinues) {
+  const char* const wanted = std::getenv("AGNOCAST_SWEEP");
+  const bool with_pairs = wanted == nullptr || std::string(wanted) != "single";
+  sweep(with_pairs ? Extent::pairs : Extent::single);
+  EXPECT_GT(firsts_.size(), 500u);
   for (const char* name : {"D3_slot", "D3_order", "D3_intent", "D3_final_head", "R3_died"}) {
-    EXPECT_GT(by_name[name], 0u) << name;
+    EXPECT_GT(by_name_[name], 0u) << name;
     // A part has few of the first deaths that such a second one can follow.
-    if (with_pairs && rotation.parts() == 1) {
-      EXPECT_GT(second_by_name[name], 0u) << name;
+    if (with_pairs && test::Rotation().parts() == 1) {
+      EXPECT_GT(second_by_name_[name], 0u) << name;
     }
   }
   EXPECT_EQ(after_.back().find("state 1"), std::string::npos) << after_.back();
+}
+
+TEST_F(CoreSweep, AlsoWhereATopicHasMoreThanOneLinkBlock) {
+  before_ = full_link_block();
+  script_ = second_link_block;
+  sweep(Extent::part);
+  EXPECT_GT(points_, 500u);
+  for (const std::uint64_t request : {2u, 4u})
+    EXPECT_GE(references_.at(request).index, std::uint64_t{abi::link_block_count});
 }
 
 }  // namespace
