@@ -28,10 +28,8 @@ namespace {
 
 using test::eventually;
 
-#if defined(__SANITIZE_ADDRESS__) || defined(__SANITIZE_THREAD__)
+#ifdef AGNOCAST_TEST_SANITIZED
 constexpr bool has_hook = false;
-#elif defined(__has_feature)
-constexpr bool has_hook = !__has_feature(address_sanitizer) && !__has_feature(thread_sanitizer);
 #else
 constexpr bool has_hook = true;
 #endif

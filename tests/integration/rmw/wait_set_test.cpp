@@ -9,6 +9,7 @@
 
 #include <agnocast/agnocast.hpp>
 #include <tests/integration/client/programs/second_process.hpp>
+#include <tests/support/machine/syscall_tracer.hpp>
 #include <tests/support/processes/daemon_process.hpp>
 #include <tests/support/processes/suite_daemon.hpp>
 
@@ -91,6 +92,43 @@ TEST_F(WaitSets, TimeoutsEndWithNothing) {
   EXPECT_GE(Clock::now() - began, 30ms);
   EXPECT_FALSE(set.wait({}, {}, 1ms).value());
   EXPECT_FALSE(set.wait({}, {}, -1ns).value());
+}
+
+// An executor makes and fills a wait set for each turn, and triggers conditions after each
+// callback.
+TEST_F(WaitSets, MakingThemAndTriggeringCostsNoSystemCallWhileNobodySleeps) {
+#ifdef AGNOCAST_TEST_SANITIZED
+  GTEST_SKIP() << "a sanitizer makes system calls of its own";
+#endif
+  const Messages messages = messages_of("/" + own("topic"));
+  Condition once, always;
+  const auto turn = [&] {
+    always.trigger();
+    once.trigger();
+    always.trigger();
+    WaitSet set(pool);
+    return set.wait({&once, &always}, {&messages}, std::nullopt).value();
+  };
+  for (int i = 0; i < 10; ++i) ASSERT_TRUE(turn());
+  test::allow_tracing();
+  test::SyscallTracer tracer(::getpid());
+  if (!tracer.is_tracing())
+    GTEST_SKIP() << "this system does not allow a process to trace another one of its user";
+  test::mark_begin(0);
+  (void)Clock::now();
+  test::mark_end();
+  test::mark_begin(1);
+  for (int i = 0; i < 1000; ++i) (void)turn();
+  test::mark_end();
+  test::mark_begin(2);
+  (void)WaitSet(pool).wait({}, {}, 1ms);
+  test::mark_end();
+  const auto clock = tracer.next(), turns = tracer.next(), sleep = tracer.next();
+  ASSERT_TRUE(clock && turns && sleep);
+  if (!clock->calls.empty())
+    GTEST_SKIP() << "reading the clock is a system call here: no vDSO for its clock source";
+  EXPECT_THAT(turns->calls, testing::IsEmpty());
+  EXPECT_FALSE(sleep->calls.empty()) << "the calls are not seen";
 }
 
 TEST_F(WaitSets, NoTriggerIsLostOrDoubled) {
