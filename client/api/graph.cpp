@@ -1,6 +1,7 @@
 // SPDX-License-Identifier: Apache-2.0
 //
-// Graph: reads the daemon's graph table, and sleeps until the daemon says that it has changed.
+// Graph: reads the daemon's graph table, and sleeps until the daemon says that it has changed. One
+// thread may wait while another one looks: they share only the table, which HostGraph hands out.
 
 #include <agnocast/graph.hpp>
 
@@ -132,30 +133,46 @@ class Graph::State {
     auto table = wait_for_table(patience);
     if (!table) return tl::unexpected<Failure>(table.error());
     if (*table == nullptr) return std::optional<GraphSnapshot>();
-    return std::optional(look<GraphSnapshot>(std::move(*table), &read));
+    const Clock::time_point begin = Clock::now();
+    const std::uint64_t changes = (*table)->changes();
+    GraphSnapshot snapshot = read(**table);
+    see(std::move(*table), changes);
+    // Reading takes a fifth of the time at most, however often something changes.
+    const Clock::time_point end = Clock::now();
+    gathered_ = end + std::max<Clock::duration>(gather_time, 4 * (end - begin));
+    return std::optional(std::move(snapshot));
   }
-  Result<std::optional<GraphChanges>> wait_for_changes(milliseconds patience) {
+  Result<bool> wait_for_news(milliseconds patience) {
     auto table = wait_for_table(patience);
     if (!table) return tl::unexpected<Failure>(table.error());
-    if (*table == nullptr) return std::optional<GraphChanges>();
-    const bool is_anew = table_ != *table;
+    if (*table == nullptr) return false;
+    const std::uint64_t changes = (*table)->changes();
+    see(std::move(*table), changes);
+    gathered_ = Clock::now() + gather_time;
+    return true;
+  }
+  std::optional<GraphChanges> look() {
+    if (is_forked_child()) return std::nullopt;
+    auto table = graph_.table();
+    if (table == nullptr) return std::nullopt;
+    const std::uint64_t now = table->changes();
+    const bool is_anew = looked_at_ != table;
+    if (!is_anew && now == looked_changes_) return std::nullopt;
     if (is_anew) known_.clear();
     try {
-      auto changes = look<GraphChanges>(std::move(*table), [this](const GraphTable& present) {
-        return compare(present, known_);
-      });
+      GraphChanges changes = compare(*table, known_);
       changes.is_anew = is_anew;
-      return std::optional(std::move(changes));
+      looked_at_ = std::move(table);
+      looked_changes_ = now;
+      return changes;
     } catch (const std::bad_alloc&) {
-      forget();  // known_ has what nobody was told
+      start_over();  // known_ has what nobody was told
       throw;
     }
   }
-  /// The next wait returns the whole state.
-  void forget() noexcept {
+  void start_over() noexcept {
     known_.clear();
-    table_.reset();
-    seen_ = 0;
+    looked_at_.reset();
   }
   void interrupt() noexcept {
     if (is_forked_child()) return;
@@ -199,7 +216,7 @@ class Graph::State {
       const Errc why = asked.error().code;
       if ((why != Errc::daemon_not_running && why != Errc::started_anew) ||
           Clock::now() >= deadline) {
-        forget();
+        see(nullptr, 0);  // the next wait returns the present state
         return tl::unexpected<Failure>(asked.error());
       }
       if (pause_until(std::min(deadline, Clock::now() + reconnect_interval))) return nothing;
@@ -212,16 +229,9 @@ class Graph::State {
     if (present != nullptr && present == table_ && present->changes() == seen_) return nullptr;
     return present;
   }
-  template <class Seen, class Read>
-  Seen look(std::shared_ptr<const GraphTable> table, Read read) {
-    const Clock::time_point begin = Clock::now();
+  void see(std::shared_ptr<const GraphTable> table, std::uint64_t changes) noexcept {
     table_ = std::move(table);
-    seen_ = table_->changes();
-    Seen seen = read(*table_);
-    // Reading takes a fifth of the time at most, however often something changes.
-    const Clock::time_point end = Clock::now();
-    gathered_ = end + std::max<Clock::duration>(gather_time, 4 * (end - begin));
-    return seen;
+    seen_ = changes;
   }
   /// Returns true once it was interrupted; false at the end, or when the daemon has answered.
   bool sleep_until(Clock::time_point end) noexcept {
@@ -253,10 +263,13 @@ class Graph::State {
   HostGraph& graph_ = HostGraph::instance();
   UniqueFd event_;
   std::atomic<bool> is_interrupted_{false};
-  std::shared_ptr<const GraphTable> table_;  // that of the last look
+  std::shared_ptr<const GraphTable> table_;  // that of the last wait
   std::uint64_t seen_ = 0;                   // its changes then
-  Known known_;                              // to the caller of wait_for_changes()
-  Clock::time_point gathered_{};             // the next look is not made before
+  Clock::time_point gathered_{};             // the next wait does not end before
+  // Of whoever looks:
+  std::shared_ptr<const GraphTable> looked_at_;
+  std::uint64_t looked_changes_ = 0;
+  Known known_;
 };
 
 Graph::Graph() : state_(std::make_unique<State>()) {}
@@ -267,10 +280,9 @@ Graph& Graph::operator=(Graph&&) noexcept = default;
 Result<std::optional<GraphSnapshot>> Graph::wait(milliseconds patience) {
   return state_->wait(patience);
 }
-Result<std::optional<GraphChanges>> Graph::wait_for_changes(milliseconds patience) {
-  return state_->wait_for_changes(patience);
-}
-void Graph::start_over() noexcept { state_->forget(); }
+Result<bool> Graph::wait_for_news(milliseconds patience) { return state_->wait_for_news(patience); }
+std::optional<GraphChanges> Graph::look() { return state_->look(); }
+void Graph::start_over() noexcept { state_->start_over(); }
 void Graph::interrupt() noexcept { state_->interrupt(); }
 
 }  // namespace agnocast

@@ -8,6 +8,7 @@
 // allowance of such packets; beyond it they wait, and changes meanwhile are told together.
 #pragma once
 
+#include <base/clock.hpp>
 #include <daemon/observers/graph_table.hpp>
 #include <daemon/state/registry.hpp>
 #include <daemon/transport/allowance.hpp>
@@ -27,7 +28,9 @@ class GraphRequests {
 
   /// Errors: os_failure (the table cannot be made).
   [[nodiscard]] Result<void> watch(Peer& peer, const wire::WatchGraph& request);
-  /// Brings the table up to date, and tells those who wait for that.
+  /// Brings the table up to date: whoever has heard of a change finds it there.
+  void write() { table_.update(monotonic_ms()); }
+  /// Does so as well, and tells those who wait for that.
   void go_on(std::uint64_t now_ms);
   /// Returns after how many ms go_on() is to be called; -1: nobody is told late.
   int due_ms(std::uint64_t now_ms) const noexcept;

@@ -89,6 +89,7 @@ Broker::Broker(const BrokerOptions& options, Log& log, Dispatcher& dispatcher, L
       acceptor_({options_.config.quota, listener, dispatcher, disposal, registry_, admission_,
                  connections_, scheduler_, namespaces_, log}) {
   regions_.use(errands);
+  output_.set_before_flush([this] { graph_requests_.write(); });
   endpoint_manager_.use_wide_topics(options_.config.limits.wide_topics);
   fill_request_table();
   endpoint_manager_.on_client_freed = [this](ClientIndex client) { free_client(client); };

@@ -41,6 +41,7 @@ void PeerOutput::reply(Peer& peer, std::span<const std::byte> packet, std::vecto
 }
 
 void PeerOutput::flush(Peer& peer) {
+  if (before_flush_) before_flush_();
   const MemoryReserve::MustNotFail completes;  // a packet's own descriptors are made only once
   switch (peer.session.flush()) {
     case Session::Flushed::all:

@@ -14,9 +14,11 @@
 #include <daemon/transport/dispatcher.hpp>
 
 #include <cstdint>
+#include <functional>
 #include <optional>
 #include <span>
 #include <string_view>
+#include <utility>
 #include <vector>
 
 namespace agnocast::daemon {
@@ -33,6 +35,8 @@ class PeerOutput final : public ClientChannel {
              Log& log) noexcept
       : limits_(limits), connections_(connections), dispatcher_(dispatcher), log_(log) {}
 
+  /// Runs ahead of each attempt to send: what a packet tells of is true by then elsewhere, too.
+  void set_before_flush(std::function<void()> run) { before_flush_ = std::move(run); }
   void reply(Peer& peer, Outgoing packet);
   void reply(Peer& peer, std::span<const std::byte> packet, std::vector<SharedFd> fds = {});
   /// Sends what the socket accepts.
@@ -59,6 +63,7 @@ class PeerOutput final : public ClientChannel {
   ConnectionTable& connections_;
   Dispatcher& dispatcher_;
   Log& log_;
+  std::function<void()> before_flush_;
   bool flush_later_ = false;
 };
 

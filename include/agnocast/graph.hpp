@@ -46,7 +46,7 @@ struct GraphSnapshot {
   std::uint64_t missing = 0;            ///< endpoints that agnocastd had no room for, or no memory
 };
 
-/// What has changed since the last state.
+/// What has changed since the last look.
 struct GraphChanges {
   std::uint64_t incarnation = 0;  ///< as in GraphSnapshot
   bool is_anew = false;           ///< what was known before is void: `added` is the whole state
@@ -55,7 +55,7 @@ struct GraphChanges {
   std::uint64_t missing = 0;           ///< as in GraphSnapshot
 };
 
-/// One thread at a time, except for interrupt().
+/// One thread at a time, except for look() and interrupt().
 class AGNOCAST_PUBLIC Graph {
  public:
   /// Connects at the first wait(), as the first endpoint of the process does, or uses the
@@ -74,11 +74,15 @@ class AGNOCAST_PUBLIC Graph {
   /// revoked, shut_down (a forked child) and others. Connecting may last five seconds more. The
   /// next call tries again.
   [[nodiscard]] Result<std::optional<GraphSnapshot>> wait(std::chrono::milliseconds patience);
-  /// The same, for those that keep the state themselves: it returns what is new. Cost: a word of
-  /// each endpoint, and a KiB of each new one. Use one of both functions of an object.
-  [[nodiscard]] Result<std::optional<GraphChanges>> wait_for_changes(
-      std::chrono::milliseconds patience);
-  /// Lets the next wait return the whole state: for those that could not keep the last one.
+  /// The same, without reading: returns whether something has changed. For those that look().
+  [[nodiscard]] Result<bool> wait_for_news(std::chrono::milliseconds patience);
+  /// Returns what is new since the last look, for those that keep the state themselves; nothing if
+  /// nothing is, or if a wait has not brought the first state yet. It asks nobody and does not
+  /// sleep: the endpoints that this process has created are there, those that it has ended are
+  /// not. One thread at a time, also while another one waits. Cost: a word of each endpoint, and a
+  /// KiB of each new one. Throws std::bad_alloc; then the next look returns the whole state.
+  [[nodiscard]] std::optional<GraphChanges> look();
+  /// Lets the next look return the whole state: for those that could not keep the last one.
   void start_over() noexcept;
   /// Ends the present wait, or the next one. Any thread, any signal handler.
   void interrupt() noexcept;

@@ -2,6 +2,7 @@
 
 #include <ros2/rmw_agnocast_cpp/core/graph_watch.hpp>
 
+#include <agnocast/heap.hpp>
 #include <base/signals.hpp>
 
 #include <unistd.h>
@@ -34,10 +35,12 @@ GraphWatch::~GraphWatch() {
   thread_.join();
 }
 
-std::shared_ptr<const GraphSnapshot> GraphWatch::now() const {
+std::shared_ptr<const GraphSnapshot> GraphWatch::now() {
+  const LoanPause pause;  // what it keeps is private memory
   std::unique_lock lock(mutex_);
   if (!std::exchange(has_waited_, true))
     came_.wait_for(lock, std::chrono::seconds(1), [this] { return incarnation_ != 0 || is_over_; });
+  look();
   if (last_ == nullptr) {
     auto snapshot = std::make_shared<GraphSnapshot>();
     snapshot->incarnation = incarnation_;
@@ -53,11 +56,20 @@ std::shared_ptr<const GraphSnapshot> GraphWatch::now() const {
   return last_;
 }
 
-/// Returns whether the domain has changed.
-bool GraphWatch::take(GraphChanges changes) {
+void GraphWatch::look() {
+  auto changes = graph_.look();
+  if (!changes) return;
+  try {
+    take(std::move(*changes));
+  } catch (const std::bad_alloc&) {
+    graph_.start_over();
+    throw;
+  }
+}
+
+void GraphWatch::take(GraphChanges changes) {
   std::erase_if(changes.added,
                 [this](const EndpointInfo& endpoint) { return endpoint.domain != domain_; });
-  const std::lock_guard lock(mutex_);
   bool has_changed = incarnation_ != changes.incarnation;
   if (changes.is_anew) {
     decltype(endpoints_) before;
@@ -74,31 +86,31 @@ bool GraphWatch::take(GraphChanges changes) {
     endpoints_.insert_or_assign(generation, std::move(endpoint));
   }
   incarnation_ = changes.incarnation;
-  if (!has_changed) return false;
+  if (!has_changed) return;
   last_.reset();
+  is_untold_ = true;
   came_.notify_all();
-  return true;
 }
 
 void GraphWatch::run() noexcept {
   // After an error: how long until it connects again.
   constexpr auto pause = std::chrono::seconds(1);
-  const auto is_over = [this] {
-    const std::lock_guard lock(mutex_);
-    return is_over_;
-  };
-  while (!is_over()) {
-    try {
-      auto next = graph_.wait_for_changes(std::chrono::seconds(10));
-      if (next) {
-        if (*next && !is_over() && take(std::move(**next))) changed_();
-        continue;
-      }
-    } catch (const std::bad_alloc&) {
-      graph_.start_over();
-    }
+  for (;;) {
+    const auto news = graph_.wait_for_news(std::chrono::seconds(10));
     std::unique_lock lock(mutex_);
-    came_.wait_for(lock, pause, [this] { return is_over_; });
+    if (is_over_) return;
+    bool has_failed = !news;
+    try {
+      look();
+    } catch (const std::bad_alloc&) {
+      has_failed = true;
+    }
+    if (std::exchange(is_untold_, false)) {
+      lock.unlock();
+      changed_();
+    } else if (has_failed) {
+      came_.wait_for(lock, pause, [this] { return is_over_; });
+    }
   }
 }
 

@@ -1,8 +1,8 @@
 // SPDX-License-Identifier: Apache-2.0
 //
-// GraphWatch: the endpoints of one domain of the host, as the daemon last announced them, and who
-// is told when they change. A thread of its own sleeps until there is something new
-// (agnocast::Graph), and notes what has changed; a snapshot is made when somebody asks.
+// GraphWatch: the endpoints of one domain of the host, and who is told when they change. A thread
+// of its own sleeps until there is something new (agnocast::Graph), and tells of it. Whoever asks
+// for a snapshot looks as well: rcl asks for the endpoints that it has just made.
 #pragma once
 
 #include <agnocast/graph.hpp>
@@ -28,24 +28,27 @@ class GraphWatch {
   GraphWatch(const GraphWatch&) = delete;
   GraphWatch& operator=(const GraphWatch&) = delete;
 
-  /// Returns the last state, with the endpoints of the domain. Until there is one the first call
+  /// Returns the present state, with the endpoints of the domain. Until there is one the first call
   /// waits, a second at most; then it is empty.
-  std::shared_ptr<const GraphSnapshot> now() const;
+  std::shared_ptr<const GraphSnapshot> now();
 
  private:
   void run() noexcept;
-  bool take(GraphChanges changes);
+  /// Under the mutex, as the next one.
+  void look();
+  void take(GraphChanges changes);
 
   const std::uint64_t domain_;
   const std::function<void()> changed_;
   const pid_t process_;
   Graph graph_;
-  mutable std::mutex mutex_;
-  mutable std::condition_variable came_;
-  mutable bool has_waited_ = false;
+  std::mutex mutex_;
+  std::condition_variable came_;
+  bool has_waited_ = false;
   std::unordered_map<std::uint64_t, EndpointInfo> endpoints_;  // by generation
   std::uint64_t incarnation_ = 0;                              // 0 before the first state
-  mutable std::shared_ptr<const GraphSnapshot> last_;          // null: of an earlier state
+  std::shared_ptr<const GraphSnapshot> last_;                  // null: of an earlier state
+  bool is_untold_ = false;  // it has changed since `changed` was called
   bool is_over_ = false;
   std::thread thread_;
 };

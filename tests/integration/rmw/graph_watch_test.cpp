@@ -24,7 +24,7 @@ using agnocast::test::Number;
 
 class GraphWatches : public agnocast::test::SuiteDaemon {
  protected:
-  static std::ptrdiff_t count(const GraphWatch& watch, const std::string& topic) {
+  static std::ptrdiff_t count(GraphWatch& watch, const std::string& topic) {
     const auto snapshot = watch.now();
     return std::count_if(snapshot->endpoints.begin(), snapshot->endpoints.end(),
                          [&](const EndpointInfo& endpoint) { return endpoint.topic == topic; });
@@ -35,7 +35,7 @@ TEST_F(GraphWatches, SeeWhatComesAndGoes) {
   Node node(own("node"));
   const std::string topic = "/" + own("topic");
   std::atomic<int> changes{0};
-  const GraphWatch watch(0, [&] { ++changes; });
+  GraphWatch watch(0, [&] { ++changes; });
   EXPECT_EQ(count(watch, topic), 0);
   for (int i = 0; i < 3; ++i) {
     const int before = changes;
@@ -49,12 +49,31 @@ TEST_F(GraphWatches, SeeWhatComesAndGoes) {
   }
 }
 
+TEST_F(GraphWatches, HaveWhatThisProcessHasJustDone) {
+  Node node(own("node"));
+  const std::string topic = "/" + own("topic");
+  std::atomic<int> changes{0};
+  GraphWatch watch(0, [&] { ++changes; });
+  EXPECT_EQ(count(watch, topic), 0);
+  for (int i = 0; i < 100; ++i) {
+    const int before = changes;
+    auto publisher = node.create_publisher<Number>(topic, 1);
+    ASSERT_EQ(count(watch, topic), 1) << i;
+    const auto subscription = node.create_subscription<Number>(topic, 1);
+    ASSERT_EQ(count(watch, topic), 2) << i;
+    publisher.reset();
+    ASSERT_EQ(count(watch, topic), 1) << i;
+    ASSERT_TRUE(eventually([&] { return changes > before; })) << "told, though somebody has looked";
+  }
+  EXPECT_EQ(count(watch, topic), 0);
+}
+
 TEST_F(GraphWatches, HaveOneDomain) {
   Node node(own("node"));
   const std::string topic = "/" + own("topic");
   const auto publisher = node.create_publisher<Number>(topic, 1);
   std::atomic<int> changes{0};
-  const GraphWatch here(0, [] {}), elsewhere(1, [&] { ++changes; });
+  GraphWatch here(0, [] {}), elsewhere(1, [&] { ++changes; });
   ASSERT_TRUE(eventually([&] { return count(here, topic) == 1; }));
   EXPECT_EQ(count(elsewhere, topic), 0);
   ASSERT_TRUE(eventually([&] { return changes == 1; })) << "its first state";
@@ -66,7 +85,7 @@ TEST_F(GraphWatches, HaveOneDomain) {
 
 TEST_F(GraphWatches, EndWhileTheyWait) {
   for (int i = 0; i < 20; ++i) {
-    const GraphWatch watch(0, [] {});
+    GraphWatch watch(0, [] {});
     if (i % 2 == 0) (void)watch.now();
   }
 }
