@@ -33,6 +33,30 @@ Result<void> fill(const MessageSupport& support, const void* from, GenericLoan& 
 
 }  // namespace
 
+namespace detail {
+
+OwnServer::Shared& OwnServer::shared() noexcept {
+  static Shared* const only = new Shared;  // objects of static storage end after it
+  return *only;
+}
+OwnServer::OwnServer(const std::string& service) {
+  const std::lock_guard lock(shared().mutex);
+  place_ = shared().all.emplace(service, Clock::now());
+}
+OwnServer::~OwnServer() {
+  const std::lock_guard lock(shared().mutex);
+  shared().all.erase(place_);
+}
+std::optional<OwnServer::Clock::time_point> OwnServer::latest(const std::string& service) {
+  const std::lock_guard lock(shared().mutex);
+  std::optional<Clock::time_point> found;
+  const auto [begin, end] = shared().all.equal_range(service);
+  for (auto one = begin; one != end; ++one) found = std::max(found, std::optional(one->second));
+  return found;
+}
+
+}  // namespace detail
+
 Result<std::unique_ptr<ServiceServer>> ServiceServer::create(const NodeName& node,
                                                              const std::string& service,
                                                              const ServiceSupport& support,
@@ -45,7 +69,8 @@ Result<std::unique_ptr<ServiceServer>> ServiceServer::create(const NodeName& nod
   auto untyped = agnocast::detail::UntypedService::create(
       *name, *types, qos, kind.response_code().code(), nullptr, nullptr);
   if (!untyped) return tl::unexpected<Failure>(untyped.error());
-  return std::unique_ptr<ServiceServer>(new ServiceServer(support, std::move(*untyped), kind));
+  return std::unique_ptr<ServiceServer>(
+      new ServiceServer(support, std::move(*untyped), kind, name->topic));
 }
 
 bool ServiceServer::take(void* request, RequestId& id) {
@@ -100,7 +125,18 @@ Arrivals ServiceClient::arrivals() const noexcept {
   return now;
 }
 
+/// Its threads match them within milliseconds.
+void ServiceClient::wait_for_own_server() const {
+  if (server_count() != 0) return;
+  const auto server = detail::OwnServer::latest(client_.get_service_name());
+  if (!server) return;
+  const auto end = std::max(*server, created_) + std::chrono::seconds(1);
+  const auto now = detail::OwnServer::Clock::now();
+  if (now < end) (void)client_.wait_for_service(end - now);
+}
+
 Result<std::int64_t> ServiceClient::send(const void* request) {
+  wait_for_own_server();
   {
     // Ends those whose server has gone; nobody takes for them. Before the loan: from there on this
     // thread allocates shared memory, and the inbox is private.

@@ -15,15 +15,43 @@
 
 #include <array>
 #include <atomic>
+#include <chrono>
 #include <cstddef>
 #include <cstdint>
 #include <deque>
+#include <map>
 #include <memory>
 #include <mutex>
+#include <optional>
 #include <string>
 #include <utility>
 
 namespace agnocast::rmw {
+
+namespace detail {
+
+/// A server of this process, for its clients.
+class OwnServer {
+ public:
+  using Clock = std::chrono::steady_clock;
+  explicit OwnServer(const std::string& service);
+  ~OwnServer();
+  OwnServer(const OwnServer&) = delete;
+  OwnServer& operator=(const OwnServer&) = delete;
+  /// Returns when the latest one of a service was created, if there is one. Any thread.
+  static std::optional<Clock::time_point> latest(const std::string& service);
+
+ private:
+  using All = std::multimap<std::string, Clock::time_point>;
+  struct Shared {
+    std::mutex mutex;
+    All all;
+  };
+  static Shared& shared() noexcept;
+  All::iterator place_;
+};
+
+}  // namespace detail
 
 /// Both halves of a service.
 struct ServiceSupport {
@@ -58,16 +86,19 @@ class ServiceServer final : public Listenable {
  private:
   using Kind = agnocast::detail::GenericServiceKind;
   ServiceServer(const ServiceSupport& support,
-                std::shared_ptr<agnocast::detail::UntypedService> untyped, const Kind& kind)
+                std::shared_ptr<agnocast::detail::UntypedService> untyped, const Kind& kind,
+                const std::string& service)
       : support_(support),
         kind_(kind),
         untyped_(std::move(untyped)),
-        responder_(untyped_->core(), kind) {}
+        responder_(untyped_->core(), kind),
+        own_(service) {}
 
   const ServiceSupport support_;
   const Kind kind_;
   const std::shared_ptr<agnocast::detail::UntypedService> untyped_;
   const agnocast::detail::Responder<Kind> responder_;
+  const detail::OwnServer own_;
   std::atomic<std::uint64_t> undelivered_{0};
 };
 
@@ -92,8 +123,10 @@ class ServiceClient final : public Listenable {
 
   /// Sends a request and returns its number, from 1. Errors: type_refused (a member is longer than
   /// its type allows), those of this process in PublishResult. Without a server, or with one that
-  /// does not read, it is dropped: dropped_count(). Where unanswered_max later ones wait for a
-  /// response, the response to an earlier one is dropped. Throws std::bad_alloc.
+  /// does not read, it is dropped: dropped_count(). But a server of this process that is not ready
+  /// yet is waited for, within a second of its creation or the client's: DDS matches endpoints of
+  /// a process at once. Where unanswered_max later ones wait for a response, the response to an
+  /// earlier one is dropped. Throws std::bad_alloc.
   [[nodiscard]] Result<std::int64_t> send(const void* request);
   std::uint64_t dropped_count() const noexcept { return dropped_.load(std::memory_order_relaxed); }
 
@@ -122,8 +155,11 @@ class ServiceClient final : public Listenable {
                 std::shared_ptr<agnocast::detail::UntypedClient> untyped, const Kind& kind)
       : support_(support), client_(std::move(untyped), kind) {}
 
+  void wait_for_own_server() const;
+
   const ServiceSupport support_;
   Client client_;
+  const detail::OwnServer::Clock::time_point created_ = detail::OwnServer::Clock::now();
   const std::shared_ptr<Inbox> inbox_ = std::make_shared<Inbox>();
   mutable std::mutex polling_;
   std::atomic<std::int64_t> last_{0};

@@ -121,6 +121,28 @@ TEST_F(RmwServices, EachClientGetsItsOwnResponsesInAnyOrder) {
   }
 }
 
+// As a node does that calls its own service at once.
+TEST_F(RmwServices, ARequestWaitsForAServerOfItsProcess) {
+  const Everything request;
+  for (int i = 0; i < 20; ++i) {
+    std::unique_ptr<ServiceServer> serving;
+    std::unique_ptr<ServiceClient> asking;
+    if (i % 2 == 0) serving = server(service_in_cpp());
+    asking = client(service_in_cpp());
+    if (i % 2 != 0) serving = server(service_in_cpp());
+    ASSERT_TRUE(asking->send(&request));
+    EXPECT_EQ(asking->dropped_count(), 0u);
+    wait_for(*serving);
+    Everything got;
+    RequestId id;
+    ASSERT_TRUE(serving->take(&got, id));
+    const Forest response;
+    ASSERT_TRUE(serving->send(id, &response));
+    EXPECT_EQ(serving->undelivered_count(), 0u);
+    wait_for(*asking);
+  }
+}
+
 TEST_F(RmwServices, ServersThatDoNotAnswerFillNoClient) {
   const auto serving = server(service_in_cpp());
   const auto asking = client(service_in_cpp());
