@@ -238,6 +238,25 @@ TEST_F(Rmw, OpenLoansEndWithTheirEndpoints) {
   OK(rmw_destroy_subscription(node_, reader));
 }
 
+TEST_F(Rmw, WhatANodeHasJustDoneIsThere) {
+  const auto count = [&](auto* counted) {
+    std::size_t found = 0;
+    EXPECT_EQ(counted(node_, "/topic", &found), RMW_RET_OK);
+    return found;
+  };
+  rmw_publisher_t* const writer = publisher();
+  EXPECT_EQ(count(&rmw_count_publishers), 1u);
+  rmw_subscription_t* const reader = subscription();
+  EXPECT_EQ(count(&rmw_count_subscribers), 1u);
+  const String message;
+  OK(rmw_publish(writer, &message, nullptr));
+  OK(rmw_publisher_wait_for_all_acked(writer, {0, 0}));
+  OK(rmw_destroy_subscription(node_, reader));
+  EXPECT_EQ(count(&rmw_count_subscribers), 0u);
+  OK(rmw_destroy_publisher(node_, writer));
+  EXPECT_EQ(count(&rmw_count_publishers), 0u);
+}
+
 TEST_F(Rmw, EndpointsMayBeUsedAfterTheShutdown) {
   rmw_publisher_t* const writer = publisher();
   rmw_subscription_t* const reader = subscription();
