@@ -41,8 +41,8 @@ void PeerOutput::reply(Peer& peer, std::span<const std::byte> packet, std::vecto
 }
 
 void PeerOutput::flush(Peer& peer) {
-  if (before_flush_) before_flush_();
   const MemoryReserve::MustNotFail completes;  // a packet's own descriptors are made only once
+  if (before_flush_) before_flush_();
   switch (peer.session.flush()) {
     case Session::Flushed::all:
       if (peer.wants_writable) dispatcher_.change(peer.connection, EPOLLIN);

@@ -35,7 +35,8 @@ class PeerOutput final : public ClientChannel {
              Log& log) noexcept
       : limits_(limits), connections_(connections), dispatcher_(dispatcher), log_(log) {}
 
-  /// Runs ahead of each attempt to send: what a packet tells of is true by then elsewhere, too.
+  /// Runs ahead of each attempt to send: what a packet tells of is true by then elsewhere, too. It
+  /// has the memory reserve, and sends nothing.
   void set_before_flush(std::function<void()> run) { before_flush_ = std::move(run); }
   void reply(Peer& peer, Outgoing packet);
   void reply(Peer& peer, std::span<const std::byte> packet, std::vector<SharedFd> fds = {});

@@ -55,7 +55,8 @@ struct GraphChanges {
   std::uint64_t missing = 0;           ///< as in GraphSnapshot
 };
 
-/// One thread at a time, except for look() and interrupt().
+/// One thread at a time. Beside one that waits another one may call look() and start_over(), and
+/// any interrupt().
 class AGNOCAST_PUBLIC Graph {
  public:
   /// Connects at the first wait(), as the first endpoint of the process does, or uses the
@@ -77,9 +78,10 @@ class AGNOCAST_PUBLIC Graph {
   /// The same, without reading: returns whether something has changed. For those that look().
   [[nodiscard]] Result<bool> wait_for_news(std::chrono::milliseconds patience);
   /// Returns what is new since the last look, for those that keep the state themselves; nothing if
-  /// nothing is, or if a wait has not brought the first state yet. It asks nobody and does not
-  /// sleep: the endpoints that this process has created are there, those that it has ended are
-  /// not. One thread at a time, also while another one waits. Cost: a word of each endpoint, and a
+  /// nothing is, or if a wait has not brought the state of this daemon process yet. It asks nobody
+  /// and does not sleep. While the connection lasts, the endpoints that this process has created
+  /// are there, unless agnocastd has no room for them, and those whose end it has told are not.
+  /// Cost: a word of each endpoint, and a
   /// KiB of each new one. Throws std::bad_alloc; then the next look returns the whole state.
   [[nodiscard]] std::optional<GraphChanges> look();
   /// Lets the next look return the whole state: for those that could not keep the last one.

@@ -378,6 +378,11 @@ TEST_F(CoreSweep, AlsoWhereATopicHasMoreThanOneLinkBlock) {
   script_ = second_link_block;
   sweep(Extent::part);
   EXPECT_GT(points_, 500u);
+  EXPECT_GE(firsts_.size(), points_ / test::Rotation().parts());
+  if (test::Rotation().parts() == 1) {
+    for (const char* name : {"B_board_field", "D2_word", "D3_intent", "R3_died", "W2_committed"})
+      EXPECT_GT(by_name_[name], 0u) << name;
+  }
   for (const std::uint64_t request : {2u, 4u})
     EXPECT_GE(references_.at(request).index, std::uint64_t{abi::link_block_count});
 }

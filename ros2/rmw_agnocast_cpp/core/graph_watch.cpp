@@ -62,6 +62,9 @@ void GraphWatch::look() {
   try {
     take(std::move(*changes));
   } catch (const std::bad_alloc&) {
+    // What is half done is no state to compare the next one with.
+    last_.reset();
+    is_untold_ = true;
     graph_.start_over();
     throw;
   }
@@ -96,15 +99,17 @@ void GraphWatch::run() noexcept {
   // After an error: how long until it connects again.
   constexpr auto pause = std::chrono::seconds(1);
   for (;;) {
-    const auto news = graph_.wait_for_news(std::chrono::seconds(10));
-    std::unique_lock lock(mutex_);
-    if (is_over_) return;
-    bool has_failed = !news;
+    bool has_failed = true;
+    std::unique_lock lock(mutex_, std::defer_lock);
     try {
+      has_failed = !graph_.wait_for_news(std::chrono::seconds(10));
+      lock.lock();
       look();
     } catch (const std::bad_alloc&) {
       has_failed = true;
     }
+    if (!lock.owns_lock()) lock.lock();
+    if (is_over_) return;
     if (std::exchange(is_untold_, false)) {
       lock.unlock();
       changed_();

@@ -21,8 +21,8 @@ namespace agnocast::rmw {
 
 class GraphWatch {
  public:
-  /// Begins to watch. `changed` is called in the thread, after each change of the domain. Throws
-  /// std::system_error.
+  /// Begins to watch. `changed` is called in the thread, after each change of the domain; it must
+  /// not throw. Throws std::system_error.
   GraphWatch(std::uint64_t domain, std::function<void()> changed);
   ~GraphWatch();
   GraphWatch(const GraphWatch&) = delete;

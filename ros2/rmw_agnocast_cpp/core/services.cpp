@@ -2,6 +2,7 @@
 
 #include <ros2/rmw_agnocast_cpp/core/services.hpp>
 
+#include <agnocast/heap.hpp>
 #include <agnocast/relay.hpp>
 
 #include <algorithm>
@@ -40,10 +41,13 @@ OwnServer::Shared& OwnServer::shared() noexcept {
   return *only;
 }
 OwnServer::OwnServer(const std::string& service) {
+  const LoanPause pause;  // the list is private memory
   const std::lock_guard lock(shared().mutex);
   place_ = shared().all.emplace(service, Clock::now());
 }
 OwnServer::~OwnServer() {
+  if (::getpid() != process_)
+    return;  // in a forked child another thread may have the lock for ever
   const std::lock_guard lock(shared().mutex);
   shared().all.erase(place_);
 }
@@ -127,7 +131,7 @@ Arrivals ServiceClient::arrivals() const noexcept {
 
 /// Its threads match them within milliseconds.
 void ServiceClient::wait_for_own_server() const {
-  if (server_count() != 0) return;
+  if (::getpid() != process_ || server_count() != 0) return;
   const auto server = detail::OwnServer::latest(client_.get_service_name());
   if (!server) return;
   const auto end = std::max(*server, created_) + std::chrono::seconds(1);
@@ -158,8 +162,9 @@ Result<std::int64_t> ServiceClient::send(const void* request) {
         }
       });
   if (sent) {
-    // The ids of this client's pending requests have no gaps.
-    client_.remove_pending_request(sent->request_id - unanswered_max);
+    const std::lock_guard lock(polling_);
+    while (given_up_ < sent->request_id - unanswered_max)
+      client_.remove_pending_request(++given_up_);
     return number;
   }
   if (is_of_this_process(sent.error().code)) return tl::unexpected<Failure>(sent.error());

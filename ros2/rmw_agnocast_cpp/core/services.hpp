@@ -13,6 +13,9 @@
 #include <ros2/rmw_agnocast_cpp/core/message_support.hpp>
 #include <ros2/rmw_agnocast_cpp/core/topics.hpp>
 
+#include <sys/types.h>
+#include <unistd.h>
+
 #include <array>
 #include <atomic>
 #include <chrono>
@@ -48,6 +51,7 @@ class OwnServer {
     All all;
   };
   static Shared& shared() noexcept;
+  const pid_t process_ = ::getpid();
   All::iterator place_;
 };
 
@@ -123,10 +127,10 @@ class ServiceClient final : public Listenable {
 
   /// Sends a request and returns its number, from 1. Errors: type_refused (a member is longer than
   /// its type allows), those of this process in PublishResult. Without a server, or with one that
-  /// does not read, it is dropped: dropped_count(). But a server of this process that is not ready
-  /// yet is waited for, within a second of its creation or the client's: DDS matches endpoints of
-  /// a process at once. Where unanswered_max later ones wait for a response, the response to an
-  /// earlier one is dropped. Throws std::bad_alloc.
+  /// does not read, it is dropped: dropped_count(). But where none is ready, and this process has
+  /// one, that is waited for, within a second of its creation or the client's: DDS matches
+  /// endpoints of a process at once. Where unanswered_max later ones wait for a response, the
+  /// response to an earlier one is dropped. Throws std::bad_alloc.
   [[nodiscard]] Result<std::int64_t> send(const void* request);
   std::uint64_t dropped_count() const noexcept { return dropped_.load(std::memory_order_relaxed); }
 
@@ -159,9 +163,11 @@ class ServiceClient final : public Listenable {
 
   const ServiceSupport support_;
   Client client_;
+  const pid_t process_ = ::getpid();
   const detail::OwnServer::Clock::time_point created_ = detail::OwnServer::Clock::now();
   const std::shared_ptr<Inbox> inbox_ = std::make_shared<Inbox>();
   mutable std::mutex polling_;
+  std::int64_t given_up_ = 0;  // no request up to this one is pending; under polling_
   std::atomic<std::int64_t> last_{0};
   std::atomic<std::uint64_t> dropped_{0};
 };
