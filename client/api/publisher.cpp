@@ -258,6 +258,18 @@ bool UntypedPublisher::wait_for_all_acked(Patience patience) const noexcept {
   return true;
 }
 
+bool UntypedPublisher::wait_for_local_links(Patience patience) const noexcept {
+  using Readers = PublisherEndpoint::Readers;
+  if (endpoint_ == nullptr) return true;
+  while (state() == Errc::ok) {
+    if (endpoint_->subscription_count(Readers::local_linked) >=
+        endpoint_->subscription_count(Readers::local))
+      return true;
+    if (!patience.wait()) return false;
+  }
+  return false;
+}
+
 std::uint64_t UntypedPublisher::persistent_id() const noexcept {
   return endpoint_ != nullptr ? endpoint_->persistent_id() : 0;
 }

@@ -367,8 +367,9 @@ std::size_t PublisherEndpoint::subscription_count(Readers readers) const noexcep
     const std::lock_guard lock(mutex_);
     // Nobody writes the board of a session whose daemon's store is lost.
     if (!moved_)
-      return readers == Readers::linked || is_alone_ ? linked_count(readers)
-                                                     : matched_count(readers);
+      return readers == Readers::linked || readers == Readers::local_linked || is_alone_
+                 ? linked_count(readers)
+                 : matched_count(readers);
     successor = successor_;
   }
   return successor != nullptr ? successor->subscription_count(readers) : 0;
@@ -395,7 +396,7 @@ std::size_t PublisherEndpoint::matched_count(Readers readers) const noexcept {
 std::size_t PublisherEndpoint::linked_count(Readers readers) const noexcept {
   const auto counts = [&](const Attached& attached) {
     if (!is_linked(attached)) return false;
-    if (readers != Readers::local) return true;
+    if (readers == Readers::all || readers == Readers::linked) return true;
     const auto reader = dataplane::active_subscription(identity_.core.topic, attached.index);
     return reader && reader->of.client == identity_.core.client;
   };

@@ -171,10 +171,11 @@ class PublisherEndpoint {
   /// Returns whether the daemon has freed the index and nothing is left to destroy.
   bool is_over() const noexcept;
   std::uint64_t allocated_count() const noexcept;
-  enum class Readers : std::uint8_t { all, local, linked };
+  enum class Readers : std::uint8_t { all, local, linked, local_linked };
   /// Returns how many subscriptions receive new messages: they match, and are not withdrawn. One
   /// counts as soon as its creation is answered. `local`: those of this process alone. `linked`:
   /// those that are mapped here, and have linked; also those that have left and hold a message.
+  /// `local_linked`: of these, those of this process.
   std::size_t subscription_count(Readers readers = Readers::all) const noexcept;
   /// Returns their persistent endpoint ids.
   std::vector<std::uint64_t> reader_persistent_ids() const;

@@ -161,6 +161,7 @@ class AGNOCAST_PUBLIC UntypedPublisher {
   const std::string& topic() const noexcept { return topic_; }
   const QoS& qos() const noexcept { return qos_; }
   bool wait_for_all_acked(Patience patience) const noexcept;
+  bool wait_for_local_links(Patience patience) const noexcept;
   std::size_t subscription_count() const noexcept;
   /// Of these, returns how many are of this process.
   std::size_t local_subscription_count() const noexcept;
@@ -227,6 +228,12 @@ class PublisherBase {
     return timeout < timeout.zero()
                ? untyped_->wait_for_all_acked(detail::Patience(std::chrono::hours::max()))
                : untyped_->wait_for_all_acked(detail::Patience(timeout));
+  }
+  /// Waits until each matched subscription of this process can take the next message at once, as
+  /// it can where DDS matches within a process; usually a millisecond. Returns false if time ran
+  /// out, or the session was revoked, or this is a forked child.
+  bool wait_for_local_links(std::chrono::nanoseconds timeout) const noexcept {
+    return untyped_->wait_for_local_links(detail::Patience(timeout));
   }
   /// Returns the number of matched subscriptions, which receive messages published from now on.
   /// One counts as soon as its creation has returned, in any process. Costs a look at each place

@@ -2,7 +2,6 @@
 
 #include <ros2/rmw_agnocast_cpp/core/services.hpp>
 
-#include <agnocast/heap.hpp>
 #include <agnocast/relay.hpp>
 
 #include <algorithm>
@@ -33,33 +32,6 @@ Result<void> fill(const MessageSupport& support, const void* from, GenericLoan& 
 }
 
 }  // namespace
-
-namespace detail {
-
-OwnServer::Shared& OwnServer::shared() noexcept {
-  static Shared* const only = new Shared;  // objects of static storage end after it
-  return *only;
-}
-OwnServer::OwnServer(const std::string& service) {
-  const LoanPause pause;  // the list is private memory
-  const std::lock_guard lock(shared().mutex);
-  place_ = shared().all.emplace(service, Clock::now());
-}
-OwnServer::~OwnServer() {
-  if (::getpid() != process_)
-    return;  // in a forked child another thread may have the lock for ever
-  const std::lock_guard lock(shared().mutex);
-  shared().all.erase(place_);
-}
-std::optional<OwnServer::Clock::time_point> OwnServer::latest(const std::string& service) {
-  const std::lock_guard lock(shared().mutex);
-  std::optional<Clock::time_point> found;
-  const auto [begin, end] = shared().all.equal_range(service);
-  for (auto one = begin; one != end; ++one) found = std::max(found, std::optional(one->second));
-  return found;
-}
-
-}  // namespace detail
 
 Result<std::unique_ptr<ServiceServer>> ServiceServer::create(const NodeName& node,
                                                              const std::string& service,
@@ -132,10 +104,11 @@ Arrivals ServiceClient::arrivals() const noexcept {
 /// Its threads match them within milliseconds.
 void ServiceClient::wait_for_own_server() const {
   if (::getpid() != process_ || server_count() != 0) return;
-  const auto server = detail::OwnServer::latest(client_.get_service_name());
-  if (!server) return;
-  const auto end = std::max(*server, created_) + std::chrono::seconds(1);
-  const auto now = detail::OwnServer::Clock::now();
+  const auto servers = OwnEndpoint<Clock::time_point>::all_of(client_.get_service_name());
+  if (servers.empty()) return;
+  const auto end = std::max(*std::max_element(servers.begin(), servers.end()), created_) +
+                   std::chrono::seconds(1);
+  const auto now = Clock::now();
   if (now < end) (void)client_.wait_for_service(end - now);
 }
 

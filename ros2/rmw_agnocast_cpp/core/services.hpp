@@ -11,6 +11,7 @@
 #include <agnocast/result.hpp>
 #include <ros2/rmw_agnocast_cpp/core/listener.hpp>
 #include <ros2/rmw_agnocast_cpp/core/message_support.hpp>
+#include <ros2/rmw_agnocast_cpp/core/own_endpoints.hpp>
 #include <ros2/rmw_agnocast_cpp/core/topics.hpp>
 
 #include <sys/types.h>
@@ -22,40 +23,12 @@
 #include <cstddef>
 #include <cstdint>
 #include <deque>
-#include <map>
 #include <memory>
 #include <mutex>
-#include <optional>
 #include <string>
 #include <utility>
 
 namespace agnocast::rmw {
-
-namespace detail {
-
-/// A server of this process, for its clients.
-class OwnServer {
- public:
-  using Clock = std::chrono::steady_clock;
-  explicit OwnServer(const std::string& service);
-  ~OwnServer();
-  OwnServer(const OwnServer&) = delete;
-  OwnServer& operator=(const OwnServer&) = delete;
-  /// Returns when the latest one of a service was created, if there is one. Any thread.
-  static std::optional<Clock::time_point> latest(const std::string& service);
-
- private:
-  using All = std::multimap<std::string, Clock::time_point>;
-  struct Shared {
-    std::mutex mutex;
-    All all;
-  };
-  static Shared& shared() noexcept;
-  const pid_t process_ = ::getpid();
-  All::iterator place_;
-};
-
-}  // namespace detail
 
 /// Both halves of a service.
 struct ServiceSupport {
@@ -96,13 +69,13 @@ class ServiceServer final : public Listenable {
         kind_(kind),
         untyped_(std::move(untyped)),
         responder_(untyped_->core(), kind),
-        own_(service) {}
+        own_(service, Clock::now()) {}
 
   const ServiceSupport support_;
   const Kind kind_;
   const std::shared_ptr<agnocast::detail::UntypedService> untyped_;
   const agnocast::detail::Responder<Kind> responder_;
-  const detail::OwnServer own_;
+  const OwnEndpoint<Clock::time_point> own_;  // since when
   std::atomic<std::uint64_t> undelivered_{0};
 };
 
@@ -164,7 +137,7 @@ class ServiceClient final : public Listenable {
   const ServiceSupport support_;
   Client client_;
   const pid_t process_ = ::getpid();
-  const detail::OwnServer::Clock::time_point created_ = detail::OwnServer::Clock::now();
+  const Clock::time_point created_ = Clock::now();
   const std::shared_ptr<Inbox> inbox_ = std::make_shared<Inbox>();
   mutable std::mutex polling_;
   std::int64_t given_up_ = 0;  // no request up to this one is pending; under polling_

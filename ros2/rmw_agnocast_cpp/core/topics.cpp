@@ -16,6 +16,15 @@ namespace {
 // max_blocking_time of a DDS writer (DDS 1.4, 2.2.3.14).
 constexpr std::chrono::milliseconds blocking_time{100};
 
+/// Lets the publishers of this process link with its subscriptions, which its threads do within a
+/// millisecond; under load it may take longer, and then messages come as those of other processes.
+void link_own(const std::string& topic) {
+  constexpr std::chrono::milliseconds patience{100};
+  for (const auto& own : OwnEndpoint<std::weak_ptr<GenericPublisher>>::all_of(topic)) {
+    if (const auto publisher = own.lock()) (void)publisher->wait_for_local_links(patience);
+  }
+}
+
 }  // namespace
 
 Result<std::unique_ptr<TopicPublisher>> TopicPublisher::create(const NodeName& node,
@@ -24,7 +33,9 @@ Result<std::unique_ptr<TopicPublisher>> TopicPublisher::create(const NodeName& n
                                                                const QoS& qos) {
   auto publisher = try_create_generic_publisher(node, topic, support.type(), qos);
   if (!publisher) return tl::unexpected<Failure>(publisher.error());
-  return std::unique_ptr<TopicPublisher>(new TopicPublisher(support, std::move(*publisher)));
+  std::unique_ptr<TopicPublisher> made(new TopicPublisher(support, *publisher, topic));
+  link_own(topic);
+  return made;
 }
 
 PublishResult TopicPublisher::publish(const void* message) noexcept {
@@ -69,8 +80,9 @@ Result<std::unique_ptr<TopicSubscription>> TopicSubscription::create(
   auto subscription =
       try_create_generic_subscription(node, topic, support.type(), qos, nullptr, options);
   if (!subscription) return tl::unexpected<Failure>(subscription.error());
-  return std::unique_ptr<TopicSubscription>(
-      new TopicSubscription(support, std::move(*subscription)));
+  std::unique_ptr<TopicSubscription> made(new TopicSubscription(support, std::move(*subscription)));
+  link_own(topic);
+  return made;
 }
 
 bool TopicSubscription::take(void* message, MessageInfo& info) {

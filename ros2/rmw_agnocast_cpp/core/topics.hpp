@@ -18,6 +18,7 @@
 #include <ros2/rmw_agnocast_cpp/core/events.hpp>
 #include <ros2/rmw_agnocast_cpp/core/listener.hpp>
 #include <ros2/rmw_agnocast_cpp/core/message_support.hpp>
+#include <ros2/rmw_agnocast_cpp/core/own_endpoints.hpp>
 
 #include <array>
 #include <cstddef>
@@ -72,6 +73,8 @@ class Loans {
   std::unordered_map<const void*, Loan> loans_;
 };
 
+/// As in DDS, a message that is published when the creation of both endpoints has returned can be
+/// taken at once, if both are of this process.
 class TopicPublisher {
  public:
   /// Errors: as of create_publisher. Throws std::bad_alloc.
@@ -107,11 +110,16 @@ class TopicPublisher {
   const MessageSupport& support() const noexcept { return support_; }
 
  private:
-  TopicPublisher(MessageSupport support, GenericPublisher::SharedPtr publisher) noexcept
-      : support_(std::move(support)), publisher_(std::move(publisher)), events_(*publisher_) {}
+  TopicPublisher(MessageSupport support, const GenericPublisher::SharedPtr& publisher,
+                 const std::string& topic)
+      : support_(std::move(support)),
+        publisher_(publisher),
+        own_(topic, publisher),
+        events_(*publisher_) {}
 
   const MessageSupport support_;
   const GenericPublisher::SharedPtr publisher_;
+  const OwnEndpoint<std::weak_ptr<GenericPublisher>> own_;
   PublisherEvents events_;
   Loans<GenericLoan> loans_;
 };

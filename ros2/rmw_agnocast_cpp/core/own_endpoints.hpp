@@ -1,0 +1,67 @@
+// SPDX-License-Identifier: Apache-2.0
+//
+// OwnEndpoint: what a process knows of its own endpoints, by name. DDS matches endpoints within a
+// process at once, and nodes rely on it; here the threads of the library need a moment, for which
+// whoever needs it waits.
+#pragma once
+
+#include <agnocast/heap.hpp>
+
+#include <sys/types.h>
+#include <unistd.h>
+
+#include <map>
+#include <mutex>
+#include <string>
+#include <utility>
+#include <vector>
+
+namespace agnocast::rmw {
+
+/// One endpoint, with a fact of it, while it lives. Any thread.
+template <class Fact>
+class OwnEndpoint {
+ public:
+  OwnEndpoint(const std::string& name, Fact fact) {
+    const LoanPause pause;  // the list is private memory
+    Shared& shared = OwnEndpoint::shared();
+    const std::lock_guard lock(shared.mutex);
+    place_ = shared.all.emplace(name, std::move(fact));
+  }
+  ~OwnEndpoint() {
+    if (::getpid() != process_)
+      return;  // a forked child, where somebody may have the lock for ever
+    Shared& shared = OwnEndpoint::shared();
+    const std::lock_guard lock(shared.mutex);
+    shared.all.erase(place_);
+  }
+  OwnEndpoint(const OwnEndpoint&) = delete;
+  OwnEndpoint& operator=(const OwnEndpoint&) = delete;
+
+  /// Returns the facts of all endpoints of a name. Not in a forked child.
+  static std::vector<Fact> all_of(const std::string& name) {
+    const LoanPause pause;
+    std::vector<Fact> found;
+    Shared& shared = OwnEndpoint::shared();
+    const std::lock_guard lock(shared.mutex);
+    const auto [begin, end] = shared.all.equal_range(name);
+    for (auto one = begin; one != end; ++one) found.push_back(one->second);
+    return found;
+  }
+
+ private:
+  using All = std::multimap<std::string, Fact>;
+  struct Shared {
+    std::mutex mutex;
+    All all;
+  };
+  static Shared& shared() {
+    static Shared* const only = new Shared;  // objects of static storage end after it
+    return *only;
+  }
+
+  const pid_t process_ = ::getpid();
+  typename All::iterator place_;
+};
+
+}  // namespace agnocast::rmw
