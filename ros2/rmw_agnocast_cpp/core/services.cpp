@@ -82,7 +82,10 @@ Result<std::unique_ptr<ServiceClient>> ServiceClient::create(const NodeName& nod
   auto untyped = agnocast::detail::UntypedClient::create_polled(*name, *types, qos,
                                                                 kind.request_code().code());
   if (!untyped) return tl::unexpected<Failure>(untyped.error());
-  return std::unique_ptr<ServiceClient>(new ServiceClient(support, std::move(*untyped), kind));
+  std::unique_ptr<ServiceClient> made(new ServiceClient(support, std::move(*untyped), kind));
+  // rclcpp asks once whether a server is there, and again when the graph changes or after 100 ms.
+  made->wait_for_own_server(std::chrono::milliseconds(100));
+  return made;
 }
 
 bool ServiceClient::is_ready() const noexcept {
@@ -101,19 +104,18 @@ Arrivals ServiceClient::arrivals() const noexcept {
   return now;
 }
 
-/// Its threads match them within milliseconds.
-void ServiceClient::wait_for_own_server() const {
+/// Waits, if there is one, until it is matched, or both have been there for so long.
+void ServiceClient::wait_for_own_server(std::chrono::milliseconds age) const {
   if (::getpid() != process_ || server_count() != 0) return;
   const auto servers = OwnEndpoint<Clock::time_point>::all_of(client_.get_service_name());
   if (servers.empty()) return;
-  const auto end = std::max(*std::max_element(servers.begin(), servers.end()), created_) +
-                   std::chrono::seconds(1);
+  const auto end = std::max(*std::max_element(servers.begin(), servers.end()), created_) + age;
   const auto now = Clock::now();
   if (now < end) (void)client_.wait_for_service(end - now);
 }
 
 Result<std::int64_t> ServiceClient::send(const void* request) {
-  wait_for_own_server();
+  wait_for_own_server(std::chrono::seconds(1));
   {
     // Ends those whose server has gone; nobody takes for them. Before the loan: from there on this
     // thread allocates shared memory, and the inbox is private.

@@ -86,7 +86,8 @@ class ServiceClient final : public Listenable {
   /// no call that gives a request up: the bound keeps a client below 2 MiB.
   static constexpr std::int64_t unanswered_max = 4096;
 
-  /// Errors: as of create_client. Throws std::bad_alloc.
+  /// A server of this process is usually matched when it returns, as over DDS; it waits 100 ms for
+  /// that at most. Errors: as of create_client. Throws std::bad_alloc.
   [[nodiscard]] static Result<std::unique_ptr<ServiceClient>> create(const NodeName& node,
                                                                      const std::string& service,
                                                                      const ServiceSupport& support,
@@ -132,7 +133,7 @@ class ServiceClient final : public Listenable {
                 std::shared_ptr<agnocast::detail::UntypedClient> untyped, const Kind& kind)
       : support_(support), client_(std::move(untyped), kind) {}
 
-  void wait_for_own_server() const;
+  void wait_for_own_server(std::chrono::milliseconds age) const;
 
   const ServiceSupport support_;
   Client client_;

@@ -124,12 +124,13 @@ TEST_F(RmwServices, EachClientGetsItsOwnResponsesInAnyOrder) {
 // As a node does that calls its own service at once.
 TEST_F(RmwServices, ARequestWaitsForAServerOfItsProcess) {
   const Everything request;
-  int delivered = 0;
+  int delivered = 0, ready = 0;
   for (int i = 0; i < 20; ++i) {
     std::unique_ptr<ServiceServer> serving;
     std::unique_ptr<ServiceClient> asking;
     if (i % 2 == 0) serving = server(service_in_cpp());
     asking = client(service_in_cpp());
+    if (i % 2 == 0) ready += asking->server_count() == 1;
     if (i % 2 != 0) serving = server(service_in_cpp());
     ASSERT_TRUE(asking->send(&request));
     if (asking->dropped_count() != 0) continue;  // load: the match took longer than it waits
@@ -144,6 +145,7 @@ TEST_F(RmwServices, ARequestWaitsForAServerOfItsProcess) {
     wait_for(*asking);
   }
   EXPECT_GE(delivered, 10);
+  EXPECT_GE(ready, 5) << "of 10 whose server was there before";
 }
 
 TEST_F(RmwServices, ServersThatDoNotAnswerFillNoClient) {
