@@ -28,7 +28,7 @@ class GraphRequests {
 
   /// Errors: os_failure (the table cannot be made).
   [[nodiscard]] Result<void> watch(Peer& peer, const wire::WatchGraph& request);
-  /// Brings the table up to date: whoever has heard of a change finds it there.
+  /// Brings the table up to date: a process that is told of a change finds it there.
   void write() { table_.update(monotonic_ms()); }
   /// Does so as well, and tells those who wait for that.
   void go_on(std::uint64_t now_ms);

@@ -1,8 +1,8 @@
 // SPDX-License-Identifier: Apache-2.0
 //
 // GraphWatch: the endpoints of one domain of the host, and who is told when they change. A thread
-// of its own sleeps until there is something new (agnocast::Graph), and tells of it. Whoever asks
-// for a snapshot looks as well: rcl asks for the endpoints that it has just made.
+// of its own sleeps until there is something new (agnocast::Graph), and tells of it. A thread that
+// asks for a snapshot looks as well: rcl asks for the endpoints that it has just made.
 #pragma once
 
 #include <agnocast/graph.hpp>

@@ -1,8 +1,8 @@
 // SPDX-License-Identifier: Apache-2.0
 //
 // OwnEndpoint: what a process knows of its own endpoints, by name. DDS matches endpoints within a
-// process at once, and nodes rely on it; here the threads of the library need a moment, for which
-// whoever needs it waits.
+// process at once, and nodes rely on it; here the threads of the library need a moment, for which a
+// creation waits.
 #pragma once
 
 #include <agnocast/heap.hpp>
