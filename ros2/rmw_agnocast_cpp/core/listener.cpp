@@ -28,6 +28,7 @@ Listener::~Listener() {
   {
     const std::lock_guard lock(mutex_);
     is_over_ = true;
+    has_entries_.notify_one();
   }
   wait_->wake();
   thread_.join();
@@ -55,6 +56,7 @@ Result<void> Listener::listen(Listenable& to, Callback callback, const void* use
   const std::uint64_t gone = now.count - std::min(now.count, now.unread);
   if (to.reported_ < gone || to.reported_ > now.count) to.reported_ = gone;
   is_changed_ = true;
+  has_entries_.notify_one();
   wait_->wake();
   wait_for_callback(lock, to);
   return {};
@@ -133,6 +135,11 @@ void Listener::run() noexcept {
   // Between looks for the sake of the time alone, however often it seems to be due.
   constexpr std::chrono::milliseconds look_interval{1};
   for (;;) {
+    {
+      // Each message of the process ends a sleep in wait_.
+      std::unique_lock lock(mutex_);
+      has_entries_.wait(lock, [this] { return is_over_ || !entries_.empty(); });
+    }
     const auto first = due();
     // A period may begin while it sleeps.
     wait_->wait_until(std::max(first, Clock::now() + look_interval),

@@ -75,7 +75,7 @@ class Listener {
   WaitPool& pool_;
   const pid_t process_;
   mutable std::mutex mutex_;
-  std::condition_variable callback_ended_;
+  std::condition_variable callback_ended_, has_entries_;
   std::vector<Entry> entries_;
   const Listenable* running_ = nullptr;  // whose callback runs
   std::uint64_t call_ = 0;               // its number

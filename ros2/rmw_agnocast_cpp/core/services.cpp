@@ -88,6 +88,15 @@ Result<std::unique_ptr<ServiceClient>> ServiceClient::create(const NodeName& nod
   return made;
 }
 
+bool ServiceClient::ServerArrival::is_ready() const noexcept {
+  try {
+    const LoanPause pause;
+    return client_.service_is_ready();
+  } catch (const std::bad_alloc&) {
+    return false;  // the next look may have memory
+  }
+}
+
 bool ServiceClient::is_ready() const noexcept {
   // Nothing moves from the unread ones to the inbox meanwhile.
   const std::lock_guard polling(polling_);

@@ -95,9 +95,11 @@ class ServiceClient final : public Listenable {
 
   bool is_ready() const noexcept override;
   Arrivals arrivals() const noexcept override;
-  std::array<Listenable*, 1> listenables() noexcept { return {this}; }
+  std::array<Listenable*, 2> listenables() noexcept { return {this, &server_arrival_}; }
   /// Returns how many servers get requests sent now, and can answer them.
   std::size_t server_count() const { return client_.get_server_count(); }
+  /// Has one arrival while there is such a server: the graph shows a server before it is matched.
+  Listenable& server_arrival() noexcept { return server_arrival_; }
 
   /// Sends a request and returns its number, from 1. Errors: type_refused (a member is longer than
   /// its type allows), those of this process in PublishResult. Without a server, or with one that
@@ -120,6 +122,18 @@ class ServiceClient final : public Listenable {
     using BasicClient::BasicClient;
     using ClientBase::untyped;
   };
+  class ServerArrival final : public Listenable {
+   public:
+    explicit ServerArrival(const Client& client) noexcept : client_(client) {}
+    bool is_ready() const noexcept override;
+    Arrivals arrivals() const noexcept override {
+      const std::uint64_t come = is_ready() ? 1 : 0;
+      return {come, come};
+    }
+
+   private:
+    const Client& client_;
+  };
   struct Response {
     std::int64_t number;
     GenericMessage message;
@@ -137,6 +151,7 @@ class ServiceClient final : public Listenable {
 
   const ServiceSupport support_;
   Client client_;
+  ServerArrival server_arrival_{client_};
   const pid_t process_ = ::getpid();
   const Clock::time_point created_ = Clock::now();
   const std::shared_ptr<Inbox> inbox_ = std::make_shared<Inbox>();

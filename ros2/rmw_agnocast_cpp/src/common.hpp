@@ -93,7 +93,11 @@ struct EndpointData {
 using PublisherData = EndpointData<TopicPublisher>;
 using SubscriptionData = EndpointData<TopicSubscription>;
 using ServiceData = EndpointData<ServiceServer>;
-using ClientData = EndpointData<ServiceClient>;
+struct ClientData : EndpointData<ServiceClient> {
+  using EndpointData::EndpointData;
+
+  rmw_context_impl_t* context = nullptr;
+};
 
 template <class Data, class Handle>
 Data& data_of(const Handle* handle) noexcept {

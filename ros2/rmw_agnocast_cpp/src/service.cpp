@@ -68,6 +68,15 @@ void tell(std::uint64_t client, std::int64_t number, rmw_service_info_t* info) {
   info->source_timestamp = info->received_timestamp = now_ns();
 }
 
+/// Called when the first server of a client is matched. Nodes that wait for one sleep until the
+/// graph changes; the change that showed the server may have come before the match.
+void tell_of_server(const void* client, std::size_t) {
+  const auto& data = *static_cast<const ClientData*>(client);
+  data.listener.forget(data.endpoint->server_arrival());
+  const std::lock_guard lock(data.context->mutex);
+  data.context->tell_nodes();
+}
+
 }  // namespace
 
 extern "C" {
@@ -155,6 +164,7 @@ rmw_client_t* rmw_create_client(const rmw_node_t* node,
                                               QoS(QoS(data.qos).depth()));
         if (!endpoint) return tl::unexpected<Failure>(endpoint.error());
         data.endpoint = std::move(*endpoint);
+        data.context = node->context->impl;
         return {};
       },
       [](rmw_client_t& handle) -> const char*& { return handle.service_name; });
@@ -221,7 +231,15 @@ rmw_ret_t rmw_service_server_is_available(const rmw_node_t* node, const rmw_clie
   AGNOCAST_RMW_OURS(client);
   RMW_CHECK_ARGUMENT_FOR_NULL(is_available, RMW_RET_ERROR);
   return guarded([&] {
-    *is_available = data_of<ClientData>(client).endpoint->server_count() != 0;
+    auto& data = data_of<ClientData>(client);
+    const auto is_there = [&] { return data.endpoint->server_count() != 0; };
+    bool found = is_there();
+    if (!found) {
+      // Without a listener nodes learn of it when they ask again, which they do at intervals.
+      (void)data.listener.listen(data.endpoint->server_arrival(), tell_of_server, &data);
+      found = is_there();  // one that came meanwhile may not be reported
+    }
+    *is_available = found;
     return rmw_ret_t{RMW_RET_OK};
   });
 }

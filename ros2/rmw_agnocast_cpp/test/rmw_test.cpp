@@ -12,7 +12,9 @@
 #include <rmw/qos_profiles.h>
 #include <rmw/rmw.h>
 #include <rosidl_typesupport_cpp/message_type_support.hpp>
+#include <rosidl_typesupport_cpp/service_type_support.hpp>
 #include <std_msgs/msg/string.hpp>
+#include <std_srvs/srv/empty.hpp>
 
 #include <atomic>
 #include <chrono>
@@ -26,6 +28,7 @@ namespace {
 
 using namespace std::chrono_literals;
 using std_msgs::msg::String;
+using std_srvs::srv::Empty;
 
 /// Steps that succeed; the text of the error otherwise.
 #define OK(call) ASSERT_EQ(call, RMW_RET_OK) << rmw_get_error_string().str
@@ -293,6 +296,31 @@ TEST_F(Rmw, EachNodeHasOneGraphCondition) {
   }
   OK(rmw_destroy_publisher(node_, writer));
   OK(rmw_destroy_node(other));
+}
+
+TEST_F(Rmw, AServerThatIsMatchedChangesTheGraph) {
+  const auto* const of_service = rosidl_typesupport_cpp::get_service_type_support_handle<Empty>();
+  const rmw_qos_profile_t& qos = rmw_qos_profile_services_default;
+  rmw_client_t* const client = rmw_create_client(node_, of_service, "/service", &qos);
+  ASSERT_NE(client, nullptr) << rmw_get_error_string().str;
+  const rmw_guard_condition_t* const condition = rmw_node_get_graph_guard_condition(node_);
+  Waiter waiter(context_);
+  for (int turn = 0; turn < 300; ++turn) {
+    rmw_service_t* server = nullptr;
+    std::thread creates([&] { server = rmw_create_service(node_, of_service, "/service", &qos); });
+    bool is_there = false;
+    for (;;) {
+      OK(rmw_service_server_is_available(node_, client, &is_there));
+      if (is_there) break;
+      waiter.conditions = {condition->data};
+      OK(waiter.wait());
+    }
+    creates.join();
+    ASSERT_NE(server, nullptr) << rmw_get_error_string().str;
+    OK(rmw_destroy_service(node_, server));
+    while (is_there) OK(rmw_service_server_is_available(node_, client, &is_there));
+  }
+  OK(rmw_destroy_client(node_, client));
 }
 
 TEST_F(Rmw, ProfilesGoTogetherAsDdsSays) {

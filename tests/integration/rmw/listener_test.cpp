@@ -382,6 +382,22 @@ TEST_F(RmwListener, EventsAreReported) {
   for (Listenable* const one : reader->listenables()) listener.forget(*one);
 }
 
+TEST_F(RmwListener, AServerIsReportedWhenItIsMatched) {
+  const ServiceSupport support{cpp_support<Everything>(), cpp_support<Everything>()};
+  const auto client = valued(ServiceClient::create(node, topic, support, QoS(1)));
+  for (std::uint64_t come = 1; come <= 3; ++come) {
+    Heard heard;
+    hear(client->server_arrival(), heard);
+    EXPECT_EQ(heard.count, 0u);
+    auto server = valued(ServiceServer::create(node, topic, support, QoS(1)));
+    expect(heard, 1);
+    EXPECT_EQ(client->server_count(), 1u);
+    listener.forget(client->server_arrival());  // nothing is left to listen to, until the next turn
+    server.reset();
+    EXPECT_TRUE(eventually([&] { return client->server_count() == 0; }));
+  }
+}
+
 TEST_F(RmwListener, MayEndBeforeWhatItListensTo) {
   const auto writer = publisher(QoS(10));
   const auto reader = subscription(QoS(10));
