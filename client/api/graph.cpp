@@ -6,6 +6,7 @@
 #include <agnocast/graph.hpp>
 
 #include <base/descriptors/kept_fd.hpp>
+#include <client/connection/registration.hpp>
 #include <client/process/forked_child.hpp>
 #include <client/session/context.hpp>
 #include <client/session/host_graph.hpp>
@@ -73,6 +74,7 @@ EndpointInfo info_of(const region::GraphFacts& facts) {
   info.pid = static_cast<std::uint32_t>(facts.pid);
   info.uid = static_cast<std::uint32_t>(facts.uid);
   info.client = facts.client;
+  info.is_own = facts.client == Registration::last_client();
   info.process_name = text_of(facts.process);
   return info;
 }

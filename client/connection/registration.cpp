@@ -32,6 +32,8 @@ namespace {
 constexpr std::uint64_t no_domain = ~std::uint64_t{0};
 /// That of the first registration that agnocastd has welcomed: later ones continue from it.
 std::atomic<std::uint64_t> registered_domain{no_domain};
+/// The client generation of the last one.
+std::atomic<std::uint64_t> registered_client{0};
 
 // A misspelt domain must not silently be domain 0: its node would meet no other. The user who
 // starts a program with raised rights may not choose its domain either: other rules may hold there.
@@ -78,6 +80,10 @@ Result<std::uint64_t> domain_id() {
   const std::uint64_t registered = registered_domain.load(std::memory_order_relaxed);
   if (registered != no_domain) return registered;
   return domain_of_environment();
+}
+
+std::uint64_t Registration::last_client() noexcept {
+  return registered_client.load(std::memory_order_relaxed);
 }
 
 Result<void> Registration::find_daemon() {
@@ -141,6 +147,7 @@ Result<void> Registration::say_hello(Clock::time_point deadline, bool heap_is_op
   incarnation_ = welcome.incarnation;
   client_ = {welcome.client, welcome.client_generation};
   registered_domain.store(domain_, std::memory_order_relaxed);
+  registered_client.store(welcome.client_generation, std::memory_order_relaxed);
   if (Result<void> mapped = map_regions(welcome, packet.packet.fds(), heap_is_open); !mapped)
     return mapped;
   // After a connection has ended, the daemon keeps the place of a client that has mapped its

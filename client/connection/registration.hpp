@@ -61,6 +61,8 @@ class Registration {
   std::uint64_t incarnation() const noexcept { return incarnation_; }
   /// Client and generation.
   const std::pair<std::uint64_t, std::uint64_t>& client() const noexcept { return client_; }
+  /// Returns the generation of the client that agnocastd welcomed last in this process; 0: none.
+  static std::uint64_t last_client() noexcept;
   const Arena* arena() const noexcept { return arena_.get(); }
   SparseRegion& board() noexcept { return board_; }
   SparseRegion& region() noexcept { return region_; }

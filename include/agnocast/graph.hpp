@@ -34,6 +34,7 @@ struct EndpointInfo {
   std::uint32_t pid = 0;         ///< in the daemon's pid namespace; 0 if not visible there
   std::uint32_t uid = 0;
   std::uint64_t client = 0;  ///< of the process: the same for all its endpoints, and unique to it
+  bool is_own = false;       ///< of this process
   std::string process_name;
 };
 

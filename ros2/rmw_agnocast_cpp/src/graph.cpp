@@ -1,7 +1,7 @@
 // SPDX-License-Identifier: Apache-2.0
 //
-// The graph: nodes, topics, services and endpoints of the host, from the daemon's last
-// announcement.
+// The graph: nodes, topics, services and endpoints of the host, as the daemon's table has them at
+// the moment of the call.
 
 #include <ros2/rmw_agnocast_cpp/src/common.hpp>
 #include <ros2/rmw_agnocast_cpp/src/endpoints.hpp>
@@ -19,7 +19,6 @@
 #include <rmw/validate_full_topic_name.h>
 #include <rmw/validate_namespace.h>
 #include <rmw/validate_node_name.h>
-#include <unistd.h>
 
 #include <cstring>
 #include <map>
@@ -106,11 +105,8 @@ std::multiset<std::pair<std::string, std::string>> nodes_of(const rmw_node_t* no
       nodes.emplace(own->name.name_space, own->name.name);
   }
   const std::set<std::pair<std::string, std::string>> own(nodes.begin(), nodes.end());
-  const auto this_process = static_cast<std::uint32_t>(::getpid());
   for_each_endpoint(node, [&](const EndpointInfo& endpoint, const TopicRole&) {
-    if (endpoint.pid == this_process &&
-        own.count({endpoint.node_namespace, endpoint.node_name}) != 0)
-      return;
+    if (endpoint.is_own && own.count({endpoint.node_namespace, endpoint.node_name}) != 0) return;
     if (seen.emplace(endpoint.node_namespace, endpoint.node_name, endpoint.client).second)
       nodes.emplace(endpoint.node_namespace, endpoint.node_name);
   });

@@ -104,6 +104,7 @@ TEST_F(GraphTest, ReportsHowEveryEndpointWasCreated) {
   EXPECT_EQ(first.pid, static_cast<std::uint32_t>(::getpid()));
   EXPECT_EQ(first.uid, ::geteuid());
   EXPECT_EQ(first.process_name, "talker_process");
+  EXPECT_FALSE(first.is_own) << "of a client that is not the library's, though in this process";
   const EndpointInfo& second = now.endpoints[1];
   EXPECT_EQ(second.kind, EndpointKind::subscription);
   EXPECT_EQ(second.domain, 7u);
