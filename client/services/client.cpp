@@ -89,6 +89,14 @@ class ClientCore {
   }
 
   void on_response(Block* block) {
+    std::exception_ptr thrown;
+    complete(block, thrown);
+    // The last response of a dead server is an event as well.
+    give_up(thrown);
+    if (thrown) std::rethrow_exception(thrown);
+  }
+  /// Completes the request that this answers.
+  void complete(Block* block, std::exception_ptr& thrown) {
     auto* const start = static_cast<std::byte*>(block->message.load(std::memory_order_relaxed));
     const RequestId answered = *reinterpret_cast<const RequestId*>(start);
     block->message.store(start + sizeof(RequestId), std::memory_order_relaxed);
@@ -105,20 +113,18 @@ class ClientCore {
         pending_.erase(found);
       }
     }
-    std::exception_ptr thrown;
-    if (completion) {
-      block->users.fetch_add(1, std::memory_order_relaxed);
-      run(completion, block, Errc::ok, thrown);
-    }
-    // The last response of a dead server is an event as well.
-    give_up(thrown);
-    if (thrown) std::rethrow_exception(thrown);
+    if (!completion) return;
+    block->users.fetch_add(1, std::memory_order_relaxed);
+    run(completion, block, Errc::ok, thrown);
   }
   /// Prevents further completions.
   void end() noexcept { is_ended_ = true; }
   /// Called when a server has come or gone, or the unread messages of a dead one are lost.
   void on_change() {
     std::exception_ptr thrown;
+    on_change(thrown);
+  }
+  void on_change(std::exception_ptr& thrown) {
     give_up(thrown);
     if (thrown) std::rethrow_exception(thrown);
   }
@@ -313,8 +319,15 @@ Result<std::shared_ptr<UntypedClient>> UntypedClient::make(const EndpointName& s
 }
 
 void UntypedClient::poll() {
-  while (Block* const block = replies_->take()) core_->on_response(block);
-  core_->on_change();
+  // Anybody who may publish there can send responses without end, which answer nothing.
+  constexpr int responses_max = 64;
+  std::exception_ptr thrown;
+  for (int i = 0; i < responses_max; ++i) {
+    Block* const block = replies_->take();
+    if (block == nullptr) break;
+    core_->complete(block, thrown);
+  }
+  core_->on_change(thrown);
 }
 
 UntypedClient::~UntypedClient() {

@@ -59,8 +59,8 @@ class AGNOCAST_PUBLIC UntypedClient {
   std::size_t pending_count() const noexcept;
   std::uint64_t dropped_count() const noexcept;
   bool is_active() const noexcept;
-  /// For a polled client: completes what has been answered, and what nobody can answer any more.
-  /// One thread at a time. Throws what completions throw.
+  /// For a polled client: completes what has been answered, 64 responses at most, and what nobody
+  /// can answer any more. One thread at a time. Throws what completions throw.
   void poll();
   /// Returns whether poll() may find a response. No system call.
   bool has_unread() const noexcept { return replies_->has_unread(); }
