@@ -398,7 +398,8 @@ std::size_t PublisherEndpoint::linked_count(Readers readers) const noexcept {
     if (!is_linked(attached)) return false;
     if (readers == Readers::all || readers == Readers::linked) return true;
     const auto reader = dataplane::active_subscription(identity_.core.topic, attached.index);
-    return reader && reader->of.client == identity_.core.client;
+    return reader && reader->of.client == identity_.core.client &&
+           core_->withdrawal(attached.index, attached.generation) == abi::Withdrawal::none;
   };
   return static_cast<std::size_t>(std::count_if(attached_.begin(), attached_.end(), counts));
 }

@@ -14,7 +14,6 @@
 #include <mutex>
 #include <string>
 #include <utility>
-#include <vector>
 
 namespace agnocast::rmw {
 
@@ -38,15 +37,14 @@ class OwnEndpoint {
   OwnEndpoint(const OwnEndpoint&) = delete;
   OwnEndpoint& operator=(const OwnEndpoint&) = delete;
 
-  /// Returns the facts of all endpoints of a name. Not in a forked child.
-  static std::vector<Fact> all_of(const std::string& name) {
-    const LoanPause pause;
-    std::vector<Fact> found;
+  /// Calls `see(fact)` for each endpoint of a name; none of them ends meanwhile, so it must not
+  /// wait. Not in a forked child.
+  template <class See>
+  static void visit(const std::string& name, See see) {
     Shared& shared = OwnEndpoint::shared();
     const std::lock_guard lock(shared.mutex);
     const auto [begin, end] = shared.all.equal_range(name);
-    for (auto one = begin; one != end; ++one) found.push_back(one->second);
-    return found;
+    for (auto one = begin; one != end; ++one) see(one->second);
   }
 
  private:

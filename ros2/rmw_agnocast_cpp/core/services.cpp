@@ -2,6 +2,7 @@
 
 #include <ros2/rmw_agnocast_cpp/core/services.hpp>
 
+#include <agnocast/heap.hpp>
 #include <agnocast/relay.hpp>
 
 #include <algorithm>
@@ -50,7 +51,11 @@ Result<std::unique_ptr<ServiceServer>> ServiceServer::create(const NodeName& nod
 }
 
 bool ServiceServer::take(void* request, RequestId& id) {
-  while (agnocast::detail::Block* const block = untyped_->take()) {
+  // A client may send malformed requests without end.
+  constexpr int dropped_max = 64;
+  for (int dropped = 0; dropped < dropped_max; ++dropped) {
+    agnocast::detail::Block* const block = untyped_->take();
+    if (block == nullptr) return false;
     const auto taken = agnocast::detail::request_of(kind_, *untyped_->core(), block);
     const WindowSet windows = windows_of(taken.message());
     if (!support_.request.to_node(taken.message().get(), request, windows)) continue;
@@ -98,6 +103,7 @@ bool ServiceClient::ServerArrival::is_ready() const noexcept {
 }
 
 bool ServiceClient::is_ready() const noexcept {
+  if (::getpid() != process_) return false;
   // Nothing moves from the unread ones to the inbox meanwhile.
   const std::lock_guard polling(polling_);
   if (client_.untyped().has_unread()) return true;
@@ -106,6 +112,7 @@ bool ServiceClient::is_ready() const noexcept {
 }
 
 Arrivals ServiceClient::arrivals() const noexcept {
+  if (::getpid() != process_) return {};
   const std::lock_guard polling(polling_);
   Arrivals now = client_.untyped().arrivals();
   const std::lock_guard lock(inbox_->mutex);
@@ -115,19 +122,26 @@ Arrivals ServiceClient::arrivals() const noexcept {
 
 /// Waits, if there is one, until it is matched, or both have been there for so long.
 void ServiceClient::wait_for_own_server(std::chrono::milliseconds age) const {
-  if (::getpid() != process_ || server_count() != 0) return;
-  const auto servers = OwnEndpoint<Clock::time_point>::all_of(client_.get_service_name());
-  if (servers.empty()) return;
-  const auto end = std::max(*std::max_element(servers.begin(), servers.end()), created_) + age;
+  if (server_count() != 0 || ::getpid() != process_) return;
+  bool has_server = false;
+  auto newest = created_;
+  OwnEndpoint<Clock::time_point>::visit(client_.get_service_name(), [&](Clock::time_point since) {
+    has_server = true;
+    newest = std::max(newest, since);
+  });
+  if (!has_server) return;
+  const auto end = newest + age;
   const auto now = Clock::now();
   if (now < end) (void)client_.wait_for_service(end - now);
 }
 
 Result<std::int64_t> ServiceClient::send(const void* request) {
+  // Somebody may have held a lock when this process was forked.
+  if (::getpid() != process_) return fail(Errc::shut_down, "sending a request in a forked child");
   wait_for_own_server(std::chrono::seconds(1));
   {
-    // Ends those whose server has gone; nobody takes for them. Before the loan: from there on this
-    // thread allocates shared memory, and the inbox is private.
+    // Ends those whose server has gone; nobody takes for them.
+    const LoanPause pause;  // the inbox is private memory
     const std::lock_guard lock(polling_);
     client_.untyped().poll();
   }
@@ -147,7 +161,7 @@ Result<std::int64_t> ServiceClient::send(const void* request) {
       });
   if (sent) {
     const std::lock_guard lock(polling_);
-    while (given_up_ < sent->request_id - unanswered_max)
+    while (client_.untyped().pending_count() > unanswered_max)
       client_.remove_pending_request(++given_up_);
     return number;
   }
@@ -157,7 +171,9 @@ Result<std::int64_t> ServiceClient::send(const void* request) {
 }
 
 bool ServiceClient::take(void* response, std::int64_t& number) {
+  if (::getpid() != process_) return false;
   {
+    const LoanPause pause;
     const std::lock_guard lock(polling_);
     client_.untyped().poll();
   }

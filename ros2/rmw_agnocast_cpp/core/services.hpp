@@ -84,7 +84,7 @@ class ServiceClient final : public Listenable {
  public:
   /// Requests that may wait for their responses. A server that lives need not answer, and rmw has
   /// no call that gives a request up: the bound keeps a client below 2 MiB.
-  static constexpr std::int64_t unanswered_max = 4096;
+  static constexpr std::size_t unanswered_max = 4096;
 
   /// A server of this process is usually matched when it returns, as over DDS; it waits 100 ms for
   /// that at most. Errors: as of create_client. Throws std::bad_alloc.

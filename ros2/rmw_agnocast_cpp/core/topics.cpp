@@ -4,10 +4,12 @@
 
 #include <agnocast/relay.hpp>
 
+#include <algorithm>
 #include <array>
 #include <chrono>
 #include <exception>
 #include <new>
+#include <thread>
 
 namespace agnocast::rmw {
 namespace {
@@ -16,14 +18,27 @@ namespace {
 // max_blocking_time of a DDS writer (DDS 1.4, 2.2.3.14).
 constexpr std::chrono::milliseconds blocking_time{100};
 
-/// Lets the publishers of this process link with its subscriptions, which its threads do within a
-/// millisecond; under load it may take longer, and then messages come as those of other processes.
-void link_own(const std::string& topic) {
+// A publisher may publish malformed messages without end; a take drops so many of them.
+constexpr int dropped_max = 64;
+
+// Endpoints of this process are linked by its threads, within a millisecond; under load it may take
+// longer, and then messages come as those of other processes.
+constexpr std::chrono::milliseconds own_link_time{100};
+
+/// Waits until the publishers of this process have linked with its subscriptions to the topic.
+void link_own_publishers(const std::string& topic) {
   using Clock = std::chrono::steady_clock;
-  const auto end = Clock::now() + std::chrono::milliseconds(100);  // for all of them
-  for (const auto& own : OwnEndpoint<std::weak_ptr<GenericPublisher>>::all_of(topic)) {
-    const auto publisher = own.lock();
-    if (publisher != nullptr && !publisher->wait_for_local_links(end - Clock::now())) return;
+  const auto end = Clock::now() + own_link_time;  // for all of them
+  std::chrono::microseconds pause{50};
+  for (;;) {
+    bool are_linked = true;
+    OwnEndpoint<const GenericPublisher*>::visit(topic, [&](const GenericPublisher* publisher) {
+      are_linked = are_linked && publisher->wait_for_local_links(std::chrono::nanoseconds(0));
+    });
+    const auto left = end - Clock::now();
+    if (are_linked || left <= left.zero()) return;
+    std::this_thread::sleep_for(std::min<Clock::duration>(left, pause));
+    pause = std::min<std::chrono::microseconds>(2 * pause, std::chrono::milliseconds(1));
   }
 }
 
@@ -36,7 +51,7 @@ Result<std::unique_ptr<TopicPublisher>> TopicPublisher::create(const NodeName& n
   auto publisher = try_create_generic_publisher(node, topic, support.type(), qos);
   if (!publisher) return tl::unexpected<Failure>(publisher.error());
   std::unique_ptr<TopicPublisher> made(new TopicPublisher(support, *publisher, topic));
-  link_own(topic);
+  (void)made->endpoint().wait_for_local_links(own_link_time);
   return made;
 }
 
@@ -83,12 +98,14 @@ Result<std::unique_ptr<TopicSubscription>> TopicSubscription::create(
       try_create_generic_subscription(node, topic, support.type(), qos, nullptr, options);
   if (!subscription) return tl::unexpected<Failure>(subscription.error());
   std::unique_ptr<TopicSubscription> made(new TopicSubscription(support, std::move(*subscription)));
-  link_own(topic);
+  link_own_publishers(topic);
   return made;
 }
 
 bool TopicSubscription::take(void* message, MessageInfo& info) {
-  while (const GenericMessage taken = subscription_->take()) {
+  for (int dropped = 0; dropped < dropped_max; ++dropped) {
+    const GenericMessage taken = subscription_->take();
+    if (!taken) return false;
     const WindowSet windows = windows_of(taken);
     if (!support_.to_node(taken.get(), message, windows)) continue;
     info = taken.info();
@@ -98,7 +115,9 @@ bool TopicSubscription::take(void* message, MessageInfo& info) {
 }
 
 bool TopicSubscription::take_serialized(std::vector<std::byte>& bytes, MessageInfo& info) {
-  while (const GenericMessage taken = subscription_->take()) {
+  for (int dropped = 0; dropped < dropped_max; ++dropped) {
+    const GenericMessage taken = subscription_->take();
+    if (!taken) return false;
     const WindowSet windows = windows_of(taken);
     const std::size_t count = bridge::cdr_bytes(support_.cdr(), taken.get(), &windows);
     bytes.resize(count);

@@ -114,12 +114,12 @@ class TopicPublisher {
                  const std::string& topic)
       : support_(std::move(support)),
         publisher_(publisher),
-        own_(topic, publisher),
+        own_(topic, publisher.get()),
         events_(*publisher_) {}
 
   const MessageSupport support_;
   const GenericPublisher::SharedPtr publisher_;
-  const OwnEndpoint<std::weak_ptr<GenericPublisher>> own_;
+  const OwnEndpoint<const GenericPublisher*> own_;  // ends before what it points to
   PublisherEvents events_;
   Loans<GenericLoan> loans_;
 };
@@ -135,8 +135,9 @@ class TopicSubscription final : public Listenable {
   Arrivals arrivals() const noexcept override { return subscription_->get_arrivals(); }
 
   /// Takes the oldest message into the node's. Returns false, and leaves it, if there is none. A
-  /// message that leads out of its publisher's memory is dropped, and may leave some of its members
-  /// there; the next one replaces them. Throws std::bad_alloc, then the message is lost.
+  /// message that leads out of its publisher's memory is dropped, 64 at most by one call, and may
+  /// leave some of its members there; the next one replaces them. Throws std::bad_alloc, then the
+  /// message is lost.
   bool take(void* message, MessageInfo& info);
   /// The same as bytes with their encapsulation.
   bool take_serialized(std::vector<std::byte>& bytes, MessageInfo& info);
