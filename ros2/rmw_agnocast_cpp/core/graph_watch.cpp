@@ -36,10 +36,12 @@ GraphWatch::~GraphWatch() {
 }
 
 std::shared_ptr<const GraphSnapshot> GraphWatch::now() {
+  // In a forked child the thread may have had the mutex.
+  if (::getpid() != process_) return std::make_shared<const GraphSnapshot>();
   const LoanPause pause;  // what it keeps is private memory
   std::unique_lock lock(mutex_);
-  if (!std::exchange(has_waited_, true))
-    came_.wait_for(lock, std::chrono::seconds(1), [this] { return incarnation_ != 0 || is_over_; });
+  came_.wait_until(lock, began_ + std::chrono::seconds(1),
+                   [this] { return incarnation_ != 0 || is_over_; });
   look();
   if (last_ == nullptr) {
     auto snapshot = std::make_shared<GraphSnapshot>();

@@ -9,6 +9,7 @@
 
 #include <sys/types.h>
 
+#include <chrono>
 #include <condition_variable>
 #include <cstdint>
 #include <functional>
@@ -28,8 +29,8 @@ class GraphWatch {
   GraphWatch(const GraphWatch&) = delete;
   GraphWatch& operator=(const GraphWatch&) = delete;
 
-  /// Returns the present state, with the endpoints of the domain. Until there is one the first call
-  /// waits, a second at most; then it is empty.
+  /// Returns the present state, with the endpoints of the domain. Until there is one it waits, but
+  /// not longer than a second after the watch began; then it is empty.
   std::shared_ptr<const GraphSnapshot> now();
 
  private:
@@ -41,10 +42,10 @@ class GraphWatch {
   const std::uint64_t domain_;
   const std::function<void()> changed_;
   const pid_t process_;
+  const std::chrono::steady_clock::time_point began_ = std::chrono::steady_clock::now();
   Graph graph_;
   std::mutex mutex_;
   std::condition_variable came_;
-  bool has_waited_ = false;
   std::unordered_map<std::uint64_t, EndpointInfo> endpoints_;  // by generation
   std::uint64_t incarnation_ = 0;                              // 0 before the first state
   std::shared_ptr<const GraphSnapshot> last_;                  // null: of an earlier state

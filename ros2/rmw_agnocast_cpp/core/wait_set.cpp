@@ -2,6 +2,10 @@
 
 #include <ros2/rmw_agnocast_cpp/core/wait_set.hpp>
 
+#include <agnocast/heap.hpp>
+
+#include <pthread.h>
+
 #include <algorithm>
 #include <new>
 #include <utility>
@@ -12,7 +16,12 @@ namespace {
 // Of all conditions and what they are attached to. One for all: a condition and a wait set may be
 // destroyed at the same time, and whoever triggers needs the sets of a condition for a moment only.
 std::mutex& conditions_mutex() noexcept {
-  static std::mutex* const mutex = new std::mutex;  // objects of static storage end after it
+  static std::mutex* const mutex = [] {
+    // A forked child must not find it locked by a thread that it does not have.
+    (void)::pthread_atfork([] { conditions_mutex().lock(); }, [] { conditions_mutex().unlock(); },
+                           [] { conditions_mutex().unlock(); });
+    return new std::mutex;  // objects of static storage end after it
+  }();
   return *mutex;
 }
 
@@ -57,6 +66,7 @@ bool Condition::is_waited_for() const noexcept {
 }
 
 Result<std::unique_ptr<MessageWait>> WaitPool::take() {
+  const LoanPause pause;
   {
     const std::lock_guard lock(mutex_);
     if (!free_.empty()) {
@@ -69,6 +79,7 @@ Result<std::unique_ptr<MessageWait>> WaitPool::take() {
 }
 
 void WaitPool::give_back(std::unique_ptr<MessageWait> wait) noexcept {
+  const LoanPause pause;
   const std::lock_guard lock(mutex_);
   try {
     free_.push_back(std::move(wait));
@@ -133,6 +144,7 @@ bool WaitSet::look(const Readables& readables) noexcept {
 
 Result<bool> WaitSet::wait(const Conditions& conditions, const Readables& readables,
                            std::optional<Duration> timeout) {
+  const LoanPause pause;  // the lists are private memory
   const bool looks_only = timeout && *timeout <= Duration::zero();
   if (!looks_only && wait_ == nullptr) {
     auto wait = pool_.take();

@@ -24,6 +24,9 @@
 #include <rmw/rmw.h>
 #include <rmw/impl/cpp/macros.hpp>
 
+#include <sys/types.h>
+#include <unistd.h>
+
 #include <atomic>
 #include <exception>
 #include <memory>
@@ -128,6 +131,7 @@ const char* copied_text(const std::string& text) noexcept;
 /// Behind a context from rmw_init() to rmw_context_fini(); endpoints are used, and wait sets wait,
 /// also after rmw_shutdown().
 struct rmw_context_impl_s {
+  const pid_t process = ::getpid();
   agnocast::rmw::WaitPool pool;
   agnocast::rmw::Listener listener{pool};
   std::atomic<bool> is_shut_down{false};
