@@ -18,7 +18,7 @@ loader.exec_module(layers)
 
 
 class Layers(unittest.TestCase):
-    def found(self, files, change=lambda text: text):
+    def found(self, files, change=lambda text: text, check=layers.check):
         """Returns the problems of a tree of these files with the real ARCHITECTURE.md, changed by `change`."""
         with open(os.path.join(ROOT, "docs/ARCHITECTURE.md"), encoding="utf-8") as document:
             files = dict(files, **{"docs/ARCHITECTURE.md": change(document.read())})
@@ -27,10 +27,11 @@ class Layers(unittest.TestCase):
                 os.makedirs(os.path.join(tree, os.path.dirname(path)), exist_ok=True)
                 with open(os.path.join(tree, path), "w", encoding="utf-8") as file:
                     file.write(text)
-            return layers.check(tree)
+            return check(tree)
 
     def test_this_tree(self):
         self.assertEqual(layers.check(ROOT), [])
+        self.assertEqual(layers.check_for_use(ROOT), [])
 
     def test_includes(self):
         below = {"base/text/text.hpp": "", "dataplane/core.hpp": "", "client/session/context.hpp": "", "journal/x.hpp": "",
@@ -66,6 +67,12 @@ class Layers(unittest.TestCase):
         def upward(text):
             return text.replace("| `views.hpp` | `base/`", "| `views.hpp` | `client/session/`, `base/`")
         self.assertIn("region/ may include client/session/, which is not a row above it", self.found({}, upward)[0])
+
+    def test_a_row_that_allows_more_than_is_used(self):
+        problem = "docs/ARCHITECTURE.md: no file of region/ includes one of base/, which its row allows"
+        self.assertIn(problem, self.found({}, check=layers.check_for_use))
+        files = {"base/a.hpp": "", "region/a.hpp": "#include <base/a.hpp>\n"}
+        self.assertNotIn(problem, self.found(files, check=layers.check_for_use))
 
     def test_another_picture(self):
         self.assertIn("picture", self.found({}, lambda text: text.replace("  ctl --> journal\n", ""))[0])
