@@ -27,6 +27,7 @@ constexpr int watch_interval_ms = 1'000;
 
 }  // namespace
 
+// Long because it builds each part once, in the order in which they need one another.
 Broker::Broker(const BrokerOptions& options, Log& log, Dispatcher& dispatcher, Listener& listener,
                Regions regions, DescriptorStore& store, Errands& errands, Disposal& disposal)
     : options_(options),

@@ -120,6 +120,7 @@ TEST(Ctl, ListsServicesInTheFormatOfRos2) {
   EXPECT_THAT(none.err, HasSubstr("hint: agnocast-ctl service type /ns/add\n"));
 }
 
+// Long because one system is set up, and each form of the answer is read of it.
 TEST(Ctl, ShowsATopicAsRos2DoesAndItsCost) {
   DaemonProcess daemon;
   Node a(daemon.socket_path()), b(daemon.socket_path());

@@ -96,6 +96,7 @@ TEST(DaemonProtocol, KnowsTheProcessThatConnectedOnEveryKernel) {
   EXPECT_EQ(client.create_publisher("/topic").opcode(), Opcode::endpoint_created);
 }
 
+// Long because both announcements are compared field by field.
 TEST(DaemonProtocol, AnnouncesBothSidesInOrderWithWorkingDescriptors) {
   DaemonProcess daemon;
   Node subscriber(daemon), publisher(daemon);
