@@ -15,7 +15,8 @@ endif()
 function(agnocast_idl target file)
   get_filename_component(name ${file} NAME_WE)
   set(generated ${CMAKE_CURRENT_BINARY_DIR}/${name}.c ${CMAKE_CURRENT_BINARY_DIR}/${name}.h)
-  add_custom_command(OUTPUT ${generated} COMMAND ${AGNOCAST_IDLC} -l c ${CMAKE_CURRENT_SOURCE_DIR}/${file}
+  add_custom_command(OUTPUT ${generated} COMMAND ${AGNOCAST_IDLC} -l c
+    ${CMAKE_CURRENT_SOURCE_DIR}/${file}
     WORKING_DIRECTORY ${CMAKE_CURRENT_BINARY_DIR} DEPENDS ${file} VERBATIM)
   add_library(${target} STATIC ${generated})
   target_include_directories(${target} SYSTEM PUBLIC ${CMAKE_CURRENT_BINARY_DIR})

@@ -4,9 +4,11 @@ set(config_dir ${CMAKE_INSTALL_LIBDIR}/cmake/agnocast)
 configure_package_config_file(${CMAKE_CURRENT_LIST_DIR}/agnocastConfig.cmake.in
   ${CMAKE_CURRENT_BINARY_DIR}/agnocastConfig.cmake INSTALL_DESTINATION ${config_dir})
 # Before 1.0 every minor version may change the interface.
-write_basic_package_version_file(${CMAKE_CURRENT_BINARY_DIR}/agnocastConfigVersion.cmake COMPATIBILITY SameMinorVersion)
+write_basic_package_version_file(${CMAKE_CURRENT_BINARY_DIR}/agnocastConfigVersion.cmake
+  COMPATIBILITY SameMinorVersion)
 install(EXPORT agnocast NAMESPACE agnocast:: FILE agnocastTargets.cmake DESTINATION ${config_dir})
-install(FILES ${CMAKE_CURRENT_BINARY_DIR}/agnocastConfig.cmake ${CMAKE_CURRENT_BINARY_DIR}/agnocastConfigVersion.cmake
+install(FILES ${CMAKE_CURRENT_BINARY_DIR}/agnocastConfig.cmake
+  ${CMAKE_CURRENT_BINARY_DIR}/agnocastConfigVersion.cmake
   DESTINATION ${config_dir})
 # Files that colcon and ament look for.
 install(FILES package.xml DESTINATION ${CMAKE_INSTALL_DATADIR}/agnocast)

@@ -6,7 +6,8 @@ find_program(GZIP_PROGRAM gzip REQUIRED)
 
 function(agnocast_manual page)
   set(file ${CMAKE_CURRENT_BINARY_DIR}/${page})
-  add_custom_command(OUTPUT ${file}.gz COMMAND ${GZIP_PROGRAM} -9 -n -k -f ${file} DEPENDS ${file} VERBATIM)
+  add_custom_command(OUTPUT ${file}.gz COMMAND ${GZIP_PROGRAM} -9 -n -k -f ${file} DEPENDS ${file}
+    VERBATIM)
   set(all ALL)
   if(AGNOCAST_SANITIZE)
     set(all)

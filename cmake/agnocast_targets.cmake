@@ -15,14 +15,16 @@ find_program(CCACHE_PROGRAM ccache)
 if(CCACHE_PROGRAM AND PROJECT_IS_TOP_LEVEL)
   # ccache caches sources with precompiled headers only if it may ignore __TIME__ and unused macros
   # in them.
-  set(CMAKE_CXX_COMPILER_LAUNCHER ${CMAKE_COMMAND} -E env CCACHE_SLOPPINESS=pch_defines,time_macros ${CCACHE_PROGRAM})
+  set(CMAKE_CXX_COMPILER_LAUNCHER ${CMAKE_COMMAND} -E env CCACHE_SLOPPINESS=pch_defines,time_macros
+    ${CCACHE_PROGRAM})
   set(CMAKE_C_COMPILER_LAUNCHER ${CCACHE_PROGRAM})
 endif()
 
 # Of a test, in seconds. Only one that hangs takes so long: on a loaded machine the longest need five minutes.
 set(agnocast_test_timeout 1200)
 
-option(AGNOCAST_COMPILE_BY_ROOMS "Compile the sources of a directory together: a third of the time" ON)
+option(AGNOCAST_COMPILE_BY_ROOMS "Compile the sources of a directory together: a third of the time"
+  ON)
 
 add_library(agnocast_warnings INTERFACE)
 target_compile_options(agnocast_warnings INTERFACE
@@ -40,7 +42,8 @@ target_compile_options(agnocast_warnings INTERFACE
 add_library(agnocast_sanitizers INTERFACE)
 if(AGNOCAST_SANITIZE)
   string(REPLACE ";" "," sanitize_list "${AGNOCAST_SANITIZE}")
-  target_compile_options(agnocast_sanitizers INTERFACE -fsanitize=${sanitize_list} -fno-sanitize-recover=all -fno-omit-frame-pointer)
+  target_compile_options(agnocast_sanitizers INTERFACE -fsanitize=${sanitize_list}
+    -fno-sanitize-recover=all -fno-omit-frame-pointer)
   target_link_options(agnocast_sanitizers INTERFACE -fsanitize=${sanitize_list})
   if("thread" IN_LIST AGNOCAST_SANITIZE)
     target_compile_definitions(agnocast_sanitizers INTERFACE AGNOCAST_UNDER_THREAD_SANITIZER)
@@ -51,7 +54,8 @@ if(AGNOCAST_SANITIZE)
   # alone, so its reports about them are valid.
   target_compile_options(agnocast_sanitizers INTERFACE $<$<CXX_COMPILER_ID:GNU>:-Wno-tsan>)
   # Sanitizer instrumentation hides from GCC that a variable is set (std::regex).
-  target_compile_options(agnocast_sanitizers INTERFACE $<$<CXX_COMPILER_ID:GNU>:-Wno-maybe-uninitialized>)
+  target_compile_options(agnocast_sanitizers INTERFACE
+    $<$<CXX_COMPILER_ID:GNU>:-Wno-maybe-uninitialized>)
 endif()
 option(AGNOCAST_COVERAGE "Measure line coverage (gcov)" OFF)
 if(AGNOCAST_COVERAGE)
@@ -74,7 +78,8 @@ function(agnocast_compile_by_rooms target)
     elseif(source MATCHES "\\.cpp$")
       string(REPLACE "${PROJECT_SOURCE_DIR}/" "" room ${source})
       cmake_path(GET room PARENT_PATH room)
-      if(NOT IS_ABSOLUTE "${source}" AND "${CMAKE_CURRENT_SOURCE_DIR}/" MATCHES "^${PROJECT_SOURCE_DIR}/tests/")
+      if(NOT IS_ABSOLUTE "${source}" AND "${CMAKE_CURRENT_SOURCE_DIR}/" MATCHES
+        "^${PROJECT_SOURCE_DIR}/tests/")
         set(room "")  # tests below one folder are small, and have the same headers
       endif()
       string(MAKE_C_IDENTIFIER "room_${room}" room)
@@ -123,7 +128,8 @@ function(agnocast_target_defaults target)
     # times as large. The preset dev has all of it.
     target_compile_options(${target} PRIVATE $<$<CONFIG:RelWithDebInfo>:-g0>)
   endif()
-  target_link_libraries(${target} PRIVATE $<BUILD_INTERFACE:agnocast_warnings> $<BUILD_INTERFACE:agnocast_sanitizers>)
+  target_link_libraries(${target} PRIVATE $<BUILD_INTERFACE:agnocast_warnings>
+    $<BUILD_INTERFACE:agnocast_sanitizers>)
 endfunction()
 
 # With the times of the headers in it, a compiler cache would know a precompiled header in no other clone.
@@ -146,8 +152,10 @@ function(agnocast_precompile target)
     target_link_libraries(${headers} PRIVATE tl::expected)
     agnocast_target_defaults(${headers})
     target_compile_options(${headers} PRIVATE ${agnocast_precompile_options})
-    target_precompile_headers(${headers} PRIVATE <tl/expected.hpp> <algorithm> <array> <atomic> <charconv> <chrono> <condition_variable>
-      <cstdint> <cstring> <deque> <functional> <map> <memory> <mutex> <optional> <set> <span> <string> <string_view> <thread> <tuple>
+    target_precompile_headers(${headers} PRIVATE <tl/expected.hpp> <algorithm> <array> <atomic>
+      <charconv> <chrono> <condition_variable>
+      <cstdint> <cstring> <deque> <functional> <map> <memory> <mutex> <optional> <set> <span>
+      <string> <string_view> <thread> <tuple>
       <unordered_map> <utility> <variant> <vector> ${arg_HEADERS})
   endif()
   target_precompile_headers(${target} REUSE_FROM ${headers})

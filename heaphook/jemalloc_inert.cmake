@@ -25,7 +25,8 @@ configure_file(${ARCHIVE} ${archive} COPYONLY)
 run(${AR} d ${archive} jemalloc_cpp.pic.o)
 run(${COMPILER} -r -nostdlib -o ${whole} -Wl,--whole-archive ${archive})
 
-execute_process(COMMAND ${NM} -g --defined-only ${whole} OUTPUT_VARIABLE symbols COMMAND_ERROR_IS_FATAL ANY)
+execute_process(COMMAND ${NM} -g --defined-only ${whole} OUTPUT_VARIABLE symbols
+  COMMAND_ERROR_IS_FATAL ANY)
 string(REGEX MATCHALL "[^\n]+" lines "${symbols}")
 set(renames "")
 foreach(line IN LISTS lines)
@@ -39,6 +40,7 @@ foreach(symbol secure_getenv readlink exp log round _Unwind_Backtrace _Unwind_Ge
 endforeach()
 file(WRITE ${names} "${renames}")
 
-run(${OBJCOPY} --redefine-syms=${names} --remove-section=.init_array --remove-section=.rela.init_array
+run(${OBJCOPY} --redefine-syms=${names} --remove-section=.init_array
+  --remove-section=.rela.init_array
   --remove-section=.comment ${whole} ${OUTPUT})
 file(REMOVE ${archive} ${whole} ${names})

@@ -13,7 +13,8 @@ foreach(package IN LISTS CPACK_COMPONENTS_ALL)
 endforeach()
 # The programs have an RPATH to the libraries beside them; packages install these where the loader
 # looks.
-foreach(program agnocast-ctl/usr/libexec/agnocast/agnocast-ctl-topic agnocast-bridge/usr/bin/agnocast-bridge)
+foreach(program agnocast-ctl/usr/libexec/agnocast/agnocast-ctl-topic
+  agnocast-bridge/usr/bin/agnocast-bridge)
   if(EXISTS ${CPACK_TEMPORARY_DIRECTORY}/${program})
     file(RPATH_REMOVE FILE ${CPACK_TEMPORARY_DIRECTORY}/${program})
   endif()

@@ -20,9 +20,11 @@ function(agnocast_find_ros_python)
     if(NOT EXISTS "${python}")
       continue()
     endif()
-    execute_process(COMMAND "${python}" -c "${modules}" RESULT_VARIABLE result OUTPUT_QUIET ERROR_QUIET)
+    execute_process(COMMAND "${python}" -c "${modules}" RESULT_VARIABLE result OUTPUT_QUIET
+      ERROR_QUIET)
     if(result EQUAL 0)
-      set(Python3_EXECUTABLE "${python}" CACHE FILEPATH "The Python that has the modules of ament and rosidl")
+      set(Python3_EXECUTABLE "${python}" CACHE FILEPATH
+        "The Python that has the modules of ament and rosidl")
       return()
     endif()
   endforeach()

@@ -43,8 +43,10 @@ macro(skip_if_ros_provides kind)
   endif()
 
   if(ros_prefix)
-    message(STATUS "${PROJECT_NAME}: nothing to build or install, ROS 2 provides it in ${ros_prefix}")
-    if(EXISTS "${CMAKE_INSTALL_PREFIX}/share/ament_index/resource_index/${skip_rule_mark}/${PROJECT_NAME}")
+    message(STATUS
+      "${PROJECT_NAME}: nothing to build or install, ROS 2 provides it in ${ros_prefix}")
+    if(EXISTS
+      "${CMAKE_INSTALL_PREFIX}/share/ament_index/resource_index/${skip_rule_mark}/${PROJECT_NAME}")
       message(WARNING "An earlier build installed our ${PROJECT_NAME} in ${CMAKE_INSTALL_PREFIX}, "
         "where it may hide the one of ROS 2. Please remove the folders build and install.")
     endif()

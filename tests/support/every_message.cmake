@@ -10,13 +10,16 @@ endforeach()
 set(every_message_names "")
 set(every_message_libraries "")
 find_package(test_interface_files QUIET)
-foreach(package builtin_interfaces std_msgs geometry_msgs sensor_msgs unique_identifier_msgs action_msgs actionlib_msgs diagnostic_msgs
-    example_interfaces nav_msgs rcl_interfaces rmw_dds_common rosgraph_msgs shape_msgs statistics_msgs std_srvs stereo_msgs test_msgs
+foreach(package builtin_interfaces std_msgs geometry_msgs sensor_msgs unique_identifier_msgs
+  action_msgs actionlib_msgs diagnostic_msgs
+    example_interfaces nav_msgs rcl_interfaces rmw_dds_common rosgraph_msgs shape_msgs
+    statistics_msgs std_srvs stereo_msgs test_msgs
     tf2_msgs trajectory_msgs visualization_msgs agnocast_test_msgs)
   find_package(${package} QUIET)
   # ROS 1 has packages of these names without such a target.
   if(NOT TARGET ${package}::${package}__rosidl_typesupport_introspection_cpp)
-    message(STATUS "tests of every message: left out, ${package} is not found; run scripts/install-dependencies and build interfaces/ first")
+    message(STATUS
+      "tests of every message: left out, ${package} is not found; run scripts/install-dependencies and build interfaces/ first")
     return()
   endif()
   set(part rest)
@@ -25,11 +28,13 @@ foreach(package builtin_interfaces std_msgs geometry_msgs sensor_msgs unique_ide
   endif()
   list(APPEND every_message_libraries ${${package}_TARGETS})
   file(GLOB files CONFIGURE_DEPENDS RELATIVE ${PROJECT_SOURCE_DIR}/interfaces/${package}
-    ${PROJECT_SOURCE_DIR}/interfaces/${package}/msg/*.msg ${PROJECT_SOURCE_DIR}/interfaces/${package}/srv/*.srv
+    ${PROJECT_SOURCE_DIR}/interfaces/${package}/msg/*.msg
+    ${PROJECT_SOURCE_DIR}/interfaces/${package}/srv/*.srv
     ${PROJECT_SOURCE_DIR}/interfaces/${package}/action/*.action)
   if(package STREQUAL test_msgs)
     # A folder, a colon, and a file in it.
-    foreach(file ${test_interface_files_MSG_FILES} ${test_interface_files_SRV_FILES} ${test_interface_files_ACTION_FILES})
+    foreach(file ${test_interface_files_MSG_FILES} ${test_interface_files_SRV_FILES}
+      ${test_interface_files_ACTION_FILES})
       string(REGEX REPLACE ".*:" "" file ${file})
       list(APPEND files ${file})
     endforeach()
@@ -45,7 +50,8 @@ foreach(package builtin_interfaces std_msgs geometry_msgs sensor_msgs unique_ide
     if(kind STREQUAL srv)
       set(names ${name}_Request ${name}_Response)
     elseif(kind STREQUAL action)
-      set(names ${name}_Goal ${name}_Result ${name}_Feedback ${name}_SendGoal_Request ${name}_SendGoal_Response
+      set(names ${name}_Goal ${name}_Result ${name}_Feedback ${name}_SendGoal_Request
+        ${name}_SendGoal_Response
         ${name}_GetResult_Request ${name}_GetResult_Response ${name}_FeedbackMessage)
     else()
       set(names ${name})
