@@ -24,8 +24,8 @@ namespace agnocast::bench {
 inline std::size_t bytes_in(const std::string& file, const std::string& field) {
   std::ifstream stream(file);
   for (std::string word; stream >> word;) {
-    std::size_t kib = 0;
-    if (word == field + ":" && stream >> kib) return kib * 1024;
+    std::size_t count = 0;  // of KiB
+    if (word == field + ":" && stream >> count) return count * 1024;
   }
   return 0;
 }
