@@ -16,8 +16,8 @@
 #include <bridge/common/linger.hpp>
 #include <bridge/common/log.hpp>
 #include <bridge/common/message_types.hpp>
-#include <bridge/common/reaper.hpp>
 #include <bridge/common/refusals.hpp>
+#include <bridge/common/slow_deleter.hpp>
 #include <bridge/common/status.hpp>
 #include <bridge/dds/participant.hpp>
 #include <bridge/dds/ros_graph.hpp>
@@ -43,13 +43,13 @@ class InwardRoutes {
   /// All must outlive it. `node` owns the publishers; `pace` says whether a plan is pending, which
   /// may know writers without a remote publisher.
   InwardRoutes(DdsParticipant& participant, Node& node, const MessageTypes& types,
-               const PlanPace& pace, const Log& log, Reaper& reaper, Refusals& refusals)
+               const PlanPace& pace, const Log& log, SlowDeleter& deleter, Refusals& refusals)
       : participant_(participant),
         types_(types),
         pace_(pace),
         log_(log),
         refusals_(refusals),
-        remote_publishers_(node, types, participant.limits(), reaper, log) {}
+        remote_publishers_(node, types, participant.limits(), deleter, log) {}
 
   /// Ends DDS readers for which the plan has another QoS, which cannot change while they live.
   void end_changed(const Plan& plan);

@@ -92,7 +92,7 @@ bool RemotePublishers::fit_history(OpenRemotePublisher& remote_publisher, std::s
         is_all ? 1 : std::max<std::size_t>(remote_publisher.history.size() / 2, 1);
     auto made = make_publisher(remote_publisher.plan, depth);
     if (!made) return false;
-    reaper_.end(std::exchange(remote_publisher.publisher, std::move(*made)));
+    deleter_.end(std::exchange(remote_publisher.publisher, std::move(*made)));
     remote_publisher.depth = depth;
     forget_history(remote_publisher);
   }
@@ -154,7 +154,7 @@ std::optional<Time> RemotePublishers::tidy(Time now) {
       drop_waiting(at->first, remote_publisher);
     if (is_late && remote_publisher.waiting.empty()) {
       forget_history(remote_publisher);
-      reaper_.end(std::move(remote_publisher.publisher));  // may wait for an absent agnocastd
+      deleter_.end(std::move(remote_publisher.publisher));  // may wait for an absent agnocastd
       at = open_.erase(at);
       continue;
     }

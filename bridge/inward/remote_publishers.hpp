@@ -14,7 +14,7 @@
 #include <bridge/common/linger.hpp>
 #include <bridge/common/log.hpp>
 #include <bridge/common/message_types.hpp>
-#include <bridge/common/reaper.hpp>
+#include <bridge/common/slow_deleter.hpp>
 #include <bridge/common/traffic.hpp>
 #include <bridge/dds/limits.hpp>
 #include <bridge/dds/participant.hpp>
@@ -52,10 +52,10 @@ struct OpenRemotePublisher {
 
 class RemotePublishers {
  public:
-  /// All must outlive it. `types` knows every planned type; `reaper` ends publishers.
-  RemotePublishers(Node& node, const MessageTypes& types, Limits& limits, Reaper& reaper,
+  /// All must outlive it. `types` knows every planned type; `deleter` ends publishers.
+  RemotePublishers(Node& node, const MessageTypes& types, Limits& limits, SlowDeleter& deleter,
                    const Log& log)
-      : node_(node), types_(types), limits_(limits), reaper_(reaper), log_(log) {}
+      : node_(node), types_(types), limits_(limits), deleter_(deleter), log_(log) {}
 
   /// Creates the publisher for a writer that has none.
   Result<OpenRemotePublisher*> open(const Guid& writer, const RemotePublisherPlan& plan);
@@ -88,7 +88,7 @@ class RemotePublishers {
   Node& node_;
   const MessageTypes& types_;
   Limits& limits_;
-  Reaper& reaper_;
+  SlowDeleter& deleter_;
   const Log& log_;
   std::map<Guid, OpenRemotePublisher> open_;
   std::size_t history_bytes_ = 0;  // of all publishers

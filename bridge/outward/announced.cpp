@@ -33,7 +33,7 @@ void Announced::end_others(const Plan& plan) {
     if (is_wanted(plan.announced) || is_wanted(plan.dds_writers)) {
       ++at;
     } else {
-      reaper_.end(std::move(at->second.writer));
+      deleter_.end(std::move(at->second.writer));
       at = writers_.erase(at);
     }
   }
@@ -59,7 +59,7 @@ void Announced::open(const Plan& plan, DdsParticipant& participant, Refusals& re
 }
 
 void Announced::clear() {
-  for (auto& [publisher, one] : writers_) reaper_.end(std::move(one.writer));
+  for (auto& [publisher, one] : writers_) deleter_.end(std::move(one.writer));
   writers_.clear();
 }
 

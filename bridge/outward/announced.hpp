@@ -10,8 +10,8 @@
 // publisher's own. One thread, the participant's. Called by outward_routes.cpp.
 #pragma once
 
-#include <bridge/common/reaper.hpp>
 #include <bridge/common/refusals.hpp>
+#include <bridge/common/slow_deleter.hpp>
 #include <bridge/dds/participant.hpp>
 #include <bridge/plan/routes.hpp>
 
@@ -28,8 +28,8 @@ namespace agnocast::bridge {
 
 class Announced {
  public:
-  /// `reaper` ends the writers, and must outlive it.
-  explicit Announced(Reaper& reaper) : reaper_(reaper) {}
+  /// `deleter` ends the writers, and must outlive it.
+  explicit Announced(SlowDeleter& deleter) : deleter_(deleter) {}
 
   /// Ends every writer whose publisher the plan neither announces nor writes, or for which the
   /// plan has another QoS.
@@ -52,7 +52,7 @@ class Announced {
     std::unique_ptr<DdsWriter> writer;
   };
 
-  Reaper& reaper_;
+  SlowDeleter& deleter_;
   std::map<std::uint64_t, One> writers_;  // by generation of the publisher
 };
 

@@ -178,7 +178,7 @@ bool DdsWriters::write_waited(OpenDdsWriter& dds_writer) {
 
 void DdsWriters::end(std::shared_ptr<OpenDdsWriter> dds_writer) noexcept {
   dds_writer->is_over = true;
-  reaper_.end(std::move(dds_writer));
+  deleter_.end(std::move(dds_writer));
 }
 
 void DdsWriters::close(std::uint64_t publisher) {

@@ -22,7 +22,7 @@
 #include <bridge/common/linger.hpp>
 #include <bridge/common/log.hpp>
 #include <bridge/common/message_types.hpp>
-#include <bridge/common/reaper.hpp>
+#include <bridge/common/slow_deleter.hpp>
 #include <bridge/common/traffic.hpp>
 #include <bridge/common/worker.hpp>
 #include <bridge/dds/participant.hpp>
@@ -74,10 +74,10 @@ struct OpenDdsWriter {
 /// acknowledge, by DdsQos::blocking_max.
 class DdsWriters {
  public:
-  /// Both must outlive it. `reaper` ends the writers; any thread calls `wake` when tidy() gets
+  /// Both must outlive it. `deleter` ends the writers; any thread calls `wake` when tidy() gets
   /// something to do.
-  DdsWriters(const Log& log, Reaper& reaper, std::function<void()> wake)
-      : log_(log), reaper_(reaper), wake_(std::move(wake)) {}
+  DdsWriters(const Log& log, SlowDeleter& deleter, std::function<void()> wake)
+      : log_(log), deleter_(deleter), wake_(std::move(wake)) {}
 
   /// Writes or keeps the message; drops it if its publisher has no DDS writer, or another local
   /// reader's.
@@ -141,7 +141,7 @@ class DdsWriters {
   void end(std::shared_ptr<OpenDdsWriter> dds_writer) noexcept;
 
   const Log& log_;
-  Reaper& reaper_;
+  SlowDeleter& deleter_;
   const std::function<void()> wake_;
   std::atomic<std::uint64_t> lost_{0};
   Seldom reports_lost_;

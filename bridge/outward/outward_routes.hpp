@@ -18,8 +18,8 @@
 #include <bridge/common/linger.hpp>
 #include <bridge/common/log.hpp>
 #include <bridge/common/message_types.hpp>
-#include <bridge/common/reaper.hpp>
 #include <bridge/common/refusals.hpp>
+#include <bridge/common/slow_deleter.hpp>
 #include <bridge/common/status.hpp>
 #include <bridge/dds/participant.hpp>
 #include <bridge/dds/ros_graph.hpp>
@@ -42,13 +42,13 @@ class OutwardRoutes {
  public:
   /// All must outlive it. `lanes` own the subscriptions.
   OutwardRoutes(DdsParticipant& participant, const Lanes& lanes, const MessageTypes& types,
-                const Log& log, Reaper& reaper, Refusals& refusals)
+                const Log& log, SlowDeleter& deleter, Refusals& refusals)
       : participant_(participant),
         lanes_(lanes),
         types_(types),
         refusals_(refusals),
-        dds_writers_(log, reaper, [&participant] { participant.interrupt(); }),
-        announced_(reaper) {}
+        dds_writers_(log, deleter, [&participant] { participant.interrupt(); }),
+        announced_(deleter) {}
 
   /// Ends DDS writers for which the plan has another QoS, which cannot change while they live.
   void end_changed(const Plan& plan);

@@ -67,8 +67,9 @@ std::size_t depth_of(const DdsQos& qos) noexcept {
   return qos.depth < 1 ? unknown_depth : std::min(static_cast<std::size_t>(qos.depth), most);
 }
 
-QosClass overridden(QosClass own, const QosOverride& said) noexcept {
-  return {said.reliable.value_or(own.reliable), said.transient_local.value_or(own.transient_local)};
+QosClass overridden(QosClass own, const QosOverride& by_rule) noexcept {
+  return {by_rule.reliable.value_or(own.reliable),
+          by_rule.transient_local.value_or(own.transient_local)};
 }
 
 class Planner {
@@ -122,12 +123,12 @@ class Planner {
     for (const auto& [type, publishers] : side.publishers) {
       const TopicKey key{topic, type};
       const Verdict verdict = verdict_on(key);
-      const QosOverride& said = verdict.rule == nullptr ? no_override : verdict.rule->to_dds;
+      const QosOverride& by_rule = verdict.rule == nullptr ? no_override : verdict.rule->to_dds;
       const bool is_announced = may_be_announced(key, verdict);
       if (!is_open(key, Direction::outward, verdict, side.readers, WhyNot::no_reader)) {
         for (const EndpointInfo* const publisher : publishers) {
           if (is_announced)
-            plan_.announced[publisher->generation] = dds_writer_of(key, *publisher, said);
+            plan_.announced[publisher->generation] = dds_writer_of(key, *publisher, by_rule);
         }
         continue;
       }
@@ -139,7 +140,7 @@ class Planner {
       };
       bool any = false;
       for (const EndpointInfo* const publisher : publishers) {
-        DdsWriterPlan dds_writer = dds_writer_of(key, *publisher, said);
+        DdsWriterPlan dds_writer = dds_writer_of(key, *publisher, by_rule);
         if (!is_always(verdict) && !is_read(dds_writer.offered)) {
           if (is_announced) plan_.announced[publisher->generation] = std::move(dds_writer);
           continue;
@@ -153,15 +154,15 @@ class Planner {
   }
 
   static DdsWriterPlan dds_writer_of(const TopicKey& key, const EndpointInfo& publisher,
-                                     const QosOverride& said) {
+                                     const QosOverride& by_rule) {
     const QosClass own = class_of(publisher.qos);
     const std::size_t depth = publisher.qos.depth();
     const bool keep_all = publisher.qos.is_keep_all();
     return {{{key, own}, depth, keep_all},
-            keep_all && !said.depth,
-            said.depth.value_or(depth),
+            keep_all && !by_rule.depth,
+            by_rule.depth.value_or(depth),
             full_name_of(publisher),
-            overridden(own, said),
+            overridden(own, by_rule),
             {dds_time(publisher.qos.deadline()), dds_time(publisher.qos.lifespan())}};
   }
   /// Returns whether a later reader would get the topic: only then it is announced.
@@ -181,13 +182,13 @@ class Planner {
     const Verdict verdict = verdict_on(key);
     const bool is_wanted_always = is_always(verdict) && goes(verdict.direction, Direction::inward);
     if (subscriptions.empty() && !is_wanted_always) return;
-    const QosOverride& said = verdict.rule == nullptr ? no_override : verdict.rule->from_dds;
+    const QosOverride& by_rule = verdict.rule == nullptr ? no_override : verdict.rule->from_dds;
     std::map<QosClass, DdsReaderPlan> dds_readers;
     const auto dds_reader_of = [&](const QosClass& qos_class, std::size_t depth) -> DdsReaderPlan& {
       DdsReaderPlan& dds_reader = dds_readers[qos_class];
-      dds_reader.requested = overridden(qos_class, said);
+      dds_reader.requested = overridden(qos_class, by_rule);
       dds_reader.depth =
-          said.depth.value_or(std::max(dds_reader.depth, dds_reader_depth_of(depth)));
+          by_rule.depth.value_or(std::max(dds_reader.depth, dds_reader_depth_of(depth)));
       return dds_reader;
     };
     bool any = false;
@@ -209,7 +210,7 @@ class Planner {
         }
         if (served.empty() && !is_always(verdict)) continue;
         if (served.empty()) wanted = offered;
-        if (!serves(offered, overridden(wanted, said))) continue;
+        if (!serves(offered, overridden(wanted, by_rule))) continue;
         places.emplace_back(writer, wanted);
         served_by[wanted].merge(served);
       }
@@ -221,7 +222,7 @@ class Planner {
             key,    class_of(writer->qos),
             depth,  writer->qos.keep_all,
             wanted, {writer->qos.deadline, writer->qos.lifespan}};
-        dds_reader_of(wanted, depth).keep_all |= writer->qos.keep_all && !said.depth;
+        dds_reader_of(wanted, depth).keep_all |= writer->qos.keep_all && !by_rule.depth;
       }
       for (const auto& [qos_class, served] : served_by) {
         for (const QosClass& own : served) {
@@ -234,7 +235,7 @@ class Planner {
         any = true;
         QosClass wanted;
         if (!subscriptions.empty()) wanted = subscriptions.begin()->first;
-        DdsReaderPlan& dds_reader = dds_reader_of(overridden(wanted, said), unknown_depth);
+        DdsReaderPlan& dds_reader = dds_reader_of(overridden(wanted, by_rule), unknown_depth);
         for (const auto& [own, wanting] : subscriptions)
           dds_reader.nodes.insert(wanting.nodes.begin(), wanting.nodes.end());
       }
@@ -247,11 +248,11 @@ class Planner {
         const bool is_read =
             std::any_of(dds_readers.begin(), dds_readers.end(), [&](const auto& dds_reader) {
               return dds_reader.first != own &&
-                     dds_reader.second.requested == overridden(own, said);
+                     dds_reader.second.requested == overridden(own, by_rule);
             });
         if (is_read) continue;
         DdsReaderPlan& dds_reader = dds_reader_of(own, wanting.depth);
-        dds_reader.keep_all |= wanting.keep_all && !said.depth;
+        dds_reader.keep_all |= wanting.keep_all && !by_rule.depth;
         dds_reader.nodes.insert(wanting.nodes.begin(), wanting.nodes.end());
       }
     }

@@ -18,8 +18,8 @@
 #include <bridge/common/linger.hpp>
 #include <bridge/common/log.hpp>
 #include <bridge/common/message_types.hpp>
-#include <bridge/common/reaper.hpp>
 #include <bridge/common/refusals.hpp>
+#include <bridge/common/slow_deleter.hpp>
 #include <bridge/common/status.hpp>
 #include <bridge/dds/participant.hpp>
 #include <bridge/dds/ros_graph.hpp>
@@ -97,7 +97,7 @@ class Bridge {
   const std::unique_ptr<RosGraph> ros_graph_;
   MessageTypes types_;
   Refusals refusals_;
-  Reaper reaper_;
+  SlowDeleter deleter_;
   PlanPace pace_;
   OutwardRoutes outward_;
   InwardRoutes inward_;

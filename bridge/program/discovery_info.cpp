@@ -63,8 +63,8 @@ void DiscoveryInfo::say(std::span<const EndpointInfo> local,
   add(by_name);
   std::vector<RosNode> list;
   for (auto& [name, node] : nodes) list.push_back(std::move(node));
-  if (const auto said = graph_.set_nodes(std::move(list)); !said)
-    refusals_.note("ros_discovery_info", said.error().text());
+  if (const auto set = graph_.set_nodes(std::move(list)); !set)
+    refusals_.note("ros_discovery_info", set.error().text());
 }
 
 }  // namespace agnocast::bridge

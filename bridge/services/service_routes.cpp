@@ -93,7 +93,7 @@ Errc ServiceRoutes::apply(const ServicePlan& plan) {
     keeping_.erase(route.first);
     for (const Kept& kept : route.second.kept)
       kept_bytes_ -= held_bytes_of(kept.request->bytes.size());
-    reaper_.end(route.second.answering);
+    deleter_.end(route.second.answering);
     return true;
   });
   std::erase_if(asked_, [&](const auto& route) {
@@ -101,7 +101,7 @@ Errc ServiceRoutes::apply(const ServicePlan& plan) {
     if (wanted != plan.asked.end() && !is_in_vain(*route.second.asking, wanted->second.servers))
       return false;
     asked_by_.erase(route.second.responses.get());
-    reaper_.end(route.second.asking);
+    deleter_.end(route.second.asking);
     return true;
   });
   const auto type_of_service = [&](const ServiceKey& key) {

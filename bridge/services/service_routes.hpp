@@ -19,8 +19,8 @@
 #include <agnocast/generic_service.hpp>
 #include <bridge/common/linger.hpp>
 #include <bridge/common/message_types.hpp>
-#include <bridge/common/reaper.hpp>
 #include <bridge/common/refusals.hpp>
+#include <bridge/common/slow_deleter.hpp>
 #include <bridge/common/traffic.hpp>
 #include <bridge/dds/participant.hpp>
 #include <bridge/dds/ros_graph.hpp>
@@ -80,14 +80,14 @@ struct ServiceTraffic {
 
 class ServiceRoutes {
  public:
-  /// All must outlive it; `reaper` ends writers, `types` knows the halves of every planned type.
+  /// All must outlive it; `deleter` ends writers, `types` knows the halves of every planned type.
   ServiceRoutes(DdsParticipant& participant, Node& node, const MessageTypes& types, const Log& log,
-                Reaper& reaper, Refusals& refusals)
+                SlowDeleter& deleter, Refusals& refusals)
       : participant_(participant),
         node_(node),
         types_(types),
         log_(log),
-        reaper_(reaper),
+        deleter_(deleter),
         refusals_(refusals) {}
 
   /// Returns daemon_not_running if the rest of the plan has to be retried later.
@@ -198,7 +198,7 @@ class ServiceRoutes {
   Node& node_;
   const MessageTypes& types_;
   const Log& log_;
-  Reaper& reaper_;
+  SlowDeleter& deleter_;
   Refusals& refusals_;
   std::map<ServiceKey, Served> served_;
   std::map<ServiceKey, Asked> asked_;
