@@ -204,6 +204,7 @@ class DdsParticipantState {
   void note(Remote::Kind kind, const void* sample, const dds_sample_info_t& info) {
     Remote remote;
     remote.kind = kind;
+    remote.instance = info.instance_handle;
     const dds_qos_t* qos = nullptr;
     if (kind == Remote::Kind::participant) {
       const auto& of = *static_cast<const dds_builtintopic_participant_t*>(sample);
@@ -364,6 +365,12 @@ DdsResult<WriteOutcome> DdsWriter::write(std::size_t size, const RawFill& fill,
   return WriteOutcome::sent;
 }
 
+bool DdsWriter::is_matched_with(std::uint64_t instance) const {
+  dds_builtintopic_endpoint_t* const reader = dds_get_matched_subscription_data(entity_, instance);
+  if (reader == nullptr) return false;
+  dds_builtintopic_free_endpoint(reader);
+  return true;
+}
 std::uint32_t DdsWriter::matched() const {
   dds_publication_matched_status_t status{};
   return dds_get_publication_matched_status(entity_, &status) < 0 ? 0 : status.current_count;

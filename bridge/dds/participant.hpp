@@ -117,6 +117,9 @@ class DdsWriter {
   const Guid& guid() const noexcept { return guid_; }
   /// Returns the number of readers that it is matched with now.
   std::uint32_t matched() const;
+  /// Returns whether it is matched with this reader: only then a sample reaches it. A reader is in
+  /// remotes() shortly before it is matched. A volatile writer sends a reader nothing of before.
+  bool is_matched_with(std::uint64_t instance) const;
   /// Returns how often a reader was not matched because it requests more than the writer offers.
   std::uint32_t incompatible() const;
 
@@ -183,6 +186,7 @@ struct Remote {
   std::string topic;  ///< in DDS form; participants have only qos.user_data, the rest is empty
   std::string type;
   DdsQos qos;
+  std::uint64_t instance = 0;  ///< by which this process's endpoints know it
 
   bool operator==(const Remote&) const = default;
 };

@@ -345,7 +345,7 @@ bool ServiceRoutes::look_at_kept(Served& served, Time now) {
   return any;
 }
 
-/// A response would be lost as long as its client's reader is not known.
+/// A response would be lost as long as its client's reader is not matched.
 bool ServiceRoutes::can_be_answered(Served& served, const Guid& writer) const {
   const auto& remotes = participant_.remotes();
   const auto client = remotes.find(writer);
@@ -356,10 +356,15 @@ bool ServiceRoutes::can_be_answered(Served& served, const Guid& writer) const {
     const std::string replies = *dds_topic_of({DdsTopicKind::reply, served.answering->service});
     for (const auto& [guid, remote] : remotes) {
       if (remote.kind == Remote::Kind::reader && remote.topic == replies)
-        served.ways_back.emplace(remote.participant, remote.qos.user_data);  // its clientid
+        served.ways_back.emplace(std::pair(remote.participant, remote.qos.user_data),  // its clientid
+                                 remote.instance);
     }
   }
-  return served.ways_back.contains({client->second.participant, client->second.qos.user_data});
+  const auto [begin, end] =
+      served.ways_back.equal_range({client->second.participant, client->second.qos.user_data});
+  return std::any_of(begin, end, [&](const auto& way) {
+    return served.answering->responses->is_matched_with(way.second);
+  });
 }
 
 ServiceRoutes::Sent ServiceRoutes::send_on(Served& served, const Kept& kept, Time now) try {

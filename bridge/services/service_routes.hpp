@@ -133,9 +133,9 @@ class ServiceRoutes {
     std::deque<Kept> kept;
     std::size_t kept_bytes = 0;
     std::map<Guid, std::size_t> kept_of;  // messages, by participant
-    // Clients in DDS with a reader for responses: participant and USER_DATA, as of this version of
-    // the remotes.
-    std::set<std::pair<Guid, std::string>> ways_back;
+    // The readers for responses of clients in DDS, by participant and USER_DATA, as of this version
+    // of the remotes.
+    std::multimap<std::pair<Guid, std::string>, std::uint64_t> ways_back;
     std::uint64_t ways_back_at = 0;
     std::optional<Decoded> next;  // one of kept
     bool has_room = true;         // at the last attempt
