@@ -9,7 +9,7 @@
 // publisher's private mutex; this object is private memory of the process.
 //
 // Three numbers decide everything (h = newest sequence, H = history kept for late joiners, D = a
-// subscription's window):
+// subscription's reach):
 //   need  no subscription may ask for an entry below it
 //         min(h-H+1, min over active s of max(low_s, h-D_s+1))
 //   past  no subscription will ever take an entry below it again
@@ -240,7 +240,7 @@ class PublisherCore {
       if (abi::state_of(endpoint.word) == abi::BoardState::active)
         unread_from = std::min(
             unread_from,
-            std::max(endpoint.low, region::minus_at_least(head_sequence_ + 1, endpoint.window, 0)));
+            std::max(endpoint.low, region::minus_at_least(head_sequence_ + 1, endpoint.reach, 0)));
     }
     const std::uint64_t history_from = region::minus_at_least(head_sequence_ + 1, history_, 0);
     std::uint64_t sum = 0;
@@ -257,7 +257,7 @@ class PublisherCore {
     if (over_ != 0) return true;
     for (const Endpoint& endpoint : endpoints()) {
       if (abi::state_of(endpoint.word) != abi::BoardState::active || !endpoint.reliable) continue;
-      const std::uint64_t oldest = region::minus_at_least(head_sequence_ + 1, endpoint.window, 0);
+      const std::uint64_t oldest = region::minus_at_least(head_sequence_ + 1, endpoint.reach, 0);
       if (std::max(endpoint.low, oldest) <= sequence) return false;
     }
     return true;
@@ -290,9 +290,9 @@ class PublisherCore {
   struct Endpoint {
     // As last read from the board; `leaving` for a withdrawn one, `free` for a disregarded one.
     std::uint64_t word = 0;
-    std::uint64_t since = 0;   // lower bound of its start while it is not linked
-    std::uint64_t window = 0;  // newest messages that it can still ask for
-    std::uint64_t bound = 0;   // unread ones beyond which a keep-all publisher waits; 0 = none
+    std::uint64_t since = 0;  // lower bound of its start while it is not linked
+    std::uint64_t reach = 0;  // newest messages that it can still ask for
+    std::uint64_t bound = 0;  // unread ones beyond which a keep-all publisher waits; 0 = none
     std::uint64_t attached_generation = 0;  // 0 = not mapped
     std::uint64_t line = 0;                 // offset of its link line for this publisher
     std::uint64_t armed_offset = 0;
@@ -388,7 +388,7 @@ class PublisherCore {
       if (!M::holds(steps::P7_match, abi::endpoints_match({self_.qos, self_.client},
                                                           {qos, field(offsetof(Fields, client))})))
         word = abi::pack_board_word(abi::generation_of(word), abi::BoardState::free);
-      AGNOCAST_STEP(P7_window) endpoint.window = abi::window_of(qos);
+      AGNOCAST_STEP(P7_reach) endpoint.reach = abi::reach_of(qos);
       endpoint.bound = qos.keep_all && qos.reliable ? qos.depth : 0;
       endpoint.reliable = qos.reliable;
       endpoint.quota = field(offsetof(Fields, quota));
@@ -504,7 +504,7 @@ class PublisherCore {
       past = std::min(past, low);
       if (!leaving)
         need = std::min(
-            need, std::max(low, region::minus_at_least(head_sequence_ + 1, endpoint.window, 0)));
+            need, std::max(low, region::minus_at_least(head_sequence_ + 1, endpoint.reach, 0)));
     }
     retire_and_free(environment, need, past, unknown, held);
   }

@@ -27,7 +27,7 @@
   X(P7_since, "lower bound of a new subscription's start")         \
   X(P7_seen, "remember the head of this epoch check")              \
   X(P7_match, "does the offer satisfy a subscription's request?")  \
-  X(P7_window, "how much a new subscription can ask for")          \
+  X(P7_reach, "how much a new subscription can ask for")           \
   X(P7_slots, "load the present number of slots")                  \
   X(P8_armed, "load a wait set's sleep word")                      \
   X(P8_asleep, "is it asleep and not rung yet?")                   \
@@ -49,7 +49,7 @@
   X(K0_room, "would a keep-all subscription be overrun?")          \
   /* take and release */                                           \
   X(T1_head, "load the head")                                      \
-  X(T1_window, "skip messages beyond the own depth")               \
+  X(T1_reach, "skip messages beyond the own depth")                \
   X(T2_order, "is the ring entry the one wanted?")                 \
   X(T3_live, "is the slot live before the hold?")                  \
   X(T4_hold, "publish the hold")                                   \

@@ -53,7 +53,7 @@ class LinkCore {
 
   /// J6. `from_start`: the publisher joined after the subscription, which therefore wants
   /// everything it committed. Otherwise it wants what was committed since it joined (J4), as far
-  /// as its window reaches. Returns false, and links nothing, if the board no longer shows the
+  /// as its depth reaches. Returns false, and links nothing, if the board no longer shows the
   /// announced publisher. Rule RU excludes that: a peer has broken an invariant.
   bool link(bool from_start) noexcept {
     std::uint64_t start = 0, head = abi::pack_entry(self_.first_sequence, 0);
@@ -67,10 +67,9 @@ class LinkCore {
     const std::uint64_t back = history ? std::min(self_.offered.depth, self_.requested.depth) : 0;
     const std::uint64_t end = abi::sequence_of(head) + 1;
     if (start == 0 || start > end) start = end;
-    cursor_ = from_start
-                  ? self_.first_sequence + 1
-                  : std::max(region::minus_at_least(start, back, self_.first_sequence + 1),
-                             region::minus_at_least(end, abi::window_of(self_.requested), 0));
+    cursor_ = from_start ? self_.first_sequence + 1
+                         : std::max(region::minus_at_least(start, back, self_.first_sequence + 1),
+                                    region::minus_at_least(end, abi::reach_of(self_.requested), 0));
     AGNOCAST_STEP(J6_cursor) self_.line.cursor().store(cursor_, std::memory_order_relaxed);
     // [sync:link] seq_cst; pairs with the acquire at P9.
     AGNOCAST_STEP(J6_generation)
@@ -120,9 +119,9 @@ class LinkCore {
       const std::uint64_t newest_sequence = abi::sequence_of(head);
       if (newest_sequence < cursor_) break;
       std::uint64_t wanted = cursor_;
-      AGNOCAST_STEP(T1_window)
+      AGNOCAST_STEP(T1_reach)
       wanted = std::max(
-          cursor_, region::minus_at_least(newest_sequence + 1, abi::window_of(self_.requested), 0));
+          cursor_, region::minus_at_least(newest_sequence + 1, abi::reach_of(self_.requested), 0));
       lose(wanted - cursor_);
       // [sync:publish] acquire; pairs with P4.
       const std::uint64_t entry =
@@ -192,16 +191,16 @@ class LinkCore {
     return std::nullopt;
   }
 
-  /// Returns the number of unread messages in the window: those that take() can still deliver.
+  /// Returns the number of unread messages within reach: those that take() can still deliver.
   std::uint64_t unread() noexcept {
     const std::uint64_t end = abi::sequence_of(newest()) + 1;
     pass_over_history(end - 1);
     const std::uint64_t from =
-        std::max(cursor_, region::minus_at_least(end, abi::window_of(self_.requested), 0));
+        std::max(cursor_, region::minus_at_least(end, abi::reach_of(self_.requested), 0));
     return end > from ? end - from : 0;
   }
   /// Returns how many messages came since the last call and were not taken, also those beyond the
-  /// window that are lost, at most as many as a queue holds. `counted` is what the last call left
+  /// reach that are lost, at most as many as a queue holds. `counted` is what the last call left
   /// there, 0 at first: the sequence of the next one to count.
   std::uint64_t count_arrivals(std::uint64_t& counted) noexcept {
     const std::uint64_t end = abi::sequence_of(newest()) + 1;
@@ -218,7 +217,7 @@ class LinkCore {
     const std::uint64_t newest_sequence = abi::sequence_of(head);
     if (newest_sequence < cursor_) return std::nullopt;
     const std::uint64_t wanted = std::max(
-        cursor_, region::minus_at_least(newest_sequence + 1, abi::window_of(self_.requested), 0));
+        cursor_, region::minus_at_least(newest_sequence + 1, abi::reach_of(self_.requested), 0));
     const std::uint64_t entry = wanted == newest_sequence
                                     ? head
                                     : self_.publisher.order(wanted).load(std::memory_order_acquire);
@@ -234,7 +233,7 @@ class LinkCore {
     if (stamp == 0 || stamp >= limit_ns) return false;
     const std::uint64_t next = std::max(
         cursor_,
-        region::minus_at_least(abi::sequence_of(head) + 1, abi::window_of(self_.requested), 0));
+        region::minus_at_least(abi::sequence_of(head) + 1, abi::reach_of(self_.requested), 0));
     lose(next - cursor_);
     ++cursor_;
     store_cursor();
@@ -255,7 +254,7 @@ class LinkCore {
     const std::uint64_t end = abi::sequence_of(newest()) + 1;
     pass_over_history(end - 1);
     const std::uint64_t from =
-        std::max(cursor_, region::minus_at_least(end, abi::window_of(self_.requested), 0));
+        std::max(cursor_, region::minus_at_least(end, abi::reach_of(self_.requested), 0));
     if (from >= end) return;
     lose(from + 1 - cursor_);
     store_cursor();

@@ -35,7 +35,7 @@ class AnnounceSet {
   /// Removes a client that sent UNLINKED. A packet about another generation is late and ignored.
   void acknowledge(std::uint64_t client, std::uint64_t generation) noexcept {
     if (!M::holds(steps::R2_generation, generation == generation_)) return;
-    AGNOCAST_STEP(R2_let_go) clients_[client / 64] &= ~bit(client);
+    AGNOCAST_STEP(R2_unmapped) clients_[client / 64] &= ~bit(client);
   }
   void died(std::uint64_t client) noexcept {
     AGNOCAST_STEP(R3_died) clients_[client / 64] &= ~bit(client);

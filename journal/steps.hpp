@@ -27,7 +27,7 @@
   X(W3_applied, "redo log: applied")                             \
   /* rule RU: the processes notified about a generation */       \
   X(R1_tell, "redo log: notified, before the announcement")      \
-  X(R2_let_go, "redo log: unmapped")                             \
+  X(R2_unmapped, "redo log: unmapped")                           \
   X(R2_generation, "is the message about this generation?")      \
   X(R3_died, "redo log: died")                                   \
   X(R4_reusable, "have all processes unmapped it?")              \

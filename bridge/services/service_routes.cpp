@@ -356,8 +356,9 @@ bool ServiceRoutes::can_be_answered(Served& served, const Guid& writer) const {
     const std::string replies = *dds_topic_of({DdsTopicKind::reply, served.answering->service});
     for (const auto& [guid, remote] : remotes) {
       if (remote.kind == Remote::Kind::reader && remote.topic == replies)
-        served.ways_back.emplace(std::pair(remote.participant, remote.qos.user_data),  // its clientid
-                                 remote.instance);
+        served.ways_back.emplace(
+            std::pair(remote.participant, remote.qos.user_data),  // its clientid
+            remote.instance);
     }
   }
   const auto [begin, end] =

@@ -172,7 +172,7 @@ class Graph::State {
       looked_changes_ = now;
       return changes;
     } catch (const std::bad_alloc&) {
-      start_over();  // known_ has what nobody was told
+      start_over();  // known_ has what nobody was given
       throw;
     }
   }

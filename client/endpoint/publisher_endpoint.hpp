@@ -215,8 +215,8 @@ class PublisherEndpoint {
   // One borrow or publish destroys this many at most. The rest waits for the next ones, or for the
   // timer of the control thread. On average a publish frees as many as it adds.
   static constexpr std::size_t destroy_at_once_max = 16;
-  // docs/protocol.md, "Sleep and wake": to ring the first one or two wait sets at once costs 1–6 µs each; to hand over
-  // the rest costs 2–3 µs for all.
+  // docs/protocol.md, "Sleep and wake": to ring the first one or two wait sets at once costs
+  // 1–6 µs each; to hand over the rest costs 2–3 µs for all.
   static constexpr std::uint64_t ring_at_once_max = 2;
 
   struct PeerWaitSet {

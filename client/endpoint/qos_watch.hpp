@@ -1,7 +1,7 @@
 // SPDX-License-Identifier: Apache-2.0
 //
 // DeadlineWatch and LeaseWatch: whether somebody was silent for longer than a QoS allows (DDS 1.4,
-// 2.2.3.7 and 2.2.3.11). Nobody is told of messages: the caller has the time of the newest one.
+// 2.2.3.7 and 2.2.3.11). Nobody reports messages: the caller has the time of the newest one.
 // So a silence counts only if a look comes before the message that ends it; next_ns() says when to
 // look. Times are nanoseconds of CLOCK_MONOTONIC; those that another process has written lie at
 // most in the present.

@@ -79,7 +79,7 @@ void OwnHeap::continue_from(OwnHeap& former) {
   is_open_.store(former.is_open(), std::memory_order_release);
 }
 
-// The windows and their contents stay at their addresses: the new daemon is told of them.
+// The windows and their contents stay at their addresses: the new daemon is notified of them.
 Result<void> OwnHeap::bring(Connection& connection, std::byte* client_region) {
   if (!is_open()) return {};
   if (!Heap::follow(client_region))

@@ -1,7 +1,7 @@
 // SPDX-License-Identifier: Apache-2.0
 //
 // OwnHeap: this process's shared heap as one session has it: its scope, its hook and its windows,
-// which the session's daemon gives, or is told of.
+// which the session's daemon gives, or is notified of.
 //
 //   closed ──open(): the first window──▶ open ──ask_for_window()──▶ one window more … (HeapGrowth)
 // a session that begins beside another one continues its heap and brings the windows along:

@@ -1,7 +1,7 @@
 // SPDX-License-Identifier: Apache-2.0
 //
 // ThreadReport: tells the daemon of the callback groups and threads of this process, as statements
-// that outlive no connection: on each new one everything is told again. Only the control thread
+// that outlive no connection: on each new one everything is reported again. Only the control thread
 // uses it.
 #pragma once
 

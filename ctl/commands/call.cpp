@@ -132,7 +132,7 @@ Outcome<void> call_service(const Arguments& arguments, Console& console) {
   auto due = Clock::now();
   for (std::size_t count = 0; is_repeated || count < requests->size(); ++count) {
     if (auto called = caller.call((*requests)[count % requests->size()]); !called) {
-      // Who ends a series ends it well, at whatever point.
+      // A series that its user ends has succeeded.
       if (is_repeated && count != 0 && (*live)->is_ended_by_signal()) return {};
       return called;
     }

@@ -173,20 +173,20 @@ Outcome<void> monitor_system(const Arguments& arguments, Console& console) {
   if (!watch) return tl::unexpected(watch.error());
   auto log = watch->observer().read_journal(0, 0);
   if (!log) return tl::unexpected(log.error());
-  std::uint64_t told = log->end.newest;
+  std::uint64_t shown = log->end.newest;
   Snapshot before = snapshot_of(watch->system());
   Monitor monitor(arguments, console, std::move(*filter));
   while (waiting.sleep_ms(look_interval_ms)) {
     if (auto renewed = watch->renew(); !renewed) return renewed;
     if (watch->is_away()) continue;
     if (auto news = watch->observer().read_journal(0, 0)) {
-      if (news->end.newest < told) told = 0;  // another incarnation of the daemon
-      if (news->end.newest != told) {
+      if (news->end.newest < shown) shown = 0;  // another incarnation of the daemon
+      if (news->end.newest != shown) {
         const std::uint64_t newest = news->end.newest;
-        news = watch->observer().read_journal(newest, newest - told);
+        news = watch->observer().read_journal(newest, newest - shown);
         if (news) {
           monitor.tell(*news);
-          told = newest;
+          shown = newest;
         }
       }
     }

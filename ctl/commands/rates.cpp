@@ -236,7 +236,7 @@ Outcome<void> measure(const Arguments& arguments, Console& console, What what) {
   }
   const std::uint64_t reports = arguments.whole(options::reports);
   std::uint64_t next_report = monotonic_ms() + report_ms, next_renewal = monotonic_ms() + renew_ms;
-  for (std::uint64_t told = 0; reports == 0 || told < reports;) {
+  for (std::uint64_t reported = 0; reports == 0 || reported < reports;) {
     for (Named& named : topics) {
       for (const auto& [index, topic] : watch->system().topics) {
         if (topic.name == named.name && topic.facts.domain == arguments.domain)
@@ -251,7 +251,7 @@ Outcome<void> measure(const Arguments& arguments, Console& console, What what) {
     }
     if (now < next_report) continue;
     next_report += report_ms;
-    ++told;
+    ++reported;
     if (arguments.json != Json::no) {
       console.object(
           object_of(topics, what == What::rate ? "agnocast.topic-hz/1" : "agnocast.topic-bw/1"),

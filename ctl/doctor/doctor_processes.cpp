@@ -259,7 +259,7 @@ Ailments slow_reader(const Facts& facts) {
   for (const auto& [index, topic] : system.topics) {
     for (const Endpoint& subscription : topic.subscriptions) {
       const auto numbers = numbers_of_subscription(system, topic, subscription);
-      const std::uint64_t depth = abi::window_of(abi::unpack_qos(subscription.facts.qos));
+      const std::uint64_t depth = abi::reach_of(abi::unpack_qos(subscription.facts.qos));
       // With a depth of one or two, nearly everything is unread, and losses are normal.
       if (!numbers || depth <= 2 || numbers->lost == 0 || numbers->unread * 4 < depth * 3) continue;
       found.push_back({who(system, subscription) + " has lost " +

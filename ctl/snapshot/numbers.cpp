@@ -96,7 +96,7 @@ std::optional<SubscriptionNumbers> numbers_of_subscription(const System& system,
   std::byte* const region = system.region_of(subscription);
   if (region == nullptr) return std::nullopt;
   SubscriptionNumbers numbers;
-  const std::uint64_t depth = abi::window_of(abi::unpack_qos(subscription.facts.qos));
+  const std::uint64_t depth = abi::reach_of(abi::unpack_qos(subscription.facts.qos));
   for (const Endpoint& publisher : topic.publishers) {
     if (!subscription.takes_messages()) break;
     const Line line{region, subscription.facts.extent, publisher.facts.index};
@@ -176,7 +176,7 @@ std::vector<MessageFacts> messages_of(const System& system, const Topic& topic,
     if (holder == nullptr || !subscription.takes_messages()) continue;
     const Line line{holder, subscription.facts.extent, publisher.facts.index};
     if (line.publisher_generation().load(acquire) != publisher.facts.generation) continue;
-    const std::uint64_t window = abi::window_of(abi::unpack_qos(subscription.facts.qos));
+    const std::uint64_t window = abi::reach_of(abi::unpack_qos(subscription.facts.qos));
     readers.push_back(
         {&subscription, line,
          std::max(line.cursor().load(acquire), region::minus_at_least(end, window, 0))});
@@ -226,7 +226,7 @@ void add_slots(const System& system, const Endpoint& publisher,
     const Line line{system.region_of(*subscription), subscription->facts.extent,
                     publisher.facts.index};
     if (line.publisher_generation().load(acquire) != publisher.facts.generation) continue;
-    const std::uint64_t window = abi::window_of(abi::unpack_qos(subscription->facts.qos));
+    const std::uint64_t window = abi::reach_of(abi::unpack_qos(subscription->facts.qos));
     linked.push_back(
         {line, std::max(line.cursor().load(acquire), region::minus_at_least(end, window, 0))});
   }

@@ -47,7 +47,7 @@ Reading reading_of(const System& system, const Topic& topic, const Endpoint& sub
   Reading reading;
   std::byte* const region = system.region_of(subscription);
   if (region == nullptr || !subscription.takes_messages()) return reading;
-  const std::uint64_t depth = abi::window_of(abi::unpack_qos(subscription.facts.qos));
+  const std::uint64_t depth = abi::reach_of(abi::unpack_qos(subscription.facts.qos));
   for (const Endpoint& publisher : topic.publishers) {
     std::byte* const queue = system.region_of(publisher);
     const Line line{region, subscription.facts.extent, publisher.facts.index};
@@ -81,7 +81,7 @@ void add_subscription(const System& system, const Topic& topic, const Endpoint& 
     const region::SubscriptionWords<SharedMemory> words{region, subscription.facts.extent};
     row.lost += words.counter(offsetof(abi::SubscriptionCounters, lost)).load(relaxed);
   }
-  const std::uint64_t depth = abi::window_of(abi::unpack_qos(subscription.facts.qos));
+  const std::uint64_t depth = abi::reach_of(abi::unpack_qos(subscription.facts.qos));
   // With a depth of one or two, nearly everything is unread now and then.
   if (depth > 2 && reading.unread * 4 >= depth * 3) {
     row.trouble = std::min(row.trouble, Trouble::lagging);

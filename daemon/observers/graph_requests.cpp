@@ -14,7 +14,7 @@ namespace {
 
 // At once: twice each process that there may be. Then one each millisecond: a packet takes some
 // microseconds, so that no user takes a noticeable part of the daemon's time by it.
-constexpr std::uint64_t told_at_once = 2 * abi::client_count_max;
+constexpr std::uint64_t notified_at_once = 2 * abi::client_count_max;
 constexpr std::uint64_t told_interval_ms = 1;
 
 }  // namespace
@@ -30,7 +30,7 @@ Result<void> GraphRequests::watch(Peer& peer, const wire::WatchGraph& request) {
     return {};
   }
   peer.awaits_graph = request;
-  if (tell(peer, now)) return {};
+  if (notify(peer, now)) return {};
   if (request.seen != table_.changes()) {
     is_late_ = true;
     late_until_ms_ = 0;
@@ -49,7 +49,7 @@ void GraphRequests::answer(Peer& peer, const wire::WatchGraph& request, std::vec
 }
 
 Allowance& GraphRequests::allowance_of(std::uint32_t uid) {
-  return allowances_.try_emplace(uid, Allowance(told_at_once, told_interval_ms)).first->second;
+  return allowances_.try_emplace(uid, Allowance(notified_at_once, told_interval_ms)).first->second;
 }
 
 /// Returns whether the peer still waits; one without a connection asks again on its next one.
@@ -60,8 +60,8 @@ bool GraphRequests::waits(Peer* peer) noexcept {
   return peer->is_listed;
 }
 
-/// Returns whether the peer was told: it waits no longer.
-bool GraphRequests::tell(Peer& peer, std::uint64_t now_ms) {
+/// Returns whether the peer was notified: it waits no longer.
+bool GraphRequests::notify(Peer& peer, std::uint64_t now_ms) {
   if (peer.awaits_graph->seen == table_.changes()) return false;
   if (!allowance_of(peer.session.identity().uid).take(now_ms)) return false;
   answer(peer, *std::exchange(peer.awaits_graph, std::nullopt), {});
@@ -77,7 +77,7 @@ void GraphRequests::go_on(std::uint64_t now_ms) {
   std::erase_if(waiting_, [&](PeerId id) {
     Peer* const peer = connections_.find(id);
     if (!waits(peer)) return true;
-    if (tell(*peer, now_ms)) return !waits(peer);
+    if (notify(*peer, now_ms)) return !waits(peer);
     if (peer->awaits_graph->seen != told_changes_) {
       const Allowance& allowance = allowance_of(peer->session.identity().uid);
       late_until_ms_ = std::min(late_until_ms_, now_ms + allowance.due_ms(now_ms));

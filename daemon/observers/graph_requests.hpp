@@ -1,11 +1,11 @@
 // SPDX-License-Identifier: Apache-2.0
 //
 // GraphRequests: processes that watch the graph. Each asks for the graph table once, and then to be
-// told of the next change; the packet that tells it says only that there is one. So a process that
+// notified of the next change; the packet says only that there is one. So a process that
 // does not ask again costs nothing more, and many changes cost one packet.
 //
 // A change of one endpoint concerns every process that watches, so a user with many of them has an
-// allowance of such packets; beyond it they wait, and changes meanwhile are told together.
+// allowance of such packets; beyond it they wait, and changes meanwhile are reported together.
 #pragma once
 
 #include <base/clock.hpp>
@@ -28,17 +28,17 @@ class GraphRequests {
 
   /// Errors: os_failure (the table cannot be made).
   [[nodiscard]] Result<void> watch(Peer& peer, const wire::WatchGraph& request);
-  /// Brings the table up to date: a process that is told of a change finds it there.
+  /// Brings the table up to date: a process that is notified of a change finds it there.
   void write() { table_.update(monotonic_ms()); }
   /// Does so as well, and tells those who wait for that.
   void go_on(std::uint64_t now_ms);
-  /// Returns after how many ms go_on() is to be called; -1: nobody is told late.
+  /// Returns after how many ms go_on() is to be called; -1: nobody is notified late.
   int due_ms(std::uint64_t now_ms) const noexcept;
   void forget_idle(std::uint64_t now_ms);
 
  private:
   static bool waits(Peer* peer) noexcept;
-  bool tell(Peer& peer, std::uint64_t now_ms);
+  bool notify(Peer& peer, std::uint64_t now_ms);
   void answer(Peer& peer, const wire::WatchGraph& request, std::vector<SharedFd> fds);
   Allowance& allowance_of(std::uint32_t uid);
 
@@ -47,7 +47,7 @@ class GraphRequests {
   PeerOutput& output_;
   std::vector<PeerId> waiting_;
   std::uint64_t told_changes_ = 0;   // all that wait were looked at since this change
-  bool is_late_ = false;             // some of them could not be told of it yet
+  bool is_late_ = false;             // some of them could not be notified of it yet
   std::uint64_t late_until_ms_ = 0;  // the first of these can be then
   std::unordered_map<std::uint32_t, Allowance> allowances_;  // by uid
 };

@@ -100,7 +100,7 @@ void CallbackThreads::choose_rule(std::uint32_t number, Thread& thread) {
   if (rule && !thread.is_due) due_.push_back(number);
   thread.is_due = thread.is_due || rule;
   thread.rule = rule;
-  thread.turn = ++last_turn_;
+  thread.attempt = ++last_attempt_;
   thread.outcome = {rule ? ThreadSetting::due : ThreadSetting::no_rule};
 }
 
@@ -110,14 +110,15 @@ std::optional<CallbackThreads::Due> CallbackThreads::next_due() {
     due_.pop_front();
     Thread& thread = threads_.at(number);
     thread.is_due = false;
-    if (thread.rule) return Due{number, thread.turn, *thread.rule};
+    if (thread.rule) return Due{number, thread.attempt, *thread.rule};
   }
   return std::nullopt;
 }
 
 void CallbackThreads::note_outcome(const Due& due, const Outcome& outcome) {
   const auto found = threads_.find(due.thread);
-  if (found != threads_.end() && found->second.turn == due.turn) found->second.outcome = outcome;
+  if (found != threads_.end() && found->second.attempt == due.attempt)
+    found->second.outcome = outcome;
 }
 
 }  // namespace agnocast::daemon

@@ -44,13 +44,13 @@ class CallbackThreads {
     std::vector<std::uint64_t> executors;
     Rule rule;
     Outcome outcome;
-    std::uint64_t turn = 0;  // of which `outcome` is, or will be
-    bool is_due = false;     // it is in the queue
+    std::uint64_t attempt = 0;  // of which `outcome` is, or will be
+    bool is_due = false;        // it is in the queue
   };
   /// A thread whose rule is to be applied.
   struct Due {
     std::uint32_t thread;
-    std::uint64_t turn;
+    std::uint64_t attempt;
     std::size_t rule;
   };
   using GroupKey = std::pair<std::uint64_t, std::uint64_t>;  // executor, group
@@ -94,7 +94,7 @@ class CallbackThreads {
   std::map<std::uint64_t, std::map<std::size_t, std::size_t>> uses_;  // executor, rule: groups
   std::map<std::uint32_t, Thread> threads_;                           // by thread id
   std::size_t spin_count_ = 0;
-  std::uint64_t last_turn_ = 0;
+  std::uint64_t last_attempt_ = 0;
   std::deque<std::uint32_t> due_;  // each thread once, and only threads that are there
   std::uint64_t left_out_ = 0;
 };

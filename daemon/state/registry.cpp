@@ -301,7 +301,7 @@ std::uint64_t Registry::slots_needed(TopicIndex topic, const PublisherRecord& pu
   std::uint64_t quotas = 0;
   const auto count = [&](const SubscriptionRecord& record) {
     if (!matches(publisher, record)) return;
-    window = std::max<std::uint64_t>(window, abi::window_of(abi::unpack_qos(record.qos)));
+    window = std::max<std::uint64_t>(window, abi::reach_of(abi::unpack_qos(record.qos)));
     quotas += hold_quota(record, publisher);
   };
   for_each_subscription(topic, [&](std::uint32_t, const SubscriptionRecord& record) {

@@ -36,9 +36,9 @@ class AGNOCAST_PUBLIC CallbackGroupWaitable {
   /// Returns how many callbacks could begin now, at most one of each subscription, timer, … An
   /// exclusive group begins them one after another. No system call.
   std::size_t ready_count() const noexcept;
-  /// Runs one callback, of the subscription, timer, … that ran longest ago; returns false if there was none, because another thread was faster or the
-  /// group is busy. Throws what the callback throws, and Error (shut_down) if it has returned in a
-  /// forked child.
+  /// Runs one callback, of the subscription, timer, … that ran longest ago; returns false if there
+  /// was none, because another thread was faster or the group is busy. Throws what the callback
+  /// throws, and Error (shut_down) if it has returned in a forked child.
   bool run_one();
 
  private:

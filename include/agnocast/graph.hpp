@@ -81,9 +81,9 @@ class AGNOCAST_PUBLIC Graph {
   /// Returns what is new since the last look, for those that keep the state themselves; nothing if
   /// nothing is, or if a wait has not brought the state of this daemon process yet. It asks nobody
   /// and does not sleep. While the connection lasts, the endpoints that this process has created
-  /// are there, unless agnocastd has no room for them, and those whose end it has told are not.
-  /// Cost: a word of each endpoint, and a
-  /// KiB of each new one. Throws std::bad_alloc; then the next look returns the whole state.
+  /// are there, unless agnocastd has no room for them, and those whose end it has reported are not.
+  /// Cost: a word of each endpoint, and a KiB of each new one. Throws std::bad_alloc; then the next
+  /// look returns the whole state.
   [[nodiscard]] std::optional<GraphChanges> look();
   /// Lets the next look return the whole state: for those that could not keep the last one.
   void start_over() noexcept;

@@ -205,7 +205,7 @@ inline void QueueScenario::run_take(W& world, std::uint32_t s, SubscriptionPriva
     return;
   }
   if (taken->sequence <= own.last) machine.fail("a message came twice or out of order");
-  if (taken->sequence + abi::window_of(qos) <= head_before)
+  if (taken->sequence + abi::reach_of(qos) <= head_before)
     machine.fail("a message outside the own depth was delivered");
   own.last = taken->sequence;
   const std::uint64_t number = taken->sequence - first;
@@ -239,7 +239,7 @@ inline void QueueScenario::check_start(const W& world, std::uint32_t s, std::uin
   const std::uint64_t latest =
       std::max(first + 1, state.answer_head[s] + 1 - std::min(back, state.answer_head[s]));
   const std::uint64_t end = abi::sequence_of(peek(world, publisher_region, pe)) + 1;
-  const std::uint64_t window = abi::window_of(requested(s, state.generation[s]));
+  const std::uint64_t window = abi::reach_of(requested(s, state.generation[s]));
   if (cursor > std::max(latest, end - std::min(window, end)))
     machine.fail("a late joiner misses what was committed after its join, or its history");
   if (cursor < earliest) machine.fail("a late joiner starts before it may");

@@ -71,7 +71,7 @@ TEST_P(ReuseMutants, AreNoticed) {
 using Kind = Mutation::Kind;
 INSTANTIATE_TEST_SUITE_P(Each, ReuseMutants,
                          testing::Values(Mutation{steps::R1_tell, Kind::leave_out},
-                                         Mutation{steps::R2_let_go, Kind::leave_out},
+                                         Mutation{steps::R2_unmapped, Kind::leave_out},
                                          Mutation{steps::R2_generation, Kind::force_true},
                                          Mutation{steps::R2_generation, Kind::force_false},
                                          Mutation{steps::R3_died, Kind::leave_out},

@@ -63,7 +63,7 @@ constexpr std::uint64_t fingerprint() noexcept {
           pack_policies({0, false, false, true, false}),
           pack_policies({0, false, false, false, true}),
           pack_policies({0, false, false, false, false, true}), policy_bits, qos_time_max_ns,
-          window_of({7, false, true, true, false}), intent_idle, intent_publish, intent_moved,
+          reach_of({7, false, true, true, false}), intent_idle, intent_publish, intent_moved,
           cursor_aside, pack_withdrawal(35, Withdrawal::not_attached), Withdrawal::none,
           Withdrawal::over_quota, Withdrawal::over_share);
   sum.add(QosPolicy::none, QosPolicy::durability, QosPolicy::deadline, QosPolicy::liveliness,

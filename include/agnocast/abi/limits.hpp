@@ -16,8 +16,8 @@ inline constexpr std::uint64_t page_bytes = 4096;
 // Deepest keep-last or keep-all history of either side. rclcpp's deepest default is 1000
 // (/parameter_events).
 inline constexpr std::uint32_t depth_max = 1000;
-// Order ring of a publisher: a power of two above the widest window (depth_max, and one more for
-// keep-all), so that the entry it overwrites is outside every window.
+// Order ring of a publisher: a power of two above the widest reach (depth_max, and one more for
+// keep-all), so that the entry it overwrites is out of every reach.
 inline constexpr std::uint32_t ring_count = 1024;
 static_assert(ring_count > depth_max + 1 && (ring_count & (ring_count - 1)) == 0);
 

@@ -234,7 +234,7 @@ struct CallbackThread {
   std::uint32_t thread;    // gettid(2)
   std::uint32_t is_there;  // 0: no longer
 };
-/// Asks for the graph table (graph_table.hpp), and to be told of its next change. The daemon answers
+/// Asks for the graph table (graph_table.hpp), and to be notified of its next change. The daemon answers
 /// at once if its table is not `table`, otherwise when `changes` there is no longer `seen`. A further
 /// request of the process replaces it.
 struct WatchGraph {

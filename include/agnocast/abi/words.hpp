@@ -145,7 +145,7 @@ constexpr bool endpoints_match(const QosOf& offered, const QosOf& requested) noe
 // Returns how many of the newest messages a subscription can still take. A keep-all one has one
 // more than its bound: while it joins, the publisher may commit one message before it learns
 // about the subscription that it must wait for.
-constexpr std::uint32_t window_of(const Qos& requested) noexcept {
+constexpr std::uint32_t reach_of(const Qos& requested) noexcept {
   return requested.depth + (requested.keep_all ? 1 : 0);
 }
 

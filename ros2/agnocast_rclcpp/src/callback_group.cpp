@@ -39,13 +39,13 @@ struct AdaptedGroup {
 };
 
 /// What an endpoint has of a group that another endpoint had before it.
-struct Turn {
-  ~Turn() {
+struct FurtherEndpoint {
+  ~FurtherEndpoint() {
     if (GuardThread::instance().is_here()) group->remove(waitable);
   }
 
   std::shared_ptr<AdaptedGroup> group;
-  std::shared_ptr<GroupTurn> waitable;
+  std::shared_ptr<FurtherWaitable> waitable;
 };
 
 struct Groups {
@@ -120,11 +120,11 @@ agnocast::CallbackGroup::SharedPtr share_group(const NodeBase::SharedPtr& node,
     all.adapted[group] = adapted;
     return {adapted, adapted->group.get()};
   }
-  auto turn = std::make_shared<Turn>();
-  turn->group = adapted;
-  turn->waitable = std::make_shared<GroupTurn>(adapted->waitable);
-  waitables->add_waitable(turn->waitable, group);
-  return {turn, adapted->group.get()};
+  auto further = std::make_shared<FurtherEndpoint>();
+  further->group = adapted;
+  further->waitable = std::make_shared<FurtherWaitable>(adapted->waitable);
+  waitables->add_waitable(further->waitable, group);
+  return {further, adapted->group.get()};
 }
 
 }  // namespace

@@ -66,12 +66,12 @@ void GroupWaitable::add_to_wait_set(WaitSet wait_set) {
     rclcpp::exceptions::throw_from_rcl_error(added, "adding agnocast's guard condition");
 }
 
-bool GroupWaitable::take_turn() noexcept {
+bool GroupWaitable::take_one() noexcept {
   if (!is_counted_.exchange(true, std::memory_order_relaxed)) {
     const std::size_t count = is_over() ? 0 : callbacks_.ready_count();
-    turns_.store(static_cast<std::int64_t>(count), std::memory_order_relaxed);
+    left_.store(static_cast<std::int64_t>(count), std::memory_order_relaxed);
   }
-  return turns_.fetch_sub(1, std::memory_order_relaxed) > 0;
+  return left_.fetch_sub(1, std::memory_order_relaxed) > 0;
 }
 
 void GroupWaitable::execute(WaitableData) {

@@ -8,9 +8,9 @@
 // left this group out, so is_ready() looks as well and never asks the guard condition.
 //
 // After a wait, rclcpp's executors call each waitable once, and each subscription once. So that one
-// call of spin_some() means as much for a group here, each endpoint but the first adds a GroupTurn,
-// which lets the executor call the group once more. Each call serves the ready endpoint that
-// was served longest ago, so none is called twice while another one waits.
+// call of spin_some() means as much for a group here, each endpoint but the first adds a
+// FurtherWaitable, which lets the executor call the group once more. Each call serves the ready
+// endpoint that was served longest ago, so none is called twice while another one waits.
 #pragma once
 
 #include <agnocast/callback_group.hpp>
@@ -55,7 +55,7 @@ class GroupWaitable final : public rclcpp::Waitable {
 
   std::size_t get_number_of_ready_guard_conditions() override { return 1; }
   void add_to_wait_set(WaitSet wait_set) override;
-  bool is_ready(ReadyWaitSet) override { return take_turn(); }
+  bool is_ready(ReadyWaitSet) override { return take_one(); }
   std::shared_ptr<void> take_data() override { return nullptr; }
   std::shared_ptr<void> take_data_by_entity_id(std::size_t) override { return nullptr; }
   void execute(WaitableData data) override;
@@ -63,8 +63,8 @@ class GroupWaitable final : public rclcpp::Waitable {
   void clear_on_ready_callback() override;
 
   /// Returns whether a callback is left of those that could begin when the first one asked after
-  /// the wait; this one or a GroupTurn, as the executor orders them.
-  bool take_turn() noexcept;
+  /// the wait; this one or a FurtherWaitable, as the executor orders them.
+  bool take_one() noexcept;
 
  private:
   /// Returns true if there is something to do; otherwise ring() comes later.
@@ -78,18 +78,19 @@ class GroupWaitable final : public rclcpp::Waitable {
   rclcpp::GuardCondition guard_;
   const std::uint64_t number_;  // of GuardThread, which may ring as soon as it knows the group
   std::atomic<bool> is_counted_{false};
-  std::atomic<std::int64_t> turns_{0};
+  std::atomic<std::int64_t> left_{0};
   std::mutex mutex_;
   std::function<void(std::size_t, int)> on_ready_;  // of an events executor
 };
 
 /// Lets an executor call a group once more after each wait.
-class GroupTurn final : public rclcpp::Waitable {
+class FurtherWaitable final : public rclcpp::Waitable {
  public:
-  explicit GroupTurn(std::shared_ptr<GroupWaitable> group) noexcept : group_(std::move(group)) {}
+  explicit FurtherWaitable(std::shared_ptr<GroupWaitable> group) noexcept
+      : group_(std::move(group)) {}
 
   void add_to_wait_set(WaitSet) override {}
-  bool is_ready(ReadyWaitSet) override { return group_->take_turn(); }
+  bool is_ready(ReadyWaitSet) override { return group_->take_one(); }
   std::shared_ptr<void> take_data() override { return nullptr; }
   std::shared_ptr<void> take_data_by_entity_id(std::size_t) override { return nullptr; }
   void execute(WaitableData data) override { group_->execute(data); }

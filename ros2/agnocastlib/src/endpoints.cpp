@@ -24,7 +24,7 @@ void warn_of(bool given, const char* what, const std::string& topic, const rclcp
     RCLCPP_WARN(logger, "%s has no effect on '%s', which agnocast serves", what, topic.c_str());
 }
 
-/// One line a second is enough for the process, whatever its state and whoever notices.
+/// One line a second is enough for the process, whatever its state, whichever thread notices.
 void report_state(agnocast::ConnectionState state, agnocast::Errc reason) noexcept {
   const bool is_orphaned = state == agnocast::ConnectionState::orphaned;
   if ((!is_orphaned && state != agnocast::ConnectionState::reconnecting) || is_forked_child())

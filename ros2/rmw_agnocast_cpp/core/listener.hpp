@@ -4,8 +4,8 @@
 // "set on new …" functions, from which an executor that sleeps in one place is made).
 //
 // One thread for all of a context, from the first callback on. It compares how many have come with
-// how many it has reported: whoever takes once for each that is reported misses none, and may find
-// nothing at times.
+// how many it has reported: a node that takes once for each that is reported misses none, and may
+// find nothing at times.
 #pragma once
 
 #include <agnocast/events.hpp>

@@ -14,7 +14,8 @@ namespace agnocast::rmw {
 namespace {
 
 // Of all conditions and what they are attached to. One for all: a condition and a wait set may be
-// destroyed at the same time, and whoever triggers needs the sets of a condition for a moment only.
+// destroyed at the same time, and a thread that triggers needs the sets of a condition for a moment
+// only.
 std::mutex& conditions_mutex() noexcept {
   static std::mutex* const mutex = [] {
     // A forked child must not find it locked by a thread that it does not have.

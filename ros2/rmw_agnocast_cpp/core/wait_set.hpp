@@ -9,7 +9,7 @@
 // wake-up between look and sleep counts (MessageWait). Messages ring the doorbell of the process,
 // so there is nothing to attach to.
 //
-// rcl makes and fills wait sets for each turn of a loop, so a new one costs no system call: the
+// rcl makes and fills wait sets for each pass of a loop, so a new one costs no system call: the
 // MessageWait comes from a pool when the set first has to sleep.
 #pragma once
 

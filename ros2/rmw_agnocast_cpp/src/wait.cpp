@@ -12,7 +12,7 @@ using namespace agnocast::rmw;
 
 namespace {
 
-/// What a wait set keeps from one wait to the next, so that a turn of an executor allocates
+/// What a wait set keeps from one wait to the next, so that a cycle of an executor allocates
 /// nothing.
 struct WaitSetData {
   explicit WaitSetData(WaitPool& pool) noexcept : set(pool) {}

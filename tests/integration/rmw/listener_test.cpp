@@ -1,8 +1,8 @@
 // SPDX-License-Identifier: Apache-2.0
 //
-// Goal: a listener's callbacks are told of each arrival once, whoever takes meanwhile, and none
-// runs after it was replaced. Method: endpoints of this process and the real daemon; counts that
-// must be reached, and threads that replace callbacks while others publish.
+// Goal: a listener's callbacks are told of each arrival once, whichever thread takes meanwhile, and
+// none runs after it was replaced. Method: endpoints of this process and the real daemon; counts
+// that must be reached, and threads that replace callbacks while others publish.
 
 #include <ros2/rmw_agnocast_cpp/core/listener.hpp>
 #include <ros2/rmw_agnocast_cpp/core/services.hpp>
