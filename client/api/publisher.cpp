@@ -105,6 +105,7 @@ Result<std::shared_ptr<UntypedPublisher>> UntypedPublisher::create(const Endpoin
   EndpointRequest request;
   request.topic = name.topic;
   request.node = name.node;
+  request.domain = name.domain;
   request.type = publisher->type_.name();
   request.layout_hash = publisher->type_.layout_hash();
   request.qos = to_abi(offered);

@@ -198,6 +198,7 @@ Result<std::shared_ptr<UntypedSubscription>> UntypedSubscription::create(
   EndpointRequest request;
   request.topic = name.topic;
   request.node = name.node;
+  request.domain = name.domain;
   request.type = type.name();
   request.layout_hash = type.layout_hash();
   request.qos = to_abi(requested);

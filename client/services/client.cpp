@@ -298,6 +298,7 @@ Result<std::shared_ptr<UntypedClient>> UntypedClient::make(const EndpointName& s
   if (!keeps_all) return tl::unexpected<Failure>(keeps_all.error());
   auto core = std::make_shared<ClientCore>(service);
   EndpointName name{request_topic(service.topic), service.node};
+  name.domain = service.domain;
   auto requests = UntypedPublisher::create(name, types.request, *keeps_all, {}, request);
   if (!requests) return tl::unexpected<Failure>(requests.error());
   core->have(std::move(*requests));

@@ -158,9 +158,9 @@ class ServiceCore {
  private:
   bool meet(std::uint64_t client, const UntypedSubscription& requests) {
     const ActingFor creator(signals_);
-    const auto made = UntypedPublisher::create(
-        {reply_topic(service_.topic, client), service_.node, requests.persistent_id(), true},
-        response_, qos_, {}, code_);
+    const auto made = UntypedPublisher::create({reply_topic(service_.topic, client), service_.node,
+                                                requests.persistent_id(), true, service_.domain},
+                                               response_, qos_, {}, code_);
     {
       const std::lock_guard lock(mutex_);
       if (requests_ == nullptr) {  // the service has ended meanwhile
@@ -335,8 +335,8 @@ Result<std::shared_ptr<UntypedService>> UntypedService::create(
     };
   }
   auto requests = UntypedSubscription::create(
-      {request_topic(service.topic), service.node}, types.request, *keeps_all,
-      SubscriptionOptions().callback_group(group), std::move(on_request));
+      {request_topic(service.topic), service.node, 0, false, service.domain}, types.request,
+      *keeps_all, SubscriptionOptions().callback_group(group), std::move(on_request));
   if (!requests) return tl::unexpected<Failure>(requests.error());
   std::shared_ptr<UntypedService> made(new UntypedService(core));
   Receptionist& receptionist = Receptionist::instance();

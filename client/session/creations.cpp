@@ -19,6 +19,7 @@ Result<wire::CreateEndpoint> describe(const EndpointRequest& request,
   body.layout_hash = request.layout_hash;
   body.wait_set = wait_set;
   body.quota = request.quota | (request.quota_or_less ? wire::quota_or_less : 0);
+  body.domain = request.domain ? *request.domain + 1 : 0;
   if (!write_name(body.topic, request.topic))
     return fail(Errc::invalid_name, "a topic name of more than 255 characters");
   if (!write_name(body.type, request.type))

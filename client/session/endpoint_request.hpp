@@ -10,6 +10,7 @@
 
 #include <cstdint>
 #include <memory>
+#include <optional>
 #include <string_view>
 
 namespace agnocast {
@@ -35,6 +36,7 @@ struct EndpointRequest {
   std::uint64_t message_alignment = 1;
   std::uint64_t persistent_id = 0;             // 0: a new one
   bool announces_persistent_id_later = false;  // publishers: see EndpointName
+  std::optional<std::uint64_t> domain;         // none: that of the process
   SignalMask signals;                          // for destructors of messages
 };
 

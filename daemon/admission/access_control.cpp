@@ -28,7 +28,7 @@ Subject subject_of(const PeerIdentity& identity) {
 
 Result<void> AccessControl::check_endpoint(const PeerIdentity& who, ClientIndex client,
                                            const CreateRequest& request) const {
-  const std::uint64_t domain = registry_.client(client).domain;
+  const std::uint64_t domain = request.domain.value_or(registry_.client(client).domain);
   const bool publisher = request.kind == Kind::publisher;
   const Subject subject = subject_of(who);
   const Decision decision = decide(rules_, subject, domain, request.topic,
@@ -38,26 +38,28 @@ Result<void> AccessControl::check_endpoint(const PeerIdentity& who, ClientIndex 
                                               (publisher ? "publish on " : "subscribe to ") +
                                               std::string(request.topic) + " (" +
                                               line_of(decision) + ")");
-  return publisher ? check_readers(client, request.topic)
+  return publisher ? check_readers(client, domain, request.topic)
                    : check_publishers(subject, domain, request.topic);
 }
 
-Result<void> AccessControl::check_readers(ClientIndex client, std::string_view topic) const {
+Result<void> AccessControl::check_readers(ClientIndex client, std::uint64_t domain,
+                                          std::string_view topic) const {
   const ClientRecord& record = registry_.client(client);
   if (record.readers == 0) return {};
-  const std::uint64_t wanted = readers_of(rules_, record.domain, topic);
+  const std::uint64_t wanted = readers_of(rules_, domain, topic);
   if (record.readers == wanted) return {};
   std::string others = "its earlier topics";
   for (const EndpointRef& ref : registry_.endpoints_of(client)) {
-    const std::string_view name = registry_.topic(ref.topic).name;
-    if (ref.kind != Kind::publisher || readers_of(rules_, record.domain, name) == wanted) continue;
-    others = std::string(name) + " (" +
-             line_of(deciding_rule(rules_, record.domain, name, Action::subscribe)) + ")";
+    const TopicRecord& other = registry_.topic(ref.topic);
+    if (ref.kind != Kind::publisher || readers_of(rules_, other.domain, other.name) == wanted)
+      continue;
+    others = std::string(other.name) + " (" +
+             line_of(deciding_rule(rules_, other.domain, other.name, Action::subscribe)) + ")";
     break;
   }
   return fail_with(Errc::readers_differ,
                    "other users may subscribe to " + std::string(topic) + " (" +
-                       line_of(deciding_rule(rules_, record.domain, topic, Action::subscribe)) +
+                       line_of(deciding_rule(rules_, domain, topic, Action::subscribe)) +
                        ") than to " + others + ", and all topics of a process lie in one heap");
 }
 
@@ -69,15 +71,16 @@ Result<void> AccessControl::check_publishers(const Subject& who, std::uint64_t d
   registry_.for_each_publisher(*known, [&](std::uint32_t, const PublisherRecord& publisher) {
     if (!allowed || publisher.state != EndpointState::active) return;
     for (const EndpointRef& ref : registry_.endpoints_of(publisher.client)) {
-      const std::string_view name = registry_.topic(ref.topic).name;
-      if (ref.kind != Kind::publisher || name == topic) continue;
-      const Decision decision = decide(rules_, who, domain, name, Action::subscribe);
+      const TopicRecord& other = registry_.topic(ref.topic);
+      if (ref.kind != Kind::publisher || ref.topic == *known) continue;
+      const Decision decision = decide(rules_, who, other.domain, other.name, Action::subscribe);
       if (decision.allowed) continue;
-      allowed = fail_with(Errc::access_denied,
-                          "process " + std::to_string(registry_.client(publisher.client).pid) +
-                              " publishes " + std::string(topic) + " and " + std::string(name) +
-                              ", to which user " + std::to_string(who.uid) +
-                              " may not subscribe (" + line_of(decision) + "): restart it");
+      allowed =
+          fail_with(Errc::access_denied,
+                    "process " + std::to_string(registry_.client(publisher.client).pid) +
+                        " publishes " + std::string(topic) + " and " + std::string(other.name) +
+                        ", to which user " + std::to_string(who.uid) + " may not subscribe (" +
+                        line_of(decision) + "): restart it");
       return;
     }
   });
@@ -87,16 +90,17 @@ Result<void> AccessControl::check_publishers(const Subject& who, std::uint64_t d
 void AccessControl::warn_of_other_readers(ClientIndex client) {
   const ClientRecord& record = registry_.client(client);
   for (const EndpointRef& ref : registry_.endpoints_of(client)) {
-    const std::string_view name = registry_.topic(ref.topic).name;
-    if (ref.kind != Kind::publisher || readers_of(rules_, record.domain, name) == record.readers)
+    const TopicRecord& topic = registry_.topic(ref.topic);
+    if (ref.kind != Kind::publisher ||
+        readers_of(rules_, topic.domain, topic.name) == record.readers)
       continue;
     log_.write_limited(
         "readers uid=" + std::to_string(record.uid), LogLevel::warning, "readers have changed",
-        {{"topic", name},
+        {{"topic", topic.name},
          {"client", number(client)},
          {"pid", record.pid},
          {"uid", record.uid},
-         {"why", line_of(deciding_rule(rules_, record.domain, name, Action::subscribe))},
+         {"why", line_of(deciding_rule(rules_, topic.domain, topic.name, Action::subscribe))},
          {"hint", "processes that have its memory keep it: restart the publisher's process"}});
     return;
   }
@@ -112,9 +116,10 @@ std::string AccessControl::forbidden_endpoint(ClientIndex client,
         publisher ? registry_.publisher(ref.topic, ref.index).state == EndpointState::active
                   : registry_.subscription(ref.topic, ref.index).state == EndpointState::active;
     if (!is_active) continue;
-    const std::string_view name = registry_.topic(ref.topic).name;
-    const Decision decision = decide(rules_, who, registry_.client(client).domain, name,
-                                     publisher ? Action::publish : Action::subscribe);
+    const TopicRecord& topic = registry_.topic(ref.topic);
+    const std::string_view name = topic.name;
+    const Decision decision =
+        decide(rules_, who, topic.domain, name, publisher ? Action::publish : Action::subscribe);
     if (decision.allowed) continue;
     return "user " + std::to_string(who.uid) + " may not " +
            (publisher ? "publish on " : "subscribe to ") + std::string(name) + " any more (" +

@@ -44,7 +44,8 @@ class AccessControl {
   std::string forbidden_endpoint(ClientIndex client, const PeerIdentity& identity) const;
 
  private:
-  [[nodiscard]] Result<void> check_readers(ClientIndex client, std::string_view topic) const;
+  [[nodiscard]] Result<void> check_readers(ClientIndex client, std::uint64_t domain,
+                                           std::string_view topic) const;
   [[nodiscard]] Result<void> check_publishers(const Subject& who, std::uint64_t domain,
                                               std::string_view topic) const;
 

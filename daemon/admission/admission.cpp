@@ -83,7 +83,7 @@ Result<void> Admission::admit_endpoint(const PeerIdentity& who, ClientIndex clie
                          ", depth " + std::to_string(request.qos.depth) + " is asked for");
   const bool publisher = request.kind == Kind::publisher;
   if (auto allowed = access_.check_endpoint(who, client, request); !allowed) return allowed;
-  if (auto allowed = check_topics(record, request.topic); !allowed) return allowed;
+  if (auto allowed = check_topics(record, request); !allowed) return allowed;
   const Usage usage = registry_.accounts().usage_of(record.uid);
   auto allowed =
       publisher ? check_limit(usage.publishers, 1, config_.quota.publishers, "[quota] publishers")
@@ -115,15 +115,15 @@ Result<void> Admission::check_kept(std::uint32_t uid, std::uint64_t more) {
 }
 
 // Counts existing topics too: a process that joins one keeps it there when the others have left.
-Result<void> Admission::check_topics(const ClientRecord& record, std::string_view topic) {
-  const auto known = registry_.find_topic(record.domain, topic);
+Result<void> Admission::check_topics(const ClientRecord& record, const CreateRequest& request) {
+  const auto known = registry_.find_topic(request.domain.value_or(record.domain), request.topic);
   if (known && registry_.accounts().takes_part(record.uid, *known)) return {};
   return check_limit(registry_.accounts().usage_of(record.uid).topics, 1, config_.quota.topics,
                      "[quota] topics");
 }
 
 Result<void> Admission::check_places(const ClientRecord& record, const CreateRequest& request) {
-  const auto known = registry_.find_topic(record.domain, request.topic);
+  const auto known = registry_.find_topic(request.domain.value_or(record.domain), request.topic);
   if (!known) return {};
   const Places used = registry_.accounts().user_places(record.uid, *known);
   if (request.kind == Kind::subscription)
@@ -150,7 +150,7 @@ Result<void> Admission::check_places(const ClientRecord& record, const CreateReq
 // publisher of its own user the number holds for that one, so a user who publishes too is not kept
 // out.
 Result<void> Admission::check_hold_quota(const ClientRecord& record, const CreateRequest& request) {
-  const auto known = registry_.find_topic(record.domain, request.topic);
+  const auto known = registry_.find_topic(request.domain.value_or(record.domain), request.topic);
   if (request.quota_or_less || !known) return {};
   const HoldPool pool = registry_.hold_pool();
   const HoldPool::Use use = registry_.pool_use(record.uid, *known);

@@ -68,7 +68,7 @@ class Admission {
   [[nodiscard]] Result<void> check_window(std::uint32_t uid, std::uint64_t bytes);
   /// Checks that this user may store `more` more descriptors across a daemon restart.
   [[nodiscard]] Result<void> check_kept(std::uint32_t uid, std::uint64_t more);
-  [[nodiscard]] Result<void> check_topics(const ClientRecord& record, std::string_view topic);
+  [[nodiscard]] Result<void> check_topics(const ClientRecord& record, const CreateRequest& request);
   [[nodiscard]] Result<void> check_places(const ClientRecord& record, const CreateRequest& request);
   [[nodiscard]] Result<void> check_hold_quota(const ClientRecord& record,
                                               const CreateRequest& request);

@@ -63,6 +63,7 @@ void RefusalReport::remember(const Peer& peer, const Request& request, Errc code
     refusal.process_name = registry_.client(*client).name;
   }
   if (const auto* const create = std::get_if<CreateRequest>(&request)) {
+    refusal.domain = create->domain.value_or(refusal.domain);
     refusal.kind = create->kind;
     refusal.topic = create->topic;
   }

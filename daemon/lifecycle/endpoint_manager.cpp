@@ -34,7 +34,7 @@ EndpointManager::EndpointManager(Registry& registry, Regions& regions, Doorbells
 // --- create
 
 Result<void> EndpointManager::create(ClientIndex client, const CreateRequest& request) {
-  const std::uint64_t domain = registry_.client(client).domain;
+  const std::uint64_t domain = request.domain.value_or(registry_.client(client).domain);
   auto topic = registry_.find_topic(domain, request.topic);
   if (topic) {
     const TopicRecord& record = registry_.topic(*topic);
@@ -65,7 +65,8 @@ std::uint32_t EndpointManager::link_blocks_of_new(std::string_view topic) const 
 std::uint64_t EndpointManager::extent_bytes(ClientIndex client,
                                             const CreateRequest& request) const {
   if (request.kind == Kind::publisher) return abi::publisher_extent_bytes;
-  const auto topic = registry_.find_topic(registry_.client(client).domain, request.topic);
+  const auto topic =
+      registry_.find_topic(request.domain.value_or(registry_.client(client).domain), request.topic);
   return abi::subscription_extent_bytes(topic ? registry_.topic(*topic).link_blocks
                                               : link_blocks_of_new(request.topic));
 }

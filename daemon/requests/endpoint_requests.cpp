@@ -36,7 +36,8 @@ Result<void> EndpointRequests::create(Peer& peer, const CreateRequest& request) 
   // Set before any process is notified of the publisher, and with it of the heap.
   const bool is_first = request.kind == Kind::publisher && record.readers == 0;
   if (is_first)
-    registry_.set_readers(client, readers_of(config_.access, record.domain, request.topic));
+    registry_.set_readers(
+        client, readers_of(config_.access, request.domain.value_or(record.domain), request.topic));
   auto created = endpoint_manager_.create(client, request);
   if (!created && is_first) registry_.set_readers(client, 0);
   if (created && request.kind == Kind::subscription) readers_.created(client, request);

@@ -117,6 +117,7 @@ Request decode_create(Packet packet) {
   request.layout_hash = body.layout_hash;
   request.wait_set = body.wait_set;
   request.quota = body.quota;
+  if (body.domain != 0) request.domain = body.domain - 1;
   std::string_view topic, type, node;
   if (!text_of(body.topic, topic))
     return refuse(body.header, Errc::protocol_violation, "the name of the topic does not end");

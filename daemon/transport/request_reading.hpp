@@ -15,6 +15,7 @@
 
 #include <cstddef>
 #include <cstdint>
+#include <optional>
 #include <span>
 #include <string>
 #include <string_view>
@@ -33,7 +34,8 @@ struct CreateRequest {
   std::uint64_t layout_hash = 0;
   std::uint64_t wait_set = 0;
   std::uint64_t quota = 0;
-  bool quota_or_less = false;  // for publishers of other users
+  bool quota_or_less = false;           // for publishers of other users
+  std::optional<std::uint64_t> domain;  // none: that of the process
   std::string topic;
   std::string type;
   std::string node;

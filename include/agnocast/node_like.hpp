@@ -9,8 +9,10 @@
 #include <agnocast/export.hpp>
 #include <agnocast/result.hpp>
 
+#include <cstdint>
 #include <exception>
 #include <new>
+#include <optional>
 #include <string>
 #include <type_traits>
 #include <utility>
@@ -26,6 +28,8 @@ struct EndpointName {
   std::uint64_t persistent_id = 0;
   /// For a publisher: peers learn the id only after announce_persistent_id().
   bool announces_persistent_id_later = false;
+  /// ROS domain; none: that of the process (domain_id()).
+  std::optional<std::uint64_t> domain = {};
 };
 
 /// Applies the ROS rules: relative names get the namespace, "~" the node's name. Errors:
@@ -162,11 +166,37 @@ inline constexpr bool has_resolve<
     Names, Node, std::void_t<decltype(Names::resolve(std::declval<Node&>(), std::string()))>> =
     true;
 
+template <class Node, class = void>
+inline constexpr bool has_domain = false;
+template <class Node>
+inline constexpr bool
+    has_domain<Node, std::void_t<decltype(std::declval<Node&>().get_domain_id())>> = true;
+template <class Node, class = void>
+inline constexpr bool has_context_domain = false;
+template <class Node>
+inline constexpr bool has_context_domain<Node, std::void_t<decltype(std::declval<Node&>()
+                                                                        .get_node_base_interface()
+                                                                        ->get_context()
+                                                                        ->get_domain_id())>> = true;
+
+/// Returns the ROS domain of a node that has one of its own; an rclcpp::Node has its context's.
+template <class Node>
+std::optional<std::uint64_t> domain_of(Node& node) {
+  if constexpr (has_domain<Node>) {
+    return node.get_domain_id();
+  } else if constexpr (has_context_domain<Node>) {
+    const auto context = node.get_node_base_interface()->get_context();
+    if (context->is_valid()) return context->get_domain_id();
+  }
+  return std::nullopt;
+}
+
 /// Resolves `name` as `node` would: with its remappings if it has any, else by the rules alone.
 template <class Names, class Node>
 [[nodiscard]] Result<EndpointName> resolve_as(Node& node, const std::string& of_node) {
   EndpointName resolved;
   resolved.node = name_of(node);
+  resolved.domain = domain_of(node);
   const std::string name = in_sub_namespace(node, of_node);
   const auto ask = [&](auto& names) -> Result<void> {
 #if defined(__cpp_exceptions)

@@ -178,8 +178,8 @@ constexpr std::uint64_t fingerprint() noexcept {
   sum.add(sizeof(wire::CreateEndpoint), offsetof(wire::CreateEndpoint, header),
           offsetof(wire::CreateEndpoint, qos), offsetof(wire::CreateEndpoint, layout_hash),
           offsetof(wire::CreateEndpoint, wait_set), offsetof(wire::CreateEndpoint, quota),
-          offsetof(wire::CreateEndpoint, topic), offsetof(wire::CreateEndpoint, type),
-          offsetof(wire::CreateEndpoint, node));
+          offsetof(wire::CreateEndpoint, domain), offsetof(wire::CreateEndpoint, topic),
+          offsetof(wire::CreateEndpoint, type), offsetof(wire::CreateEndpoint, node));
   sum.add(sizeof(wire::EndpointCreated), offsetof(wire::EndpointCreated, header),
           offsetof(wire::EndpointCreated, topic), offsetof(wire::EndpointCreated, reserved),
           offsetof(wire::EndpointCreated, index), offsetof(wire::EndpointCreated, generation),

@@ -305,6 +305,7 @@ struct CreateEndpoint {
   std::uint64_t layout_hash;
   std::uint64_t wait_set;  // of a subscription
   std::uint64_t quota;     // messages that a subscription holds at most
+  std::uint64_t domain;    // 0: that of the hello; otherwise one more than a ROS_DOMAIN_ID
   Name topic;              // fully qualified, starts with a slash
   Name type;
   Name node;

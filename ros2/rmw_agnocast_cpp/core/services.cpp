@@ -47,7 +47,7 @@ Result<std::unique_ptr<ServiceServer>> ServiceServer::create(const NodeName& nod
       *name, *types, qos, kind.response_code().code(), nullptr, nullptr);
   if (!untyped) return tl::unexpected<Failure>(untyped.error());
   return std::unique_ptr<ServiceServer>(
-      new ServiceServer(support, std::move(*untyped), kind, name->topic));
+      new ServiceServer(support, std::move(*untyped), kind, *name));
 }
 
 bool ServiceServer::take(void* request, RequestId& id) {
@@ -87,7 +87,8 @@ Result<std::unique_ptr<ServiceClient>> ServiceClient::create(const NodeName& nod
   auto untyped = agnocast::detail::UntypedClient::create_polled(*name, *types, qos,
                                                                 kind.request_code().code());
   if (!untyped) return tl::unexpected<Failure>(untyped.error());
-  std::unique_ptr<ServiceClient> made(new ServiceClient(support, std::move(*untyped), kind));
+  std::unique_ptr<ServiceClient> made(
+      new ServiceClient(support, std::move(*untyped), kind, name->domain));
   // rclcpp asks once whether a server is there, and again when the graph changes or after 100 ms.
   made->wait_for_own_server(std::chrono::milliseconds(100));
   return made;
@@ -125,10 +126,11 @@ void ServiceClient::wait_for_own_server(std::chrono::milliseconds age) const {
   if (server_count() != 0 || ::getpid() != process_) return;
   bool has_server = false;
   auto newest = created_;
-  OwnEndpoint<Clock::time_point>::visit(client_.get_service_name(), [&](Clock::time_point since) {
-    has_server = true;
-    newest = std::max(newest, since);
-  });
+  OwnEndpoint<Clock::time_point>::visit(domain_, client_.get_service_name(),
+                                        [&](Clock::time_point since) {
+                                          has_server = true;
+                                          newest = std::max(newest, since);
+                                        });
   if (!has_server) return;
   const auto end = newest + age;
   const auto now = Clock::now();

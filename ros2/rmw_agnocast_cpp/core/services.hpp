@@ -64,12 +64,12 @@ class ServiceServer final : public Listenable {
   using Kind = agnocast::detail::GenericServiceKind;
   ServiceServer(const ServiceSupport& support,
                 std::shared_ptr<agnocast::detail::UntypedService> untyped, const Kind& kind,
-                const std::string& service)
+                const agnocast::detail::EndpointName& service)
       : support_(support),
         kind_(kind),
         untyped_(std::move(untyped)),
         responder_(untyped_->core(), kind),
-        own_(service, Clock::now()) {}
+        own_(service.domain, service.topic, Clock::now()) {}
 
   const ServiceSupport support_;
   const Kind kind_;
@@ -144,14 +144,16 @@ class ServiceClient final : public Listenable {
     std::deque<Response> responses;
   };
   ServiceClient(const ServiceSupport& support,
-                std::shared_ptr<agnocast::detail::UntypedClient> untyped, const Kind& kind)
-      : support_(support), client_(std::move(untyped), kind) {}
+                std::shared_ptr<agnocast::detail::UntypedClient> untyped, const Kind& kind,
+                OwnDomain domain)
+      : support_(support), client_(std::move(untyped), kind), domain_(domain) {}
 
   void wait_for_own_server(std::chrono::milliseconds age) const;
 
   const ServiceSupport support_;
   Client client_;
   ServerArrival server_arrival_{client_};
+  const OwnDomain domain_;
   const pid_t process_ = ::getpid();
   const Clock::time_point created_ = Clock::now();
   const std::shared_ptr<Inbox> inbox_ = std::make_shared<Inbox>();

@@ -26,15 +26,16 @@ constexpr int dropped_max = 64;
 constexpr std::chrono::milliseconds own_link_time{100};
 
 /// Waits until the publishers of this process have linked with its subscriptions to the topic.
-void link_own_publishers(const std::string& topic) {
+void link_own_publishers(OwnDomain domain, const std::string& topic) {
   using Clock = std::chrono::steady_clock;
   const auto end = Clock::now() + own_link_time;  // for all of them
   std::chrono::microseconds pause{50};
   for (;;) {
     bool are_linked = true;
-    OwnEndpoint<const GenericPublisher*>::visit(topic, [&](const GenericPublisher* publisher) {
-      are_linked = are_linked && publisher->wait_for_local_links(std::chrono::nanoseconds(0));
-    });
+    OwnEndpoint<const GenericPublisher*>::visit(
+        domain, topic, [&](const GenericPublisher* publisher) {
+          are_linked = are_linked && publisher->wait_for_local_links(std::chrono::nanoseconds(0));
+        });
     const auto left = end - Clock::now();
     if (are_linked || left <= left.zero()) return;
     std::this_thread::sleep_for(std::min<Clock::duration>(left, pause));
@@ -50,7 +51,7 @@ Result<std::unique_ptr<TopicPublisher>> TopicPublisher::create(const NodeName& n
                                                                const QoS& qos) {
   auto publisher = try_create_generic_publisher(node, topic, support.type(), qos);
   if (!publisher) return tl::unexpected<Failure>(publisher.error());
-  std::unique_ptr<TopicPublisher> made(new TopicPublisher(support, *publisher, topic));
+  std::unique_ptr<TopicPublisher> made(new TopicPublisher(support, *publisher, node.domain, topic));
   (void)made->endpoint().wait_for_local_links(own_link_time);
   return made;
 }
@@ -98,7 +99,7 @@ Result<std::unique_ptr<TopicSubscription>> TopicSubscription::create(
       try_create_generic_subscription(node, topic, support.type(), qos, nullptr, options);
   if (!subscription) return tl::unexpected<Failure>(subscription.error());
   std::unique_ptr<TopicSubscription> made(new TopicSubscription(support, std::move(*subscription)));
-  link_own_publishers(topic);
+  link_own_publishers(node.domain, topic);
   return made;
 }
 

@@ -25,6 +25,7 @@
 #include <cstdint>
 #include <memory>
 #include <mutex>
+#include <optional>
 #include <span>
 #include <string>
 #include <unordered_map>
@@ -36,10 +37,12 @@ namespace agnocast::rmw {
 /// A node's place in the graph. rcl has applied remappings already.
 struct NodeName {
   std::string name;
-  std::string name_space;  // "/" or "/a/b"
+  std::string name_space;                    // "/" or "/a/b"
+  std::optional<std::uint64_t> domain = {};  // none: that of the process
 
   const char* get_name() const noexcept { return name.c_str(); }
   const char* get_namespace() const noexcept { return name_space.c_str(); }
+  std::optional<std::uint64_t> get_domain_id() const noexcept { return domain; }
   std::string get_fully_qualified_name() const {
     return (name_space == "/" ? "" : name_space) + "/" + name;
   }
@@ -111,10 +114,10 @@ class TopicPublisher {
 
  private:
   TopicPublisher(MessageSupport support, const GenericPublisher::SharedPtr& publisher,
-                 const std::string& topic)
+                 OwnDomain domain, const std::string& topic)
       : support_(std::move(support)),
         publisher_(publisher),
-        own_(topic, publisher.get()),
+        own_(domain, topic, publisher.get()),
         events_(*publisher_) {}
 
   const MessageSupport support_;

@@ -96,12 +96,10 @@ rmw_ret_t rmw_init(const rmw_init_options_t* options, rmw_context_t* context) {
   if (context->implementation_identifier != nullptr)
     return refuse(RMW_RET_INVALID_ARGUMENT, "the context is initialized already");
   return guarded([&] {
-    const auto domain = domain_id();
+    const auto domain = options->domain_id == RMW_DEFAULT_DOMAIN_ID
+                            ? domain_id()
+                            : Result<std::uint64_t>(options->domain_id);
     if (!domain) return refuse(domain.error());
-    if (options->domain_id != RMW_DEFAULT_DOMAIN_ID && options->domain_id != *domain)
-      return refuse(RMW_RET_ERROR,
-                    "a process is in one domain, ROS_DOMAIN_ID=" + std::to_string(*domain) +
-                        "; its init options ask for " + std::to_string(options->domain_id));
     rmw_context_t made = rmw_get_zero_initialized_context();
     auto impl = std::make_unique<rmw_context_impl_s>();
     // Connects, so that a missing agnocastd is reported here, in one sentence.

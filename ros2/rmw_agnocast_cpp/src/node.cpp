@@ -51,7 +51,7 @@ rmw_node_t* rmw_create_node(rmw_context_t* context, const char* name, const char
   const rmw_ret_t made = guarded([&] {
     if (node == nullptr) throw std::bad_alloc();
     auto data = std::make_unique<NodeData>();
-    data->name = {name, namespace_};
+    data->name = {name, namespace_, context->impl->domain};
     *node = {};
     node->implementation_identifier = identifier;
     node->context = context;

@@ -148,6 +148,32 @@ TEST_F(RmwServices, ARequestWaitsForAServerOfItsProcess) {
   EXPECT_GE(ready, 5) << "of 10 whose server was there before";
 }
 
+TEST_F(RmwServices, OfAnotherDomainAreOthers) {
+  const NodeName elsewhere{"node", node.name_space, 57};
+  const auto serving =
+      valued(ServiceServer::create(elsewhere, service, service_in_cpp(), ServicesQoS()));
+  const auto near =
+      valued(ServiceClient::create(elsewhere, service, service_in_cpp(), ServicesQoS()));
+  const auto far = client(service_in_cpp());
+  expect_server(*near);
+  EXPECT_EQ(far->server_count(), 0u);
+  const Everything request;
+  ASSERT_TRUE(far->send(&request));
+  EXPECT_EQ(far->dropped_count(), 1u);
+  ASSERT_TRUE(near->send(&request));
+  wait_for(*serving);
+  Everything got;
+  RequestId id;
+  ASSERT_TRUE(serving->take(&got, id));
+  EXPECT_FALSE(serving->take(&got, id));
+  const Forest response;
+  ASSERT_TRUE(serving->send(id, &response));
+  wait_for(*near);
+  Forest answer;
+  std::int64_t number = 0;
+  EXPECT_TRUE(near->take(&answer, number));
+}
+
 TEST_F(RmwServices, ServersThatDoNotAnswerFillNoClient) {
   const auto serving = server(service_in_cpp());
   const auto asking = client(service_in_cpp());

@@ -18,6 +18,7 @@
 #include <array>
 #include <cstdint>
 #include <memory>
+#include <set>
 #include <span>
 #include <string>
 #include <utility>
@@ -125,6 +126,35 @@ TEST_F(RmwTopics, EndpointsOfOneProcessAreLinkedOnceTheyAreThere) {
     EXPECT_TRUE(to->take(&got, info) || !is_linked) << i;
   }
   EXPECT_GE(linked, count * 3 / 4);
+}
+
+TEST_F(RmwTopics, NodesOfAnotherDomainAreOnAnotherTopic) {
+  const NodeName elsewhere{"node", node.name_space, 57};
+  std::vector<std::unique_ptr<TopicPublisher>> from;
+  std::vector<std::unique_ptr<TopicSubscription>> to;
+  for (const NodeName& of : {node, elsewhere}) {
+    from.push_back(valued(TopicPublisher::create(of, topic, in_cpp(), QoS(10))));
+    to.push_back(valued(TopicSubscription::create(of, topic, in_cpp(), QoS(10), false)));
+  }
+  Graph graph;
+  std::multiset<std::uint64_t> domains;
+  const auto seen = valued(graph.wait(std::chrono::seconds(60)));
+  ASSERT_TRUE(seen);
+  for (const EndpointInfo& endpoint : seen->endpoints) {
+    if (endpoint.topic == topic) domains.insert(endpoint.domain);
+  }
+  EXPECT_EQ(domains, (std::multiset<std::uint64_t>{0, 0, 57, 57}));
+  for (const std::size_t i : {0u, 1u}) {
+    ASSERT_TRUE(
+        eventually([&] { return from[i]->endpoint().get_linked_subscription_count() == 1; }));
+    EXPECT_EQ(from[i]->endpoint().get_subscription_count(), 1u);
+    const auto sent = random_message<Everything>(static_cast<unsigned>(i));
+    ASSERT_TRUE(from[i]->publish(&sent));
+    Everything got;
+    take(*to[i], &got);
+    EXPECT_EQ(got, sent);
+    expect_nothing(*to[1 - i], &got);
+  }
 }
 
 TEST_F(RmwTopics, BytesAreMessages) {

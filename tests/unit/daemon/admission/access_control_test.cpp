@@ -10,6 +10,7 @@
 
 #include <gtest/gtest.h>
 
+#include <optional>
 #include <string>
 #include <vector>
 
@@ -26,8 +27,10 @@ class AccessControlTest : public testing::Test {
     who.gid = uid;
     return who;
   }
-  Result<void> check(uid_t uid, ClientIndex client, Kind kind, const std::string& topic) {
+  Result<void> check(uid_t uid, ClientIndex client, Kind kind, const std::string& topic,
+                     std::optional<std::uint64_t> domain = {}) {
     CreateRequest request;
+    request.domain = domain;
     request.kind = kind;
     request.topic = topic;
     return access.check_endpoint(identity(uid), client, request);
@@ -38,8 +41,9 @@ class AccessControlTest : public testing::Test {
   }
 
   test::RegistryScene scene;
-  // Only alice may read /secret; bob may publish nothing.
+  // Only alice may read /secret, and /fenced of one domain; bob may publish nothing.
   std::vector<AccessRule> rules{{"/secret", {}, {}, only(alice), 3},
+                                {"/fenced", 57, {}, only(alice), 5},
                                 {"/**", {}, only(alice), {}, 7}};
   std::string lines;
   Log log{{"agnocastd"},
@@ -60,6 +64,19 @@ TEST_F(AccessControlTest, NamesTheRuleThatForbids) {
   const auto publishes = check(bob, client, Kind::publisher, "/open");
   ASSERT_FALSE(publishes);
   EXPECT_NE(std::string(detail_of(publishes.error())).find("rule in line 7"), std::string::npos);
+}
+
+TEST_F(AccessControlTest, ARuleOfADomainHoldsForEndpointsOfThatDomain) {
+  const ClientIndex client = scene.process(bob);
+  EXPECT_TRUE(check(bob, client, Kind::subscription, "/fenced"));
+  EXPECT_TRUE(check(bob, client, Kind::subscription, "/fenced", 0));
+  const auto reads = check(bob, client, Kind::subscription, "/fenced", 57);
+  ASSERT_FALSE(reads);
+  EXPECT_NE(std::string(detail_of(reads.error())).find("rule in line 5"), std::string::npos);
+  const ClientIndex other = scene.process(alice);
+  publish(other, "/secret");  // with the readers of /fenced in domain 57
+  EXPECT_TRUE(check(alice, other, Kind::publisher, "/fenced", 57));
+  EXPECT_FALSE(check(alice, other, Kind::publisher, "/fenced"));
 }
 
 TEST_F(AccessControlTest, OneHeapHasOneSetOfReaders) {

@@ -71,8 +71,13 @@ TEST(Requests, PassesEveryHonestPacket) {
   EXPECT_EQ(create->qos.depth, 5u);
   EXPECT_TRUE(create->qos.reliable);
   EXPECT_EQ(create->quota, 3u);
+  EXPECT_EQ(create->domain, std::nullopt);
   EXPECT_EQ(create->topic, "/a/topic");
   EXPECT_EQ(create->type, "pkg/msg/Type");
+  auto elsewhere = honest_create(wire::Opcode::create_publisher);
+  elsewhere.domain = 58;
+  const Request of_domain = decoded(elsewhere);
+  EXPECT_EQ(std::get<CreateRequest>(of_domain).domain, 57u);
   auto reference = body<wire::Reference>(wire::Opcode::leave);
   reference.kind = wire::Kind::publisher;
   reference.generation = 4;
