@@ -78,20 +78,6 @@ AdaptedGroup::~AdaptedGroup() {
   remove(waitable);
 }
 
-/// All endpoints of a process are in one domain.
-agnocast::Result<void> refuse_other_domain(const rclcpp::Context& context) {
-  if (!context.is_valid()) return {};  // it has no domain any more
-  const agnocast::Result<std::uint64_t> domain = agnocast::domain_id();
-  if (!domain) return tl::unexpected<agnocast::Failure>(domain.error());
-  const std::size_t wanted = context.get_domain_id();
-  if (wanted == *domain) return {};
-  const std::string words = "the context of the node has domain " + std::to_string(wanted) +
-                            ", the process has " + std::to_string(*domain) +
-                            ": set ROS_DOMAIN_ID in place of InitOptions::set_domain_id()";
-  return tl::unexpected<agnocast::Failure>(
-      agnocast::failure_with(agnocast::Errc::invalid_argument, words.c_str()));
-}
-
 /// Throws agnocast::Error (os_failure), std::system_error and what rclcpp throws.
 agnocast::CallbackGroup::SharedPtr share_group(const NodeBase::SharedPtr& node,
                                                const NodeWaitables::SharedPtr& waitables,
@@ -134,8 +120,6 @@ agnocast::Result<agnocast::CallbackGroup::SharedPtr> adapt_group(
     rclcpp::CallbackGroup::SharedPtr group) {
   // Throws as rclcpp does, also for a group that has endpoints already.
   if (!node->get_context()->is_valid()) rclcpp::GuardCondition after_shutdown(node->get_context());
-  if (const auto refused = refuse_other_domain(*node->get_context()); !refused)
-    return tl::unexpected<agnocast::Failure>(refused.error());
   if (group == nullptr) group = node->get_default_callback_group();
   try {
     if (!GuardThread::instance().is_here())
