@@ -79,17 +79,32 @@ pid_t parent_of(pid_t pid) {
   return static_cast<pid_t>(number_in(line_after(status, "PPid:")).value_or(0));
 }
 
+/// Device and inode of a file; nothing if there is none. Asks no server of a file system, which a
+/// descriptor of another process may lead to (statx(2), AT_STATX_DONT_SYNC).
+std::optional<std::array<std::uint64_t, 3>> identity_of(const std::string& path) {
+  struct statx file {};
+  if (::statx(AT_FDCWD, path.c_str(), AT_STATX_DONT_SYNC, STATX_INO, &file) != 0)
+    return std::nullopt;
+  return std::array<std::uint64_t, 3>{file.stx_dev_major, file.stx_dev_minor, file.stx_ino};
+}
+
 // Returns the holder of the lock beside the socket: the caller of listen() may have died since. 0:
-// it cannot be seen. The keeper of the daemon's descriptors holds the lock as well.
+// it cannot be seen. The keeper of the daemon's descriptors holds the lock as well. Daemons in
+// containers have other files of the same name.
 pid_t daemon_of(const std::string& path) {
   const std::string lock = path + ".lock";
+  const std::string name_of_lock = lock.substr(lock.rfind('/') + 1);
+  const auto wanted = identity_of(lock);
   pid_t found = 0;
+  if (!wanted) return found;
   for_each_entry("/proc", [&](const std::string& name) {
     const pid_t pid = static_cast<pid_t>(number_in(name).value_or(0));
     if (pid == 0 || !is_agnocastd(pid)) return;
     const std::string descriptors = of_process(pid, "fd/");
     for_each_entry(descriptors, [&](const std::string& number) {
-      if (target_of(descriptors + number) == lock && (found == 0 || parent_of(pid) == found))
+      const std::string descriptor = descriptors + number;
+      if (target_of(descriptor).ends_with(name_of_lock) && identity_of(descriptor) == wanted &&
+          (found == 0 || parent_of(pid) == found))
         found = pid;
     });
   });
