@@ -59,6 +59,7 @@ ReaderKey InwardRoutes::reader_of(const Plan& plan, const ClassKey& key) {
 // Publishers first: they give the process a shared heap, into which DDS readers read.
 InwardRoutes::Applied InwardRoutes::apply(const Plan& plan) {
   Applied applied;
+  publish_before_loss(plan);
   open_remote_publishers(plan, applied);
   open_dds_readers(plan);
   for (const Unbridged& each : plan.unbridged) {
@@ -69,6 +70,28 @@ InwardRoutes::Applied InwardRoutes::apply(const Plan& plan) {
   }
   settle_at_ = std::chrono::steady_clock::now();
   return applied;
+}
+
+// From the creation of a reliable reader until a writer's next heartbeat, Cyclone gives a
+// best-effort reader nothing of that writer, and then some messages again.
+ReaderHandover::Left InwardRoutes::left_of(const ReaderKey& left, const QosClass& requested) const {
+  const auto open = dds_readers_.find(left);
+  if (open == dds_readers_.end()) return ReaderHandover::Left::ended;
+  return requested.reliable && !open->second.plan.requested.reliable ? ReaderHandover::Left::lossy
+                                                                     : ReaderHandover::Left::useful;
+}
+
+void InwardRoutes::publish_before_loss(const Plan& plan) {
+  std::set<ReaderKey> lossy;
+  for (const auto& [writer, remote_publisher] : plan.remote_publishers) {
+    const auto open = remote_publishers_.all().find(writer);
+    if (open == remote_publishers_.all().end()) continue;
+    const ReaderKey& present = open->second.handover.dds_reader();
+    const DdsReaderPlan& next =
+        plan.dds_readers.at({remote_publisher.key, remote_publisher.dds_reader});
+    if (left_of(present, next.requested) == ReaderHandover::Left::lossy) lossy.insert(present);
+  }
+  publish_all_of(lossy);
 }
 
 // A writer's last messages may come after its end is known, so its remote publisher lingers.
@@ -88,9 +111,11 @@ void InwardRoutes::open_remote_publishers(const Plan& plan, Applied& applied) {
         old != remote_publishers_.all().end()) {
       old->second.end.reset();
       old->second.plan = remote_publisher;
-      if (old->second.handover.dds_reader() != dds_reader)
-        old->second.handover.go_over(dds_reader,
-                                     dds_readers_.contains(old->second.handover.dds_reader()), now);
+      ReaderHandover& handover = old->second.handover;
+      const QosClass& requested = plan.dds_readers.at(dds_reader.of).requested;
+      if (handover.dds_reader() != dds_reader)
+        handover.go_over(dds_reader, left_of(handover.dds_reader(), requested),
+                         requested.reliable && requested.transient_local, now);
       continue;
     }
     // Lingering ones still count.
@@ -160,10 +185,8 @@ bool InwardRoutes::has_unknown_writers(std::span<const DdsSample> taken) const {
                      [&](const DdsSample& sample) { return !has_remote_publisher(sample.writer); });
 }
 
-void InwardRoutes::publish(const DdsReader* dds_reader, std::vector<DdsSample> taken) {
-  const auto known = dds_reader_of_.find(dds_reader);
-  if (known == dds_reader_of_.end()) return;
-  const ReaderKey& key = *known->second;
+void InwardRoutes::publish(const DdsReader& dds_reader, std::vector<DdsSample> taken) {
+  const ReaderKey& key = *dds_reader_of_.at(&dds_reader);
   publish_former(key, taken);
   for (DdsSample& sample : taken) publish_one(key, std::move(sample));
 }

@@ -70,8 +70,8 @@ class InwardRoutes {
   static std::vector<DdsSample> take(DdsReader& dds_reader);
   /// Returns whether a sample's writer has no remote publisher.
   bool has_unknown_writers(std::span<const DdsSample> taken) const;
-  /// Publishes the samples taken from this DDS reader; nothing if it has ended meanwhile.
-  void publish(const DdsReader* dds_reader, std::vector<DdsSample> taken);
+  /// Publishes the samples taken from one of these DDS readers.
+  void publish(const DdsReader& dds_reader, std::vector<DdsSample> taken);
   /// Call after a plan.
   void publish_unplaced();
   /// Publishes waiting messages and ends what is due. Returns when to call it again.
@@ -91,6 +91,10 @@ class InwardRoutes {
   };
 
   static ReaderKey reader_of(const Plan& plan, const ClassKey& key);
+  /// Returns the state of a DDS reader that is left for one with this request.
+  ReaderHandover::Left left_of(const ReaderKey& left, const QosClass& requested) const;
+  /// Publishes what DDS readers have received that may lose messages as soon as the plan's exist.
+  void publish_before_loss(const Plan& plan);
   void open_remote_publishers(const Plan& plan, Applied& applied);
   void open_dds_readers(const Plan& plan);
   void publish_one(const ReaderKey& dds_reader, DdsSample sample);

@@ -16,14 +16,16 @@ void ReaderHandover::begin_with(const ReaderKey& former, Time now) {
   reject(now);
 }
 
-void ReaderHandover::go_over(const ReaderKey& dds_reader, bool is_open, Time now) {
+void ReaderHandover::go_over(const ReaderKey& dds_reader, Left left, bool repeats, Time now) {
   if (former_ == dds_reader) {  // back again
     has_begun_ = former_has_begun_;
     former_.reset();
     dds_reader_ = dds_reader;
     return;
   }
-  if (is_open && (has_begun_ || !former_)) {  // else the former one stays
+  lacks_ = left == Left::lossy || (lacks_ && !has_begun_);
+  const bool is_outdone = lacks_ && repeats;
+  if (left == Left::useful && !is_outdone && (has_begun_ || !former_)) {
     former_ = dds_reader_;
     former_has_begun_ = has_begun_;
   }

@@ -25,6 +25,13 @@ inline constexpr std::chrono::seconds rejecting_max{10};
 
 class ReaderHandover {
  public:
+  /// A DDS reader that a writer leaves.
+  enum class Left : std::uint8_t {
+    ended,   ///< it gives nothing more
+    useful,  ///< it gets all messages until the new one does
+    lossy,   ///< it may lose messages from now on
+  };
+
   ReaderHandover() = default;
   explicit ReaderHandover(ReaderKey dds_reader) : dds_reader_(std::move(dds_reader)) {}
 
@@ -34,8 +41,9 @@ class ReaderHandover {
 
   /// Another DDS reader was there before the writer, so it may have messages that this one missed.
   void begin_with(const ReaderKey& former, Time now);
-  /// `is_open`: the present DDS reader exists, so it may have messages.
-  void go_over(const ReaderKey& dds_reader, bool is_open, Time now);
+  /// `left` is the state of the present DDS reader; `repeats` says whether the new one gets the
+  /// history again.
+  void go_over(const ReaderKey& dds_reader, Left left, bool repeats, Time now);
   /// These DDS readers have ended. A reader that replaces them may get history that was passed on
   /// already.
   void end_dds_readers(const std::set<ReaderKey>& ended, Time now);
@@ -63,6 +71,8 @@ class ReaderHandover {
   std::optional<ReaderKey> former_;
   bool former_has_begun_ = true;
   Time former_end_;
+  // Messages before the first one of dds_reader_ may be lost, as long as it has not begun.
+  bool lacks_ = false;
   std::int64_t newest_ns_ = 0;  // source time
 };
 

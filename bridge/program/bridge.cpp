@@ -117,12 +117,13 @@ bool Bridge::renew_local() {
 
 void Bridge::take_from(DdsReader& dds_reader) {
   std::vector<DdsSample> taken = InwardRoutes::take(dds_reader);
-  // Samples of a writer that came after run() read the discovery.
-  if (inward_.has_unknown_writers(taken)) {
-    planner_.note(participant_->discovered());
-    if (planner_.is_due(std::chrono::steady_clock::now())) plan();
-  }
-  inward_.publish(&dds_reader, std::move(taken));
+  // Samples of a writer that came after run() read the discovery: they wait for a plan.
+  const bool has_unknown = inward_.has_unknown_writers(taken);
+  // First, since a plan may end the reader.
+  inward_.publish(dds_reader, std::move(taken));
+  if (!has_unknown) return;
+  planner_.note(participant_->discovered());
+  if (planner_.is_due(std::chrono::steady_clock::now())) plan();
 }
 
 void Bridge::plan() {
