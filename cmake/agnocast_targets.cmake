@@ -106,13 +106,16 @@ function(agnocast_compile_unoptimised)
   set_source_files_properties(${ARGN} PROPERTIES COMPILE_OPTIONS -O0 SKIP_PRECOMPILE_HEADERS ON)
 endfunction()
 
-# agnocast_target_defaults(TARGET): warnings and sanitizers for one of our own targets, privately.
+# agnocast_target_defaults(TARGET): for one of our own targets, privately: warnings, sanitizers, and
+# the top of the tree, where paths in #includes start. No target exports the top, so what links a
+# library of ours finds only its public headers; scripts/layers limits what a room may include.
 # Sanitizers produce much code, so short-lived programs are not optimised under them: their
 # directories set AGNOCAST_SANITIZED_LEVEL. That, and debug information with line numbers only
 # (-g1), for the sanitizers' reports, reduces the compile time to three quarters.
 set(AGNOCAST_SANITIZED_LEVEL 1)
 function(agnocast_target_defaults target)
   string(FIND "${CMAKE_CURRENT_SOURCE_DIR}" "${PROJECT_SOURCE_DIR}/tests" place)
+  target_include_directories(${target} PRIVATE ${PROJECT_SOURCE_DIR})
   if(AGNOCAST_COMPILE_BY_ROOMS)
     agnocast_compile_by_rooms(${target})
   endif()
