@@ -1,6 +1,6 @@
 # Writes OUTPUT with the revision of the tree SOURCE, if it has changed: cmake -DSOURCE=… -DOUTPUT=…
-# -P revision.cmake. It neither waits for nor takes the lock of the git index: another program may be
-# using it.
+# -P revision.cmake. It neither waits for nor takes the lock of the git index: another program may
+# be using it.
 cmake_minimum_required(VERSION 3.22)
 set(ENV{GIT_OPTIONAL_LOCKS} 0)
 execute_process(COMMAND git describe --always --dirty WORKING_DIRECTORY ${SOURCE}

@@ -20,7 +20,8 @@ if(CCACHE_PROGRAM AND PROJECT_IS_TOP_LEVEL)
   set(CMAKE_C_COMPILER_LAUNCHER ${CCACHE_PROGRAM})
 endif()
 
-# Of a test, in seconds. Only one that hangs takes so long: on a loaded machine the longest need five minutes.
+# Of a test, in seconds. Only one that hangs takes so long: on a loaded machine the longest need
+# five minutes.
 set(agnocast_test_timeout 1200)
 
 option(AGNOCAST_COMPILE_BY_ROOMS "Compile the sources of a directory together: a third of the time"
@@ -63,11 +64,11 @@ if(AGNOCAST_COVERAGE)
   target_link_options(agnocast_sanitizers INTERFACE --coverage)
 endif()
 
-# agnocast_compile_by_rooms(TARGET): compiles the sources of each directory together. Reading headers
-# and making templates takes most of the time of a compiler, so this saves two thirds of it. Names in
-# anonymous namespaces must be unique within a directory; agnocast_compile_alone() takes sources out.
-# It hides a missing #include; scripts/check --tidy and scripts/test --full compile the product's
-# sources alone.
+# agnocast_compile_by_rooms(TARGET): compiles the sources of each directory together. Reading
+# headers and making templates takes most of the time of a compiler, so this saves two thirds of it.
+# Names in anonymous namespaces must be unique within a directory; agnocast_compile_alone() takes
+# sources out. It hides a missing #include; scripts/check --tidy and scripts/test --full compile the
+# product's sources alone.
 function(agnocast_compile_by_rooms target)
   get_target_property(sources ${target} SOURCES)
   get_property(alone GLOBAL PROPERTY agnocast_compile_alone)
@@ -96,8 +97,8 @@ function(agnocast_compile_alone)
   endforeach()
 endfunction()
 
-# agnocast_compile_unoptimised(SOURCES…): where tests are built, for those that read a command line. CLI11 is all in
-# its header, and optimising it takes longer than the rest of the source.
+# agnocast_compile_unoptimised(SOURCES…): where tests are built, for those that read a command line.
+# CLI11 is all in its header, and optimising it takes longer than the rest of the source.
 function(agnocast_compile_unoptimised)
   if(NOT AGNOCAST_BUILD_TESTS)
     return()
@@ -127,15 +128,16 @@ function(agnocast_target_defaults target)
       set_target_properties(${target} PROPERTIES EXCLUDE_FROM_ALL ON)
     endif()
   elseif(AGNOCAST_BUILD_TESTS)
-    # No debug information: line numbers alone take some hundredths of the time to compile, and make objects six
-    # times as large. The preset dev has all of it.
+    # No debug information: line numbers alone take some hundredths of the time to compile, and make
+    # objects six times as large. The preset dev has all of it.
     target_compile_options(${target} PRIVATE $<$<CONFIG:RelWithDebInfo>:-g0>)
   endif()
   target_link_libraries(${target} PRIVATE $<BUILD_INTERFACE:agnocast_warnings>
     $<BUILD_INTERFACE:agnocast_sanitizers>)
 endfunction()
 
-# With the times of the headers in it, a compiler cache would know a precompiled header in no other clone.
+# With the times of the headers in it, a compiler cache would know a precompiled header in no other
+# clone.
 set(agnocast_precompile_options "$<$<CXX_COMPILER_ID:Clang>:SHELL:-Xclang -fno-pch-timestamp>")
 # agnocast_precompile(TARGET [GROUP name] [HEADERS …]): if tests are built, precompiles common
 # headers once for all targets of a group, which have the same compile options. Only headers from

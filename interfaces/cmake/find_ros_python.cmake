@@ -1,9 +1,10 @@
 # SPDX-License-Identifier: Apache-2.0
 #
-# Chooses the Python for the CMake code of ament and rosidl: the first python3 in PATH, /usr/bin last, that
-# has their modules. FindPython3 would take the first one in PATH; one of pyenv or of a virtual environment
-# lacks the modules, and the configuration then fails in a file of ament without a reason. A choice of the
-# user (-DPython3_EXECUTABLE=…) stays. If no python3 has the modules, FindPython3 decides: a build without
+# Chooses the Python for the CMake code of ament and rosidl: the first python3 in PATH, /usr/bin
+# last, that has their modules. FindPython3 would take the first one in PATH; one of pyenv or of a
+# virtual environment lacks the modules, and the configuration then fails in a file of ament without
+# a reason. A choice of the user (-DPython3_EXECUTABLE=…) stays. If no python3 has the modules,
+# FindPython3 decides: a build without
 # ROS messages needs none of them.
 
 function(agnocast_find_ros_python)

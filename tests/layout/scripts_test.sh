@@ -1,8 +1,9 @@
 #!/usr/bin/env bash
 # SPDX-License-Identifier: Apache-2.0
 #
-# Goal: scripts/test refuses what it does not understand before it does anything, and scripts/repeat-tests says which tests failed in which
-# runs, beside the load that was asked for, which ends with it. Method: both as programs; three tests of our own.
+# Goal: scripts/test refuses what it does not understand before it does anything, and
+# scripts/repeat-tests says which tests failed in which runs, beside the load that was asked for,
+# which ends with it. Method: both as programs; three tests of our own.
 set -euo pipefail
 scripts=$1
 work=$(mktemp -d)
@@ -36,7 +37,8 @@ expect 2 "N must be a number from 1 to 999999, not '0'" "$repeat" 0 0 "$work/bui
 expect 2 "LOAD must be a number from 0 to 999, not 'much'" "$repeat" 1 much "$work/built"
 expect 2 "no tests are built in '$work/built'" "$repeat" 1 0 "$work/built"
 
-# One that passes, one that fails in each second run, one that sees the load: processes that compute, of the parent of its ctest.
+# One that passes, one that fails in each second run, one that sees the load: processes that
+# compute, of the parent of its ctest.
 cat >"$work/sees_load" <<'END'
 ctest=$(ps -o ppid= -p $PPID)
 test "$(ps -o args= --ppid $ctest | grep -c 'while :; do :; done')" = 2

@@ -1,7 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
 #
-# Hooks into rosidl_generate_interfaces(). Extensions run in the order of their registration, and ours needs the
-# target of the introspection: finding that first registers it first.
+# Hooks into rosidl_generate_interfaces(). Extensions run in the order of their registration, and
+# ours needs the target of the introspection: finding that first registers it first.
 find_package(ament_cmake_core QUIET REQUIRED)
 find_package(rosidl_cmake QUIET REQUIRED)
 find_package(rosidl_typesupport_introspection_cpp QUIET REQUIRED)

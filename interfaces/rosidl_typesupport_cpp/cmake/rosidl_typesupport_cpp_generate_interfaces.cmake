@@ -6,7 +6,8 @@
 set(typesupport_target ${rosidl_generate_interfaces_TARGET}__rosidl_typesupport_cpp)
 set(introspection_target ${rosidl_generate_interfaces_TARGET}__rosidl_typesupport_introspection_cpp)
 
-# msg/Name.idl, srv/Name.idl, action/Name.idl: rosidl derives the names of all messages of an interface from its name.
+# msg/Name.idl, srv/Name.idl, action/Name.idl: rosidl derives the names of all messages of an
+# interface from its name.
 set(type_supports "")
 foreach(idl ${rosidl_generate_interfaces_ABS_IDL_FILES})
   get_filename_component(kind ${idl} DIRECTORY)
@@ -37,7 +38,8 @@ foreach(package ${rosidl_generate_interfaces_DEPENDENCY_PACKAGE_NAMES})
 endforeach()
 add_dependencies(${rosidl_generate_interfaces_TARGET} ${typesupport_target})
 
-# Compiling the introspection of a message is parsing the same headers: 0.4 s, and 0.1 s with them precompiled in 1.2 s.
+# Compiling the introspection of a message is parsing the same headers: 0.4 s, and 0.1 s with them
+# precompiled in 1.2 s.
 list(LENGTH rosidl_generate_interfaces_IDL_TUPLES interface_count)
 if(interface_count GREATER 4)
   target_precompile_headers(${introspection_target} PRIVATE

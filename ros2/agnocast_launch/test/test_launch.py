@@ -29,7 +29,8 @@ def tearDownModule():
     daemon.stop()
 
 
-# A shell has its background processes ignore SIGINT, and these hand that on to what they launch, which then cannot be ended so.
+# A shell has its background processes ignore SIGINT, and these hand that on to what they launch,
+# which then cannot be ended so.
 signal.signal(signal.SIGINT, signal.default_int_handler)
 
 

@@ -14,7 +14,8 @@ fail() { echo "FAILED: $1"; failed=1; }
 
 dir=$(mktemp -d)
 for page in "$@"; do
-  # mandoc looks for other pages where they are installed: these are not yet, those of the system may not be.
+  # mandoc looks for other pages where they are installed: these are not yet, those of the system
+  # may not be.
   complaints=$(mandoc -Tlint "$page" 2>&1 | grep -v -e 'referenced manual not found' -e 'outdated mandoc.db') || true
   [ -z "$complaints" ] || fail "mandoc complains: $complaints"
 done
