@@ -59,7 +59,6 @@ ReaderKey InwardRoutes::reader_of(const Plan& plan, const ClassKey& key) {
 // Publishers first: they give the process a shared heap, into which DDS readers read.
 InwardRoutes::Applied InwardRoutes::apply(const Plan& plan) {
   Applied applied;
-  publish_before_loss(plan);
   open_remote_publishers(plan, applied);
   open_dds_readers(plan);
   for (const Unbridged& each : plan.unbridged) {
@@ -81,17 +80,29 @@ ReaderHandover::Left InwardRoutes::left_of(const ReaderKey& left, const QosClass
                                                                      : ReaderHandover::Left::useful;
 }
 
-void InwardRoutes::publish_before_loss(const Plan& plan) {
-  std::set<ReaderKey> lossy;
+std::map<ReaderKey, std::vector<OpenRemotePublisher*>> InwardRoutes::leaving(const Plan& plan) {
+  std::map<ReaderKey, std::vector<OpenRemotePublisher*>> leaving;
   for (const auto& [writer, remote_publisher] : plan.remote_publishers) {
     const auto open = remote_publishers_.all().find(writer);
     if (open == remote_publishers_.all().end()) continue;
-    const ReaderKey& present = open->second.handover.dds_reader();
-    const DdsReaderPlan& next =
-        plan.dds_readers.at({remote_publisher.key, remote_publisher.dds_reader});
-    if (left_of(present, next.requested) == ReaderHandover::Left::lossy) lossy.insert(present);
+    const ReaderKey next = reader_of(plan, {remote_publisher.key, remote_publisher.dds_reader});
+    if (open->second.handover.dds_reader() != next) leaving[next].push_back(&open->second);
+  }
+  return leaving;
+}
+
+void InwardRoutes::go_over(const ReaderKey& dds_reader, const QosClass& requested,
+                           const std::vector<OpenRemotePublisher*>& remote_publishers) {
+  const auto left = [&](const ReaderKey& present) { return left_of(present, requested); };
+  std::set<ReaderKey> lossy;
+  for (const OpenRemotePublisher* const each : remote_publishers) {
+    if (left(each->handover.dds_reader()) == ReaderHandover::Left::lossy)
+      lossy.insert(each->handover.dds_reader());
   }
   publish_all_of(lossy);
+  const Time now = std::chrono::steady_clock::now();
+  for (OpenRemotePublisher* const each : remote_publishers)
+    each->handover.go_over(dds_reader, left, requested.reliable && requested.transient_local, now);
 }
 
 // A writer's last messages may come after its end is known, so its remote publisher lingers.
@@ -111,11 +122,6 @@ void InwardRoutes::open_remote_publishers(const Plan& plan, Applied& applied) {
         old != remote_publishers_.all().end()) {
       old->second.end.reset();
       old->second.plan = remote_publisher;
-      ReaderHandover& handover = old->second.handover;
-      const QosClass& requested = plan.dds_readers.at(dds_reader.of).requested;
-      if (handover.dds_reader() != dds_reader)
-        handover.go_over(dds_reader, left_of(handover.dds_reader(), requested),
-                         requested.reliable && requested.transient_local, now);
       continue;
     }
     // Lingering ones still count.
@@ -145,13 +151,20 @@ void InwardRoutes::open_remote_publishers(const Plan& plan, Applied& applied) {
   }
 }
 
+// Writers go over at once: what they leave may lose messages from now on.
 void InwardRoutes::open_dds_readers(const Plan& plan) {
+  const auto remote_publishers = leaving(plan);
+  const auto go_over_to = [&](const ReaderKey& key, const QosClass& requested) {
+    const auto found = remote_publishers.find(key);
+    if (found != remote_publishers.end()) go_over(key, requested, found->second);
+  };
   std::set<ReaderKey> planned;
   for (const auto& [of, dds_reader] : plan.dds_readers) {
     const ReaderKey key = reader_of(plan, of);
     planned.insert(key);
     if (const auto open = dds_readers_.find(key); open != dds_readers_.end()) {
       open->second.plan = dds_reader;
+      go_over_to(key, dds_reader.requested);
       continue;
     }
     const TopicKey& topic = of.key;
@@ -166,6 +179,7 @@ void InwardRoutes::open_dds_readers(const Plan& plan) {
     const auto made =
         dds_readers_.emplace(key, OpenDdsReader{std::move(*reader), dds_reader, false}).first;
     dds_reader_of_[made->second.reader.get()] = &made->first;
+    go_over_to(key, dds_reader.requested);
   }
   for (auto& [key, dds_reader] : dds_readers_) dds_reader.is_over = !planned.contains(key);
 }

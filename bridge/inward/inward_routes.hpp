@@ -93,9 +93,12 @@ class InwardRoutes {
   static ReaderKey reader_of(const Plan& plan, const ClassKey& key);
   /// Returns the state of a DDS reader that is left for one with this request.
   ReaderHandover::Left left_of(const ReaderKey& left, const QosClass& requested) const;
-  /// Publishes what DDS readers have received that may lose messages as soon as the plan's exist.
-  void publish_before_loss(const Plan& plan);
   void open_remote_publishers(const Plan& plan, Applied& applied);
+  /// By planned DDS reader: remote publishers that are to go over to it.
+  std::map<ReaderKey, std::vector<OpenRemotePublisher*>> leaving(const Plan& plan);
+  /// The DDS reader with this request exists.
+  void go_over(const ReaderKey& dds_reader, const QosClass& requested,
+               const std::vector<OpenRemotePublisher*>& remote_publishers);
   void open_dds_readers(const Plan& plan);
   void publish_one(const ReaderKey& dds_reader, DdsSample sample);
   void publish_former(const ReaderKey& dds_reader, std::span<const DdsSample> taken);

@@ -16,14 +16,18 @@ void ReaderHandover::begin_with(const ReaderKey& former, Time now) {
   reject(now);
 }
 
-void ReaderHandover::go_over(const ReaderKey& dds_reader, Left left, bool repeats, Time now) {
+void ReaderHandover::go_over(const ReaderKey& dds_reader,
+                             const std::function<Left(const ReaderKey&)>& left_of, bool repeats,
+                             Time now) {
   if (former_ == dds_reader) {  // back again
     has_begun_ = former_has_begun_;
     former_.reset();
     dds_reader_ = dds_reader;
     return;
   }
+  const Left left = left_of(dds_reader_);
   lacks_ = left == Left::lossy || (lacks_ && !has_begun_);
+  if (former_ && left_of(*former_) != Left::useful) former_.reset();
   const bool is_outdone = lacks_ && repeats;
   if (left == Left::useful && !is_outdone && (has_begun_ || !former_)) {
     former_ = dds_reader_;

@@ -3,9 +3,10 @@
 // ReaderHandover: the DDS reader through which the messages of one remote writer come. When
 // subscriptions or rules change, a writer goes over to another DDS reader; both then get its
 // messages, the new one perhaps later. Messages come through the former one until the new one gives
-// one that is not older, or for a limited time. Older ones from the new one are rejected by their
-// source time, also for a limited time, because the clock of the writer may be set back. So each
-// message that both have received within these times comes once and in order. Pure.
+// one that is not older, or for a limited time; not through one that may lose messages meanwhile.
+// Older ones from the new one are rejected by their source time, also for a limited time, because
+// the clock of the writer may be set back. So each message that the new one, or one that loses
+// nothing, has received within these times comes once and in order. Pure.
 #pragma once
 
 #include <bridge/common/linger.hpp>
@@ -13,6 +14,7 @@
 
 #include <chrono>
 #include <cstdint>
+#include <functional>
 #include <optional>
 #include <set>
 #include <utility>
@@ -41,9 +43,10 @@ class ReaderHandover {
 
   /// Another DDS reader was there before the writer, so it may have messages that this one missed.
   void begin_with(const ReaderKey& former, Time now);
-  /// `left` is the state of the present DDS reader; `repeats` says whether the new one gets the
+  /// `left_of` returns the state of a DDS reader; `repeats` says whether the new one gets the
   /// history again.
-  void go_over(const ReaderKey& dds_reader, Left left, bool repeats, Time now);
+  void go_over(const ReaderKey& dds_reader, const std::function<Left(const ReaderKey&)>& left_of,
+               bool repeats, Time now);
   /// These DDS readers have ended. A reader that replaces them may get history that was passed on
   /// already.
   void end_dds_readers(const std::set<ReaderKey>& ended, Time now);

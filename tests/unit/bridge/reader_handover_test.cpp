@@ -17,6 +17,10 @@ ReaderKey dds_reader(std::size_t depth) {
 
 using Left = ReaderHandover::Left;
 
+Left useful(const ReaderKey&) { return Left::useful; }
+Left lossy(const ReaderKey&) { return Left::lossy; }
+Left ended(const ReaderKey&) { return Left::ended; }
+
 TEST(ReaderHandover, TakesMessagesOnlyFromItsDdsReader) {
   ReaderHandover handover(dds_reader(1));
   EXPECT_TRUE(handover.takes(dds_reader(1), 10));
@@ -28,7 +32,7 @@ TEST(ReaderHandover, TakesMessagesOnlyFromItsDdsReader) {
 TEST(ReaderHandover, SwitchesReadersWithoutDuplicatesOrReordering) {
   ReaderHandover handover(dds_reader(1));
   ASSERT_TRUE(handover.takes(dds_reader(1), 10));
-  handover.go_over(dds_reader(5), Left::useful, false, begin);
+  handover.go_over(dds_reader(5), useful, false, begin);
   ASSERT_EQ(handover.former(), dds_reader(1));
   // The new DDS reader repeats a history, while the former one continues.
   EXPECT_FALSE(handover.takes(dds_reader(5), 5));
@@ -43,7 +47,7 @@ TEST(ReaderHandover, SwitchesReadersWithoutDuplicatesOrReordering) {
 TEST(ReaderHandover, UsesTheFormerDdsReaderOnlyForAWhile) {
   ReaderHandover handover(dds_reader(1));
   ASSERT_TRUE(handover.takes(dds_reader(1), 10));
-  handover.go_over(dds_reader(5), Left::useful, false, begin);
+  handover.go_over(dds_reader(5), useful, false, begin);
   EXPECT_EQ(handover.next(), begin + linger);
   EXPECT_FALSE(handover.is_former_due(begin + linger - 1ns));
   ASSERT_TRUE(handover.is_former_due(begin + linger));
@@ -58,7 +62,7 @@ TEST(ReaderHandover, UsesTheFormerDdsReaderOnlyForAWhile) {
 TEST(ReaderHandover, RejectsOlderMessagesOnlyForAWhile) {
   ReaderHandover handover(dds_reader(1));
   ASSERT_TRUE(handover.takes(dds_reader(1), 10));
-  handover.go_over(dds_reader(5), Left::useful, false, begin);
+  handover.go_over(dds_reader(5), useful, false, begin);
   handover.end_due(begin + linger);
   EXPECT_EQ(handover.next(), begin + rejecting_max);
   EXPECT_FALSE(handover.is_rejecting_due(begin + rejecting_max - 1ns));
@@ -73,9 +77,9 @@ TEST(ReaderHandover, TakesWhatAQuietReaderHasWhenItGoesOverAgain) {
   for (const Time later : {begin + linger, begin + rejecting_max}) {
     ReaderHandover handover(dds_reader(1));
     ASSERT_TRUE(handover.takes(dds_reader(1), 10));
-    handover.go_over(dds_reader(5), Left::useful, false, begin);
+    handover.go_over(dds_reader(5), useful, false, begin);
     handover.end_due(later);
-    handover.go_over(dds_reader(9), Left::useful, false, later);
+    handover.go_over(dds_reader(9), useful, false, later);
     ASSERT_EQ(handover.former(), dds_reader(5));
     EXPECT_EQ(handover.takes(dds_reader(5), 5), later == begin + rejecting_max) << "a history";
     EXPECT_TRUE(handover.takes(dds_reader(5), 20));
@@ -87,8 +91,8 @@ TEST(ReaderHandover, TakesWhatAQuietReaderHasWhenItGoesOverAgain) {
 TEST(ReaderHandover, KeepsTheFormerReaderUntilALaterOneHasBegun) {
   ReaderHandover handover(dds_reader(1));
   ASSERT_TRUE(handover.takes(dds_reader(1), 10));
-  handover.go_over(dds_reader(5), Left::useful, false, begin);
-  handover.go_over(dds_reader(9), Left::useful, false, begin);
+  handover.go_over(dds_reader(5), useful, false, begin);
+  handover.go_over(dds_reader(9), useful, false, begin);
   ASSERT_EQ(handover.former(), dds_reader(1));
   EXPECT_FALSE(handover.takes(dds_reader(5), 20));
   EXPECT_TRUE(handover.takes(dds_reader(1), 20));
@@ -99,7 +103,7 @@ TEST(ReaderHandover, TakesNothingMoreFromALossyReader) {
   for (const bool repeats : {false, true}) {
     ReaderHandover handover(dds_reader(1));
     ASSERT_TRUE(handover.takes(dds_reader(1), 10));
-    handover.go_over(dds_reader(5), Left::lossy, repeats, begin);
+    handover.go_over(dds_reader(5), lossy, repeats, begin);
     EXPECT_FALSE(handover.takes(dds_reader(1), 30)) << "it may lack 20";
     EXPECT_FALSE(handover.takes(dds_reader(5), 10));
     EXPECT_TRUE(handover.takes(dds_reader(5), 20));
@@ -107,12 +111,13 @@ TEST(ReaderHandover, TakesNothingMoreFromALossyReader) {
   }
 }
 
+// From 1, which loses messages as soon as 5 exists, over 5 to 9.
 TEST(ReaderHandover, TakesFromARepeatingReaderWhatEarlierOnesMayLack) {
   for (const bool repeats : {false, true}) {
     ReaderHandover handover(dds_reader(1));
     ASSERT_TRUE(handover.takes(dds_reader(1), 10));
-    handover.go_over(dds_reader(5), Left::lossy, false, begin);
-    handover.go_over(dds_reader(9), Left::useful, repeats, begin);
+    handover.go_over(dds_reader(5), lossy, false, begin);
+    handover.go_over(dds_reader(9), useful, repeats, begin);
     EXPECT_EQ(handover.takes(dds_reader(5), 30), !repeats) << "it may have begun behind 20";
     EXPECT_EQ(handover.takes(dds_reader(9), 20), repeats);
     EXPECT_EQ(handover.takes(dds_reader(9), 30), repeats);
@@ -120,12 +125,22 @@ TEST(ReaderHandover, TakesFromARepeatingReaderWhatEarlierOnesMayLack) {
   }
 }
 
+TEST(ReaderHandover, LeavesAFormerReaderThatLosesMessages) {
+  ReaderHandover handover(dds_reader(1));
+  ASSERT_TRUE(handover.takes(dds_reader(1), 10));
+  handover.go_over(dds_reader(5), useful, false, begin);
+  handover.go_over(dds_reader(9), lossy, true, begin);
+  EXPECT_FALSE(handover.former());
+  EXPECT_FALSE(handover.takes(dds_reader(1), 30)) << "it may lack 20";
+  EXPECT_TRUE(handover.takes(dds_reader(9), 20));
+}
+
 TEST(ReaderHandover, KeepsAReaderThatHasBegunForARepeatingOne) {
   ReaderHandover handover(dds_reader(1));
   ASSERT_TRUE(handover.takes(dds_reader(1), 10));
-  handover.go_over(dds_reader(5), Left::lossy, false, begin);
+  handover.go_over(dds_reader(5), lossy, false, begin);
   ASSERT_TRUE(handover.takes(dds_reader(5), 20));
-  handover.go_over(dds_reader(9), Left::useful, true, begin);
+  handover.go_over(dds_reader(9), useful, true, begin);
   EXPECT_TRUE(handover.takes(dds_reader(5), 30));
   EXPECT_FALSE(handover.takes(dds_reader(9), 20));
   EXPECT_TRUE(handover.takes(dds_reader(9), 40));
@@ -135,9 +150,9 @@ TEST(ReaderHandover, NeverReturnsToAnEndedReader) {
   ReaderHandover handover(dds_reader(1));
   ASSERT_TRUE(handover.takes(dds_reader(1), 10));
   handover.end_dds_readers({dds_reader(1)}, begin);
-  handover.go_over(dds_reader(5), Left::ended, false, begin);
+  handover.go_over(dds_reader(5), ended, false, begin);
   EXPECT_FALSE(handover.former());
-  handover.go_over(dds_reader(9), Left::useful, false, begin);
+  handover.go_over(dds_reader(9), useful, false, begin);
   EXPECT_EQ(handover.former(), dds_reader(5));
   EXPECT_FALSE(handover.takes(dds_reader(5), 5)) << "a history";
   EXPECT_TRUE(handover.takes(dds_reader(5), 20));
@@ -147,8 +162,8 @@ TEST(ReaderHandover, NeverReturnsToAnEndedReader) {
 TEST(ReaderHandover, CanSwitchBackToTheFormerDdsReader) {
   ReaderHandover handover(dds_reader(1));
   ASSERT_TRUE(handover.takes(dds_reader(1), 10));
-  handover.go_over(dds_reader(5), Left::useful, false, begin);
-  handover.go_over(dds_reader(1), Left::useful, false, begin);
+  handover.go_over(dds_reader(5), useful, false, begin);
+  handover.go_over(dds_reader(1), useful, false, begin);
   EXPECT_FALSE(handover.former());
   EXPECT_TRUE(handover.takes(dds_reader(1), 20));
   EXPECT_FALSE(handover.takes(dds_reader(5), 30));
