@@ -365,11 +365,13 @@ DdsResult<WriteOutcome> DdsWriter::write(std::size_t size, const RawFill& fill,
   return WriteOutcome::sent;
 }
 
-bool DdsWriter::is_matched_with(std::uint64_t instance) const {
-  dds_builtintopic_endpoint_t* const reader = dds_get_matched_subscription_data(entity_, instance);
-  if (reader == nullptr) return false;
-  dds_builtintopic_free_endpoint(reader);
-  return true;
+std::vector<std::uint64_t> DdsWriter::matched_readers() const {
+  std::vector<dds_instance_handle_t> readers(matched());
+  const dds_return_t count = dds_get_matched_subscriptions(entity_, readers.data(), readers.size());
+  // Others may have come or gone since.
+  readers.resize(std::min(readers.size(), static_cast<std::size_t>(std::max(count, 0))));
+  std::sort(readers.begin(), readers.end());
+  return readers;
 }
 std::uint32_t DdsWriter::matched() const {
   dds_publication_matched_status_t status{};

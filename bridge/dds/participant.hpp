@@ -117,9 +117,10 @@ class DdsWriter {
   const Guid& guid() const noexcept { return guid_; }
   /// Returns the number of readers that it is matched with now.
   std::uint32_t matched() const;
-  /// Returns whether it is matched with this reader: only then a sample reaches it. A reader is in
-  /// remotes() shortly before it is matched. A volatile writer sends a reader nothing of before.
-  bool is_matched_with(std::uint64_t instance) const;
+  /// Returns the instances of the readers that it is matched with, in order: only these get a
+  /// sample. A reader is in remotes() shortly before it is matched. A volatile writer sends a
+  /// reader nothing of before.
+  std::vector<std::uint64_t> matched_readers() const;
   /// Returns how often a reader was not matched because it requests more than the writer offers.
   std::uint32_t incompatible() const;
 

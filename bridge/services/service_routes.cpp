@@ -10,6 +10,7 @@
 #include <exception>
 #include <iterator>
 #include <span>
+#include <string_view>
 #include <utility>
 
 namespace agnocast::bridge {
@@ -317,10 +318,17 @@ bool ServiceRoutes::look_at_kept(Served& served, Time now) {
   };
   bool has_server = served.client->service_is_ready(), any = false;
   served.has_room = true;
-  std::map<Guid, bool> ways;  // reply routes
+  std::optional<std::vector<std::uint64_t>> matched;
+  std::map<std::pair<Guid, std::string_view>, bool> ways;  // reply routes, by client
   const auto has_way = [&](const Guid& writer) {
-    const auto [way, is_new] = ways.try_emplace(writer);
-    if (is_new) way->second = can_be_answered(served, writer);
+    const auto client = participant_.remotes().find(writer);
+    if (client == participant_.remotes().end()) return true;
+    const auto [way, is_new] =
+        ways.try_emplace({client->second.participant, client->second.qos.user_data});
+    if (is_new) {
+      if (!matched) matched = answering->responses->matched_readers();
+      way->second = can_be_answered(served, client->second, *matched);
+    }
     return way->second;
   };
   const auto is_done = [&](const Kept& kept) {
@@ -345,16 +353,13 @@ bool ServiceRoutes::look_at_kept(Served& served, Time now) {
   return any;
 }
 
-/// A response would be lost as long as its client's reader is not matched.
-bool ServiceRoutes::can_be_answered(Served& served, const Guid& writer) const {
-  const auto& remotes = participant_.remotes();
-  const auto client = remotes.find(writer);
-  if (client == remotes.end()) return true;
+bool ServiceRoutes::can_be_answered(Served& served, const Remote& client,
+                                    std::span<const std::uint64_t> matched) const {
   if (served.ways_back_at != participant_.remotes_version()) {
     served.ways_back_at = participant_.remotes_version();
     served.ways_back.clear();
     const std::string replies = *dds_topic_of({DdsTopicKind::reply, served.answering->service});
-    for (const auto& [guid, remote] : remotes) {
+    for (const auto& [guid, remote] : participant_.remotes()) {
       if (remote.kind == Remote::Kind::reader && remote.topic == replies)
         served.ways_back.emplace(
             std::pair(remote.participant, remote.qos.user_data),  // its clientid
@@ -362,9 +367,9 @@ bool ServiceRoutes::can_be_answered(Served& served, const Guid& writer) const {
     }
   }
   const auto [begin, end] =
-      served.ways_back.equal_range({client->second.participant, client->second.qos.user_data});
+      served.ways_back.equal_range({client.participant, client.qos.user_data});
   return std::any_of(begin, end, [&](const auto& way) {
-    return served.answering->responses->is_matched_with(way.second);
+    return std::binary_search(matched.begin(), matched.end(), way.second);
   });
 }
 

@@ -181,7 +181,9 @@ class ServiceRoutes {
   enum class Sent : std::uint8_t { sent, dropped, no_server, no_room };
   Sent send_on(Served& served, const Kept& kept, Time now);
   void answer(Asked& asked, const Raw& response);
-  bool can_be_answered(Served& served, const Guid& writer) const;
+  /// Returns whether a response reaches a client: its reader is one of `matched`.
+  bool can_be_answered(Served& served, const Remote& client,
+                       std::span<const std::uint64_t> matched) const;
   /// Keeps a request; returns false, and counts it, if there is no room.
   bool keep(Served& served, std::shared_ptr<Raw> request, const Guid& writer);
   /// Drops the newest request of the client with most, for a client with less; returns false if
