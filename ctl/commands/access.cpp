@@ -259,6 +259,7 @@ Verdict verdict_on_door(const User& user, const SocketFile& socket) {
 /// the same heap. The daemon lets no process publish both, unless its rules have changed since.
 struct Beside {
   std::string topic;
+  std::uint64_t domain = 0;
   std::uint32_t pid = 0;
   Allowed subscribe;
 
@@ -267,7 +268,7 @@ struct Beside {
            subscribe.why + "); restart it";
   }
   Object object() const {
-    return {{"topic", topic}, {"pid", pid}, {"subscribe", subscribe.object()}};
+    return {{"topic", topic}, {"domain", domain}, {"pid", pid}, {"subscribe", subscribe.object()}};
   }
 };
 
@@ -369,11 +370,11 @@ Outcome<std::vector<Beside>> topics_beside(Look& look, const Report& report) {
       if (!publishes(own, client)) continue;
       for (const auto& [other_index, other] : look.system.topics) {
         if (other_index == index || !publishes(other, client)) continue;
-        const auto access = look.observer.access(report.domain, other.name);
+        const auto access = look.observer.access(other.facts.domain, other.name);
         if (!access) return tl::unexpected(access.error());
         Allowed subscribe = allowed_by(access->subscribe);
         if (!subscribe.same_as(report.subscribe))
-          all.push_back({other.name, process.facts.pid, std::move(subscribe)});
+          all.push_back({other.name, other.facts.domain, process.facts.pid, std::move(subscribe)});
       }
     }
   }

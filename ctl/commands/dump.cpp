@@ -29,10 +29,9 @@ Object object_of(const System& system, const Arguments& arguments) {
     object["topics"].push_back(topic_object(system, *topic));
     append("messages", messages_object(system, *topic, now_ns));
   }
-  for (const auto& [index, process] : system.processes) {
-    if (!arguments.all_domains && process.facts.domain != arguments.domain) continue;
-    object["processes"].push_back(process_object(system, process));
-    append("windows", windows_object(system, process));
+  for (const Process* const process : processes_of(system, arguments)) {
+    object["processes"].push_back(process_object(system, *process));
+    append("windows", windows_object(system, *process));
   }
   for (const wire::DumpRefusal& refusal : system.refusals)
     object["refusals"].push_back(refusal_object(refusal));

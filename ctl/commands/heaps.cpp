@@ -65,12 +65,8 @@ Object windows_object(const System& system, const Process& process) {
 Outcome<void> list_heaps(const Arguments& arguments, Console& console) {
   const auto look = look_at(arguments.socket);
   if (!look) return tl::unexpected(look.error());
-  std::vector<const Process*> processes;
-  for (const auto& [index, process] : look->system.processes) {
-    if (arguments.all_domains || process.facts.domain == arguments.domain)
-      processes.push_back(&process);
-  }
-  return print_heaps(look->system, processes, "agnocast.heap-list/1", arguments, console);
+  return print_heaps(look->system, processes_of(look->system, arguments), "agnocast.heap-list/1",
+                     arguments, console);
 }
 
 Outcome<void> show_heap(const Arguments& arguments, Console& console) {

@@ -44,7 +44,7 @@ Object object_of(const System& system, const Node& node) {
           {"node_name", node.name},
           {"node_namespace", node.name_space},
           {"pid", known ? Object(found->second.facts.pid) : Object(nullptr)},
-          {"domain", known ? Object(found->second.facts.domain) : Object(nullptr)},
+          {"domain", node.domain},
           {"publishers", endpoints_object(node.publishers)},
           {"subscribers", endpoints_object(node.subscriptions)},
           {"service_servers", services_object(node.subscriptions)},

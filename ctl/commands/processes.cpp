@@ -172,9 +172,9 @@ Outcome<void> list_processes(const Arguments& arguments, Console& console) {
   Object list = Object::array();
   Table table({"PID", "UID", "NAME", "DOMAIN", "STATE", "AGE", "PUBLISHERS", "SUBSCRIPTIONS",
                "UNREAD", "HELD", "KEEPS", "WAIT SETS", "WINDOWS", "CLIENT"});
-  for (const auto& [index, process] : look->system.processes) {
+  for (const Process* const each : processes_of(look->system, arguments)) {
+    const Process& process = *each;
     const wire::DumpProcess& facts = process.facts;
-    if (!arguments.all_domains && facts.domain != arguments.domain) continue;
     const KeptNumbers kept = numbers_of_kept(look->system, process);
     if (arguments.json != Json::no) {
       list.push_back(object_of(process, kept));

@@ -191,12 +191,9 @@ void print(const std::vector<CallbackThread>& threads, bool is_verbose, Console&
 }
 
 std::vector<const Process*> incomplete(const System& system, const Arguments& arguments) {
-  std::vector<const Process*> processes;
-  for (const auto& [index, process] : system.processes) {
-    if ((arguments.all_domains || process.facts.domain == arguments.domain) &&
-        process.facts.threads_left_out != 0)
-      processes.push_back(&process);
-  }
+  auto processes = processes_of(system, arguments);
+  std::erase_if(processes,
+                [](const Process* process) { return process->facts.threads_left_out == 0; });
   return processes;
 }
 

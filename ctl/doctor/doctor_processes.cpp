@@ -209,7 +209,7 @@ Ailments same_node(const Facts& facts) {
         process->second.facts.generation != node.client_generation)
       continue;
     const Process* own = &process->second;
-    const auto [first, is_new] = seen.try_emplace({own->facts.domain, node.full_name()}, own);
+    const auto [first, is_new] = seen.try_emplace({node.domain, node.full_name()}, own);
     if (is_new) continue;
     const Process* other = first->second;
     if (own->facts.age_ns > other->facts.age_ns) std::swap(own, other);

@@ -10,6 +10,7 @@
 #include <algorithm>
 #include <charconv>
 #include <map>
+#include <set>
 #include <string_view>
 #include <tuple>
 
@@ -94,6 +95,22 @@ std::string client_of(const wire::DumpProcess& process) {
   return std::to_string(process.client) + '.' + std::to_string(process.generation);
 }
 
+std::vector<const Process*> processes_of(const System& system, const Arguments& arguments) {
+  std::set<const Process*> with_topic;
+  for (const Topic* const topic : topics_of(system, arguments)) {
+    for (const auto* endpoints : {&topic->publishers, &topic->subscriptions}) {
+      for (const Endpoint& endpoint : *endpoints) with_topic.insert(system.process_of(endpoint));
+    }
+  }
+  std::vector<const Process*> processes;
+  for (const auto& [index, process] : system.processes) {
+    if (arguments.all_domains || process.facts.domain == arguments.domain ||
+        with_topic.contains(&process))
+      processes.push_back(&process);
+  }
+  return processes;
+}
+
 Outcome<std::vector<const Process*>> find_processes(const System& system, const std::string& name) {
   std::uint64_t pid = 0;
   const char* const end = name.data() + name.size();
@@ -126,16 +143,19 @@ std::string node_name_of(const Endpoint& endpoint) {
 std::string Node::full_name() const { return joined(name_space, name); }
 
 std::vector<Node> nodes_of(const System& system, const Arguments& arguments) {
-  std::map<std::tuple<std::string, std::string, std::uint64_t, std::uint64_t>, Node> nodes;
+  // By name, domain and process.
+  std::map<std::tuple<std::string, std::string, std::uint64_t, std::uint64_t, std::uint64_t>, Node>
+      nodes;
   for (const Topic* const topic : topics_of(system, arguments)) {
     for (const auto* endpoints : {&topic->publishers, &topic->subscriptions}) {
       for (const Endpoint& endpoint : *endpoints) {
         if (endpoint.state() != abi::BoardState::active) continue;
         const wire::DumpEndpoint& facts = endpoint.facts;
-        Node& node = nodes[{endpoint.node_namespace, endpoint.node_name, facts.client,
-                            facts.client_generation}];
+        Node& node = nodes[{endpoint.node_namespace, endpoint.node_name, topic->facts.domain,
+                            facts.client, facts.client_generation}];
         node.name = endpoint.node_name;
         node.name_space = endpoint.node_namespace;
+        node.domain = topic->facts.domain;
         node.client = facts.client;
         node.client_generation = facts.client_generation;
         (endpoint.is_publisher() ? node.publishers : node.subscriptions)

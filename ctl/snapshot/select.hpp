@@ -43,15 +43,18 @@ std::vector<Service> services_of(const System& system, const Arguments& argument
 
 /// Returns "INDEX.GENERATION", which is never used twice.
 std::string client_of(const wire::DumpProcess& process);
+/// Returns the processes of the domain or of all: also those of another one with a topic in it.
+std::vector<const Process*> processes_of(const System& system, const Arguments& arguments);
 /// Returns every client with this pid, or the one of INDEX.GENERATION, or all with this name.
 /// Problems: no_such_thing.
 Outcome<std::vector<const Process*>> find_processes(const System& system, const std::string& name);
 
 /// Returns "/ns/talker".
 std::string node_name_of(const Endpoint& endpoint);
-/// A node: the endpoints with one node name in one process.
+/// A node: the endpoints with one node name in one process and domain.
 struct Node {
   std::string name, name_space;
+  std::uint64_t domain = 0;
   std::uint64_t client = 0, client_generation = 0;
   struct Of {
     const Topic* topic;

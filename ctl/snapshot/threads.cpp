@@ -4,6 +4,7 @@
 
 #include <ctl/cli/console.hpp>
 #include <ctl/snapshot/proc_files.hpp>
+#include <ctl/snapshot/select.hpp>
 
 #include <fcntl.h>
 #include <sched.h>
@@ -14,6 +15,7 @@
 #include <array>
 #include <filesystem>
 #include <iterator>
+#include <set>
 #include <string_view>
 #include <system_error>
 #include <tuple>
@@ -169,9 +171,11 @@ std::optional<KernelThread> ProcessThreads::find(std::uint32_t thread) const {
 
 std::vector<CallbackThread> threads_of(const System& system, const Arguments& arguments) {
   std::vector<CallbackThread> threads;
+  const auto shown = processes_of(system, arguments);
+  const std::set<const Process*> processes(shown.begin(), shown.end());
   for (const ThreadFacts& thread : system.callback_threads) {
     const Process& process = system.processes.at(thread.facts.client);  // checked when it came
-    if (arguments.all_domains || process.facts.domain == arguments.domain)
+    if (processes.contains(&process))
       threads.push_back({&process, &thread.facts, thread.executors, {}, 0, {}});
   }
   if (threads.empty()) return threads;

@@ -9,6 +9,7 @@
 #include <region/views.hpp>
 #include <tests/support/wire/wire_client.hpp>
 
+#include <optional>
 #include <string>
 
 namespace agnocast::test {
@@ -35,6 +36,7 @@ struct CtlNode {
                                const std::string& node, const std::string& type) {
     auto body = WireClient::endpoint(topic, qos, type);
     body.node = wire_name(node);
+    if (other_domain) body.domain = *other_domain + 1;
     const Incoming answer = wire.ask(opcode, body);
     EXPECT_EQ(answer.opcode(), wire::Opcode::endpoint_created) << answer.refused_text();
     return answer.as<wire::EndpointCreated>();
@@ -93,6 +95,7 @@ struct CtlNode {
   Mapping region;
   wire::WindowOpened window{};
   bool executor = false;
+  std::optional<std::uint64_t> other_domain;  // of endpoints created from now on
   std::vector<UniqueFd> doorbells;
 };
 

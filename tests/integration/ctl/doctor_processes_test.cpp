@@ -197,6 +197,8 @@ TEST_F(DoctorProcesses, NamesADuplicateNode) {
   const NodeProcess first(socket(), [](Node& node) { node.publisher("/points", {7}, "/lidar"); });
   Node own(socket());
   own.publisher("/points", {7}, "/viewer");
+  own.other_domain = 7;
+  own.publisher("/points", {7}, "/lidar");
   EXPECT_THAT(doctor_.look().all, IsEmpty());
   NodeProcess second(socket(), [](Node& node) { node.publisher("/points", {7}, "/lidar"); });
   const Findings findings = doctor_.look();
