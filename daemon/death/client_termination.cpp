@@ -32,7 +32,9 @@ std::uint8_t whose(const Peer& peer) noexcept {
 
 }  // namespace
 
+// Many may end in one round of the loop, which begins with a full reserve only if there is memory.
 void ClientTermination::disconnect(Peer& peer, std::string_view why) {
+  static_cast<void>(MemoryReserve::refill());
   const MemoryReserve::MustNotFail must_not_fail;
   MemoryReserve::no_return();
   AGNOCAST_CRASH_POINT(B_ended);
@@ -56,6 +58,7 @@ void ClientTermination::disconnect(Peer& peer, std::string_view why) {
 }
 
 void ClientTermination::reap(Peer& peer, DeathReason reason, std::string_view how) {
+  static_cast<void>(MemoryReserve::refill());
   MemoryReserve::no_return();
   AGNOCAST_CRASH_POINT(B_reap);
   const PeerId id = peer.id;

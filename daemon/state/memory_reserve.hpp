@@ -11,11 +11,11 @@
 //   … after no_return()      usual again, up to the end of the outermost MayFail
 //
 // Registry::change() is a point of no return, and so is every other step that an exception cannot
-// undo. The daemon fills the reserve before each request and each connection; while that fails, it
-// refuses them unread, so each begins with a full reserve. Data of one event that can grow without
-// bound has a MayFail of its own: packets (the client that reads them loses its connection) and
-// dumps (likewise). If the reserve is used up all the same, the daemon aborts and is started
-// again, as after any death.
+// undo. The daemon fills the reserve before each request, each connection and each end of one;
+// while that fails, it refuses requests and connections unread, so each begins with a full reserve.
+// Data of one event that can grow without bound has a MayFail of its own: packets (the client that
+// reads them loses its connection) and dumps (likewise). If the reserve is used up all the same,
+// the daemon aborts and is started again, as after any death.
 //
 // The reserve belongs to one thread: allocations of other threads fail as usual.
 #pragma once

@@ -17,11 +17,13 @@
 #include <sys/mman.h>
 #include <sys/resource.h>
 
+#include <algorithm>
 #include <fstream>
 #include <functional>
 #include <memory>
 #include <optional>
 #include <string>
+#include <vector>
 
 namespace agnocast::test {
 namespace {
@@ -288,6 +290,37 @@ TEST_P(ShortOfMemory, Observers) {
   journal.last = UINT64_MAX;
   journal.count = 100;
   sweep("read_journal", nothing, look(journal, Opcode::read_journal, Opcode::journal_end));
+}
+
+// In one round of the daemon's loop, without a request between them.
+TEST_P(ShortOfMemory, ManyProcessesEndAtOnce) {
+  constexpr std::size_t count = 150;
+  const RawNode remaining(daemon_);
+  std::vector<std::unique_ptr<RawNode>> nodes;
+  std::vector<wire::EndpointCreated> publishers;
+  for (std::size_t i = 0; i < count; ++i) {
+    nodes.push_back(std::make_unique<RawNode>(daemon_));
+    nodes.back()->subscription("/sweep" + std::to_string(i % 4));
+    ASSERT_EQ(nodes.back()->wire.open_window(0).opcode(), Opcode::window_opened);
+    publishers.push_back(nodes.back()->publisher("/sweep" + std::to_string(i % 4)));
+  }
+  const pid_t pid = daemon_.kill_worker(SIGSTOP);
+  memory_->count = 0;
+  memory_->all_that_follow = GetParam() ? 1 : 0;
+  memory_->first = 1;
+  nodes.clear();
+  ASSERT_EQ(::kill(pid, SIGCONT), 0);
+  EXPECT_TRUE(eventually([&] {
+    const bool are_gone =
+        std::none_of(publishers.begin(), publishers.end(), [&](const wire::EndpointCreated& each) {
+          return abi::state_of(publisher_word(remaining.board, each.topic, each.index)) ==
+                 abi::BoardState::active;
+        });
+    return are_gone || daemon_.pid() != pid;
+  }));
+  memory_->first = 0;
+  ASSERT_EQ(daemon_.pid(), pid) << daemon_.log();
+  probe();
 }
 
 INSTANTIATE_TEST_SUITE_P(Failing, ShortOfMemory, testing::Bool(),
