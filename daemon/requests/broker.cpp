@@ -122,6 +122,7 @@ void Broker::fill_request_table() {
   table.add(observer_requests_, &ObserverRequests::revoke);
   table.add(observer_requests_, &ObserverRequests::set_log_level);
   table.add(observer_requests_, &ObserverRequests::ask_access);
+  AGNOCAST_CHECK(table.is_complete());  // now, not when a client sends one
 }
 
 Result<void> Broker::format(std::uint64_t incarnation) {

@@ -11,6 +11,7 @@
 #include <daemon/transport/connection_table.hpp>
 #include <daemon/transport/request_reading.hpp>
 
+#include <algorithm>
 #include <array>
 #include <cstddef>
 #include <functional>
@@ -39,6 +40,11 @@ class RequestTable {
                                                       Descriptors fds) {
       return (handler.*function)(peer, std::get<Body>(request), fds);
     };
+  }
+  /// Returns whether every kind of request has a handler.
+  bool is_complete() const noexcept {
+    return std::all_of(entries_.begin(), entries_.end(),
+                       [](const Entry& entry) { return static_cast<bool>(entry); });
   }
   [[nodiscard]] Result<void> serve(Peer& peer, const Request& request, Descriptors fds) const {
     const Entry& entry = entries_[request.index()];

@@ -36,6 +36,7 @@ TEST(RequestTable, CallsTheFunctionForTheKind) {
   table.add(handler, &Handler::hello);
   table.add(handler, &Handler::create);
   table.add(handler, &Handler::bring);
+  EXPECT_FALSE(table.is_complete());
   Peer peer{1, Session(PacketSocket(), PeerIdentity())};
 
   wire::Hello hello{};
