@@ -214,6 +214,7 @@ void Scenario::say_create(Process& process) {
   if (rarely()) qos.lifespan_ns = any_word();
   qos.manual_liveliness = rarely();
   body.layout_hash = rarely() ? 2 : 1;
+  if (rarely()) body.domain = up_to(2);
   body.wait_set = rarely() ? 1 : 0;
   body.quota = input_.ConsumeIntegralInRange<std::uint64_t>(1, 800);
   // One draw for both. Three of eight subscriptions ignore the publishers of their own process; a
