@@ -13,9 +13,9 @@
 namespace agnocast::rmw {
 namespace {
 
-// Of all conditions and what they are attached to. One for all: a condition and a wait set may be
-// destroyed at the same time, and a thread that triggers needs the sets of a condition for a moment
-// only.
+// Guards all conditions and what they are attached to. One for all: a condition and a wait set may
+// be destroyed at the same time, and a thread that triggers needs the sets of a condition for a
+// moment only.
 std::mutex& conditions_mutex() noexcept {
   static std::mutex* const mutex = [] {
     // A forked child must not find it locked by a thread that it does not have.
@@ -69,7 +69,7 @@ bool Condition::is_waited_for() const noexcept {
 Result<std::unique_ptr<MessageWait>> WaitPool::take() {
   const LoanPause pause;
   {
-    const std::lock_guard lock(mutex_);
+    const std::lock_guard lock(conditions_mutex());
     if (!free_.empty()) {
       auto wait = std::move(free_.back());
       free_.pop_back();
@@ -81,7 +81,7 @@ Result<std::unique_ptr<MessageWait>> WaitPool::take() {
 
 void WaitPool::give_back(std::unique_ptr<MessageWait> wait) noexcept {
   const LoanPause pause;
-  const std::lock_guard lock(mutex_);
+  const std::lock_guard lock(conditions_mutex());
   try {
     free_.push_back(std::move(wait));
   } catch (const std::bad_alloc&) {

@@ -69,8 +69,7 @@ class WaitPool {
   void give_back(std::unique_ptr<MessageWait> wait) noexcept;
 
  private:
-  std::mutex mutex_;
-  std::vector<std::unique_ptr<MessageWait>> free_;
+  std::vector<std::unique_ptr<MessageWait>> free_;  // under the mutex of all conditions
 };
 
 /// One thread at a time. It may wait for other things each time.

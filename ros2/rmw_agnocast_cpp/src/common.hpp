@@ -131,7 +131,6 @@ const char* copied_text(const std::string& text) noexcept;
 /// Behind a context from rmw_init() to rmw_context_fini(); endpoints are used, and wait sets wait,
 /// also after rmw_shutdown().
 struct rmw_context_impl_s {
-  const pid_t process = ::getpid();
   agnocast::rmw::WaitPool pool;
   agnocast::rmw::Listener listener{pool};
   std::atomic<bool> is_shut_down{false};
@@ -139,6 +138,8 @@ struct rmw_context_impl_s {
   std::vector<agnocast::rmw::NodeData*> nodes;  // under the mutex
   std::uint64_t domain = 0;
 
+  /// A forked child does not have the threads of this context, which may have held the mutex.
+  bool is_in_child() const noexcept { return ::getpid() != process_; }
   /// Under the mutex: triggers the graph guard condition of each node.
   void tell_nodes() noexcept {
     for (agnocast::rmw::NodeData* const node : nodes) node->graph_changed.trigger();
@@ -147,6 +148,7 @@ struct rmw_context_impl_s {
   agnocast::rmw::GraphWatch& graph();
 
  private:
+  const pid_t process_ = ::getpid();
   std::mutex watching_;
   std::unique_ptr<agnocast::rmw::GraphWatch> graph_;  // ends first: it tells the nodes
 };

@@ -12,8 +12,6 @@
 #include <rmw/init.h>
 #include <rmw/init_options.h>
 
-#include <unistd.h>
-
 #include <cstring>
 
 using namespace agnocast;
@@ -137,8 +135,7 @@ rmw_ret_t rmw_context_fini(rmw_context_t* context) {
   if (!context->impl->is_shut_down)
     return refuse(RMW_RET_INVALID_ARGUMENT, "the context is not shut down");
   const rmw_ret_t ended = rmw_init_options_fini(&context->options);
-  // A forked child does not have the threads that wait in there.
-  if (context->impl->process == ::getpid()) delete context->impl;
+  if (!context->impl->is_in_child()) delete context->impl;
   *context = rmw_get_zero_initialized_context();
   return ended;
 }

@@ -80,11 +80,12 @@ rmw_node_t* rmw_create_node(rmw_context_t* context, const char* name, const char
 rmw_ret_t rmw_destroy_node(rmw_node_t* node) {
   AGNOCAST_RMW_OURS(node);
   auto* const data = static_cast<NodeData*>(node->data);
-  {
-    const std::lock_guard lock(node->context->impl->mutex);
-    auto& nodes = node->context->impl->nodes;
-    nodes.erase(std::remove(nodes.begin(), nodes.end(), data), nodes.end());
-    node->context->impl->tell_nodes();
+  rmw_context_impl_s& context = *node->context->impl;
+  if (!context.is_in_child()) {
+    const std::lock_guard lock(context.mutex);
+    context.nodes.erase(std::remove(context.nodes.begin(), context.nodes.end(), data),
+                        context.nodes.end());
+    context.tell_nodes();
   }
   delete data;
   rmw_free(const_cast<char*>(node->name));
