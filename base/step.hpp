@@ -5,9 +5,8 @@
 // process before each step, the explorer omits each protocol step in turn, and both print the
 // names.
 //
-// Each top folder has a table of its own steps, steps.hpp, so that a new step concerns that folder
-// only.
-// tests/support/crash/step_names.hpp has all tables.
+// A top folder has a table of its own steps, steps.hpp, so that a new step concerns only what
+// includes that folder. tests/support/crash/step_names.hpp has all tables.
 #pragma once
 
 #include <cstdint>

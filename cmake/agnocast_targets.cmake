@@ -20,7 +20,7 @@ if(CCACHE_PROGRAM AND PROJECT_IS_TOP_LEVEL)
   set(CMAKE_C_COMPILER_LAUNCHER ${CCACHE_PROGRAM})
 endif()
 
-# Of a test, in seconds. Only one that hangs takes so long: on a loaded machine the longest need
+# A test may take this long, in seconds. Only one that hangs takes so long: on a loaded machine the longest need
 # five minutes.
 set(agnocast_test_timeout 1200)
 

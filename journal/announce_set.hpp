@@ -61,7 +61,7 @@ class AnnounceSet {
 /// The client's side: decides what to do with an announcement. One per index; plain data, private
 /// to the process.
 template <class M>
-class AnnouncementBook {
+class AnnouncementState {
  public:
   enum class Action : std::uint8_t { link, nothing, say_unlinked };
 

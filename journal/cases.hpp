@@ -41,7 +41,7 @@ constexpr const CaseRow<Decision, field_count>& case_of(
   return rows[i];
 }
 
-// --- I: the intent of a publisher whose process is gone (recovery.hpp)
+// --- I: the intent of a publisher whose process is gone (queue_recovery.hpp)
 
 enum class IntentDecision : std::uint8_t { nothing, roll_back, roll_forward, corrupt };
 
@@ -111,24 +111,24 @@ inline constexpr CaseRow<D, 4> rows[] = {
 }  // namespace log
 
 // --- U: one announcement after the connection was lost. The daemon's action follows from the
-// announce set, the client's from its book (announce_set.hpp); the test runs both.
+// announce set, the client's from its announcement state (announce_set.hpp); the test runs both.
 
 enum class AnnounceDecision : std::uint8_t { nothing, link, ignore, say_unlinked, impossible };
 
 namespace announce {
-// in the announce set · read by the client · the client's book for this generation
-inline constexpr std::uint8_t notified = 1, untold = 2;
+// in the announce set · read by the client · the client's state for this generation
+inline constexpr std::uint8_t notified = 1, unnotified = 2;
 inline constexpr std::uint8_t delivered = 1, lost = 2;
 inline constexpr std::uint8_t never = 1, linked = 2, unlinked = 4;
 using D = AnnounceDecision;
 inline constexpr CaseRow<D, 3> rows[] = {
-    {"@U1", {untold, lost, never}, D::nothing},
+    {"@U1", {unnotified, lost, never}, D::nothing},
     {"@U2", {notified, lost, never}, D::link},
     {"@U3", {notified, delivered, never}, D::link},
     {"@U4", {notified, delivered, linked}, D::ignore},
     {"@U5", {notified, delivered, unlinked}, D::say_unlinked},
-    {"@U6", {untold, delivered, unlinked}, D::nothing},
-    {"@U7", {untold, delivered, linked | never}, D::impossible},
+    {"@U6", {unnotified, delivered, unlinked}, D::nothing},
+    {"@U7", {unnotified, delivered, linked | never}, D::impossible},
     {"@U8", {any, lost, linked | unlinked}, D::impossible},
 };
 }  // namespace announce

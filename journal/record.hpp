@@ -104,7 +104,7 @@ enum class DeathReason : std::uint64_t {
 };
 
 /// Why a publisher has ended: `cause` of leave_publisher. The last four are decisions about the
-/// intent of a dead process (recovery.hpp).
+/// intent of a dead process (queue_recovery.hpp).
 enum class LeaveCause : std::uint64_t {
   left = 0,
   nothing_open = 1,

@@ -273,7 +273,7 @@ class Graph::State {
   std::uint64_t seen_ = 0;                   // its changes then
   Clock::time_point gathered_{};             // the next wait does not end before
   std::atomic<Clock::duration> look_time_{Clock::duration::zero()};  // of the last look
-  // Of the thread that looks:
+  // The thread that looks has these:
   std::shared_ptr<const GraphTable> looked_at_;
   std::uint64_t looked_changes_ = 0;
   Known known_;

@@ -11,7 +11,7 @@
 namespace agnocast::detail {
 namespace {
 
-// Of each piece behind the object: no element of a ROS message needs more.
+// The alignment of each piece behind the object: no element of a ROS message needs more.
 constexpr std::size_t piece_alignment = 16;
 
 constexpr std::size_t aligned(std::size_t bytes) noexcept {

@@ -326,7 +326,7 @@ std::vector<PublisherEndpoint::EndpointId> PublisherEndpoint::detach_all() {
   return endpoints;
 }
 
-void PublisherEndpoint::run_errands() noexcept {
+void PublisherEndpoint::run_upkeep() noexcept {
   note_links();
   in_control_thread([&](Work& work) {
     for (PeerWaitSet& wait_set : wait_sets_) {

@@ -44,7 +44,7 @@ class PublisherEndpoint {
     Core::Identity core;
     std::uint32_t topic_index;
     detail::MessageEnd end_message;
-    std::function<void()> wake_control;  // asks the control thread to call run_errands(); any
+    std::function<void()> wake_control;  // asks the control thread to call run_upkeep(); any
                                          // thread, no allocation
     std::shared_ptr<EndpointEvents> events = {};  // of the endpoint that this one continues
     Context* context = nullptr;                   // its session
@@ -165,7 +165,7 @@ class PublisherEndpoint {
   void look_at_readers(ReaderShares::Clock::time_point now, const ReaderShares& shares,
                        UnmappedUsers& unmapped, std::vector<Withdrawn>& news);
   /// Scans once, and does all that publishes have left to do.
-  void run_errands() noexcept;
+  void run_upkeep() noexcept;
   /// Returns whether a message outside the history is allocated: a scan may free it.
   bool has_reclaimable() const noexcept;
   /// Returns whether the daemon has freed the index and nothing is left to destroy.
@@ -179,7 +179,7 @@ class PublisherEndpoint {
   std::size_t subscription_count(Readers readers = Readers::all) const noexcept;
   /// Returns their persistent endpoint ids.
   std::vector<std::uint64_t> reader_persistent_ids() const;
-  /// Returns whether a mapped subscription has not linked yet. run_errands() must look again soon,
+  /// Returns whether a mapped subscription has not linked yet. run_upkeep() must look again soon,
   /// because linking rings no doorbell.
   bool awaits_link() const noexcept;
   const std::shared_ptr<EndpointEvents>& shared_events() const noexcept { return events_; }

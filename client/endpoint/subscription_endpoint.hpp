@@ -373,7 +373,7 @@ class SubscriptionEndpoint {
   bool has_next(const Link& link, std::size_t age) const noexcept;
   std::size_t matched_count() const noexcept;  // on its own board
   bool takes_part() const noexcept;
-  using Book = journal::AnnouncementBook<SharedMemory>;
+  using Book = journal::AnnouncementState<SharedMemory>;
   void drop_beyond_depth() noexcept;
   void note_losses(Link& link) noexcept;
   const std::shared_ptr<Link>* oldest() const noexcept;

@@ -22,7 +22,7 @@ CallbackGroup::State::State(const std::string& node, CallbackGroupType type, boo
 
 namespace {
 
-// Of the wait sets of a process, this many are for groups; the others are for subscriptions
+// This many of the wait sets of a process are for groups; the others are for subscriptions
 // without callbacks, and for wait sets that are about to come back.
 constexpr std::size_t own_wait_sets_max = 48;
 static_assert(own_wait_sets_max < abi::wait_set_count_max);

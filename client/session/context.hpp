@@ -11,7 +11,7 @@
 //   part             what it has                                          who uses it
 //   Registration     the connection, the arena, board and own region      all threads
 //   Creations        requests to the daemon for new endpoints             user threads
-//   WaitSetPlaces   sleep words and doorbells, two mutexes               all threads
+//   WaitSetPlaces    sleep words and doorbells, two mutexes               all threads
 //   EndpointTable    publishers and subscriptions, a mutex                all threads
 //   Departures       endpoints that leave, and their waiters, a mutex     all threads
 //   OwnHeap          the heap and its windows, a mutex                    all threads

@@ -122,7 +122,7 @@ void ControlThread::serve_once(int timeout_ms) {
     }
   }
   if (reconnection_.is_due(Reconnection::Clock::now())) reconnect();
-  run_errands();
+  run_upkeep();
   is_output_blocked_ = registration_.connection().flush();
 }
 
@@ -211,7 +211,7 @@ void ControlThread::on_doorbells_renewed(Incoming& packet) {
   places_.renew(renewed.wait_set, doorbells);
 }
 
-void ControlThread::run_errands() {
+void ControlThread::run_upkeep() {
   HeapReturn::instance().look();
   if (state_.is_alone()) return run_former_errands();
   if (reconnection_.state() == Reconnection::State::connected &&

@@ -6,7 +6,7 @@
 // (rejoining.cpp).
 //
 //   serve ──▶ serve_once ──▶ read_connection ──▶ handle: Announcements, or a handler of the session
-//                       └──▶ run_errands: Departures, ReaderLook, Collector, OwnHeap
+//                       └──▶ run_upkeep: Departures, ReaderLook, Collector, OwnHeap
 //
 // It ends with the process, with a dropped session, and with a previous session that is unused.
 #pragma once
@@ -79,7 +79,7 @@ class ControlThread {
   int scan_due_ms();
   void read_connection();
   void look_for_doorbells() noexcept;
-  void run_errands();
+  void run_upkeep();
   Result<void> watch(int fd) noexcept;
 
   void handle(Incoming& packet);

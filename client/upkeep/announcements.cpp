@@ -158,7 +158,7 @@ void Announcements::on_kick(Connection&, Incoming& packet) {
   if (!packet.read(whose)) return;
   for (const auto& publisher : endpoints_.publishers()) {
     if (publisher->topic_index() == whose.topic && publisher->identity().index == whose.index)
-      publisher->run_errands();
+      publisher->run_upkeep();
   }
 }
 

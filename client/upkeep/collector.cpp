@@ -18,12 +18,12 @@ void Collector::collect(Connection& connection) {
 }
 
 void Collector::scan() {
-  for (const auto& publisher : endpoints_.publishers()) publisher->run_errands();
+  for (const auto& publisher : endpoints_.publishers()) publisher->run_upkeep();
 }
 
 void Collector::collect_publishers(Connection& connection) {
   for (const auto& publisher : endpoints_.publishers()) {
-    publisher->run_errands();
+    publisher->run_upkeep();
     if (!publisher->is_over()) continue;
     AGNOCAST_CRASH_POINT(C_publisher_over);
     const auto endpoints = publisher->detach_all();

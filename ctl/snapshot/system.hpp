@@ -40,7 +40,7 @@ struct Process {
   Mapping region;
   std::string region_fault;
   std::uint64_t publisher_count = 0, subscription_count = 0;
-  // Of this dump; spins are pairs of a thread and an executor.
+  // What this dump has; spins are pairs of a thread and an executor.
   std::uint64_t callback_group_count = 0, callback_thread_count = 0, callback_spin_count = 0;
   std::vector<std::uint32_t> topics;  // the topics of its endpoints, each index once
 
@@ -53,7 +53,7 @@ struct Endpoint {
 
   abi::BoardState state() const noexcept { return abi::state_of(facts.board_word); }
   bool is_publisher() const noexcept { return facts.kind == wire::Kind::publisher; }
-  /// Of a subscription: publishers count it.
+  /// A subscription counts for publishers.
   bool takes_messages() const noexcept { return abi::takes_part(facts.board_word); }
 };
 

@@ -144,10 +144,10 @@ void ClientTermination::revoke(Peer& peer, const std::string& why) {
   packet.code = static_cast<std::uint32_t>(Errc::revoked);
   packet.text = name_of(why);
   peer.session.push(packet_of(packet), {});
-  say_farewell(peer);
+  shut_down(peer);
 }
 
-void ClientTermination::say_farewell(Peer& peer) {
+void ClientTermination::shut_down(Peer& peer) {
   if (peer.session.flush() == Session::Flushed::blocked) {
     dispatcher_.change(peer.connection, EPOLLOUT);  // its packets are no longer read
     return;

@@ -51,7 +51,7 @@ class ClientTermination {
   /// Ends the session of a living process. `why` goes to it and to the log.
   void revoke(Peer& peer, const std::string& why);
   /// Sends the last packet of a revoked process, then shuts its connection down.
-  void say_farewell(Peer& peer);
+  void shut_down(Peer& peer);
   /// Checks whether a process without a connection has unmapped its region, and reaps it then.
   void look_whether_gone(Peer& peer);
   /// Does the same for every process without a connection.

@@ -33,7 +33,7 @@ wire::Announcement announcement_of(const EndpointRef& ref, const Record& record,
 
 }  // namespace
 
-Session* Announcer::record_member(const EndpointRef& ref, ClientIndex to) {
+Session* Announcer::record_notified(const EndpointRef& ref, ClientIndex to) {
   if (!registry_.is_alive(to) || regions_.region_reader(registry_.owner_of(ref)) == nullptr)
     return nullptr;
   registry_.notify(ref, to);
@@ -52,7 +52,7 @@ void Announcer::announce_publisher(TopicIndex topic, std::uint32_t index,
                                    std::uint32_t subscription) {
   const PublisherRecord& publisher = registry_.publisher(topic, index);
   const SubscriptionRecord& receiver = registry_.subscription(topic, subscription);
-  if (record_member({Kind::publisher, topic, index}, receiver.client) == nullptr) return;
+  if (record_notified({Kind::publisher, topic, index}, receiver.client) == nullptr) return;
   auto packet = announcement_of({Kind::publisher, topic, index}, publisher, registry_);
   packet.own_index = subscription;
   packet.own_generation = receiver.generation;
@@ -86,7 +86,7 @@ void Announcer::announce_subscription(TopicIndex topic, std::uint32_t index,
                                       std::uint32_t publisher) {
   const SubscriptionRecord& subscription = registry_.subscription(topic, index);
   const PublisherRecord& receiver = registry_.publisher(topic, publisher);
-  if (record_member({Kind::subscription, topic, index}, receiver.client) == nullptr) return;
+  if (record_notified({Kind::subscription, topic, index}, receiver.client) == nullptr) return;
   auto packet = announcement_of({Kind::subscription, topic, index}, subscription, registry_);
   packet.own_index = publisher;
   packet.own_generation = receiver.generation;

@@ -33,7 +33,7 @@ class Announcer {
 
   /// Records that the process is about to be notified of the endpoint, and has to unmap it before
   /// the place is used again. Returns its connection; null: none, it is notified when it is back.
-  Session* record_member(const EndpointRef& ref, ClientIndex to);
+  Session* record_notified(const EndpointRef& ref, ClientIndex to);
   /// Announces the endpoint `subject` to the process of `receiver`, an endpoint of the other kind.
   void announce(const EndpointRef& subject, const EndpointRef& receiver);
   /// Announces the newest window of `owner` to every process that has its region.

@@ -58,13 +58,13 @@ Effects Announcing::records_of_members(const EndpointRef& ref) const {
     const PublisherRecord& own = registry_.publisher(ref.topic, ref.index);
     registry_.for_each_subscription(ref.topic, [&](std::uint32_t, const SubscriptionRecord& other) {
       if (other.state == EndpointState::active && matches(own, other))
-        effects.push_back(effect::RecordMember{ref, other.client});
+        effects.push_back(effect::RecordNotified{ref, other.client});
     });
   } else {
     const SubscriptionRecord& own = registry_.subscription(ref.topic, ref.index);
     registry_.for_each_publisher(ref.topic, [&](std::uint32_t p, const PublisherRecord& other) {
       if (other.state == EndpointState::active && matches(other, own))
-        effects.push_back(effect::RecordMember{{Kind::publisher, ref.topic, p}, own.client});
+        effects.push_back(effect::RecordNotified{{Kind::publisher, ref.topic, p}, own.client});
     });
   }
   return effects;

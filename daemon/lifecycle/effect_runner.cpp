@@ -36,8 +36,8 @@ void EffectRunner::carry_out(const effect::FreeClient& effect) {
   registry_.free_client(effect.client);
   if (on_client_freed) on_client_freed(effect.client);
 }
-void EffectRunner::carry_out(const effect::RecordMember& effect) {
-  announcer_.record_member(effect.ref, effect.to);
+void EffectRunner::carry_out(const effect::RecordNotified& effect) {
+  announcer_.record_notified(effect.ref, effect.to);
 }
 void EffectRunner::carry_out(const effect::Acknowledge& effect) {
   registry_.acknowledge_unmap(effect.ref, effect.by);

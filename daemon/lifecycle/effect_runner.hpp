@@ -37,7 +37,7 @@ class EffectRunner {
   void carry_out(const effect::FreeSubscription& effect);
   void carry_out(const effect::FreeTopic& effect);
   void carry_out(const effect::FreeClient& effect);
-  void carry_out(const effect::RecordMember& effect);
+  void carry_out(const effect::RecordNotified& effect);
   void carry_out(const effect::Acknowledge& effect);
   void carry_out(const effect::AcknowledgeRegion& effect);
   void carry_out(const effect::Ring& effect);

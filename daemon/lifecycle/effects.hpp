@@ -59,7 +59,7 @@ struct FreeClient {
   ClientIndex client{};
 };
 /// The process is to be notified of the endpoint, and to unmap it before the place is reused.
-struct RecordMember {
+struct RecordNotified {
   EndpointRef ref;
   ClientIndex to{};
 };
@@ -85,7 +85,7 @@ struct Send {
   Packet packet;
 };
 /// Announces `subject` to the process of `receiver`, with the descriptors and doorbells that it
-/// needs. RecordMember comes first.
+/// needs. RecordNotified comes first.
 struct Announce {
   EndpointRef subject, receiver;
 };
@@ -137,8 +137,8 @@ struct BeginFree {};
 using Effect =
     std::variant<effect::OrphanPublisher, effect::ChangeSubscription, effect::EndPublisher,
                  effect::FreeSubscription, effect::FreeTopic, effect::FreeClient,
-                 effect::RecordMember, effect::Acknowledge, effect::AcknowledgeRegion, effect::Ring,
-                 effect::Send, effect::Announce, effect::Notice, effect::BeginAnew,
+                 effect::RecordNotified, effect::Acknowledge, effect::AcknowledgeRegion,
+                 effect::Ring, effect::Send, effect::Announce, effect::Notice, effect::BeginAnew,
                  effect::ForgetAnnounced, effect::CountAnsweredAgain, effect::FreeUnused,
                  effect::FreeUnusedTopic, effect::FreeUnusedClient, effect::GiveUpOrphans,
                  effect::GiveUpSubscriptions, effect::BeginFree>;

@@ -75,9 +75,9 @@ class EndpointManager {
   bool has_renewed() const noexcept { return !renewed_.empty(); }
   void announce_renewed();
   /// Sends a process on a new connection its endpoints and their peers. If that is much, sends a
-  /// part; go_on_telling() sends more as the process reads.
+  /// part; go_on_announcing() sends more as the process reads.
   void welcome_back(ClientIndex client) { welcome_back_.begin(client); }
-  void go_on_telling() { welcome_back_.go_on(); }
+  void go_on_announcing() { welcome_back_.go_on(); }
   /// Returns whether a process has not been sent everything yet.
   bool is_announcing() const noexcept { return welcome_back_.is_announcing(); }
 

@@ -1,6 +1,6 @@
 // SPDX-License-Identifier: Apache-2.0
 //
-// Names for the same thing in tables, packets and the book of announcements, and questions to the
+// Names for the same thing in tables, packets and the notes of announcements, and questions to the
 // registry that several decisions share.
 #pragma once
 

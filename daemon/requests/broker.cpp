@@ -167,7 +167,7 @@ void Broker::look_around(std::uint64_t now) {
   acceptor_.listen_again();
   output_.go_on_flushing();
   termination_.look_at_detached();
-  endpoint_manager_.go_on_telling();
+  endpoint_manager_.go_on_announcing();
   endpoint_manager_.announce_renewed();
   announce_what_waits();
   answers_.drop_slow(now);

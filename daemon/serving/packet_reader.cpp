@@ -39,7 +39,7 @@ unsigned PacketReader::read(PeerId id, const TimeSlice& slice) {
     if (found == nullptr || found->session.closed()) return read_count;
     Peer& peer = *found;
     if (peer.revoked) {
-      termination_.say_farewell(peer);
+      termination_.shut_down(peer);
       return read_count;
     }
     if (peer.parked != 0) return read_count;

@@ -12,7 +12,7 @@
 // reaper finds that out. An observer is sent one whole dump at a time, however long, and has to
 // read it before it asks for the next.
 //
-// The queue and the book of announcements are pure; only flush() touches the socket.
+// The queue and the notes of announcements are pure; only flush() touches the socket.
 #pragma once
 
 #include <agnocast/abi/wire.hpp>
@@ -57,7 +57,7 @@ struct KeptForUser {
   std::uint64_t bytes = 0;               // of waiting packets
   std::uint64_t peak = 0;                // since the last check
   std::uint64_t bytes_max = UINT64_MAX;  // [quota] queued_bytes
-  std::uint64_t book_bytes = 0;          // of the books below
+  std::uint64_t noted_bytes = 0;         // of what it has noted, below
 };
 
 /// The amount of one object, as a part of the sum of its user. It is subtracted with the object.
@@ -90,21 +90,21 @@ class ShareOfUser {
   std::uint64_t own_ = 0;
 };
 
-/// The cost of one book of a session.
-class BookBytes : public ShareOfUser {
+/// The cost of one list that a session notes.
+class NotedBytes : public ShareOfUser {
  public:
   // As much as the default for waiting packets: two million announcements. The processes with more
   // pay with connections that begin anew, so the number has no key.
   static constexpr std::uint64_t of_user_max = std::uint64_t{96} << 20;
-  // For each book, whatever the others of its user cost: 1,536 processes of one user (its default
-  // quota) with two books each have 96 MiB of this.
+  // For each list, whatever the others of its user cost: 1,536 processes of one user (its default
+  // quota) with two lists each have 96 MiB of this.
   static constexpr std::uint64_t own_max = std::uint64_t{32} << 10;
 
-  explicit BookBytes(std::shared_ptr<KeptForUser> user) noexcept
-      : ShareOfUser(std::move(user), &KeptForUser::book_bytes) {}
+  explicit NotedBytes(std::shared_ptr<KeptForUser> user) noexcept
+      : ShareOfUser(std::move(user), &KeptForUser::noted_bytes) {}
 
   bool has_room_for(std::uint64_t more) const noexcept {
-    return own() + more <= own_max || user().book_bytes + more <= of_user_max;
+    return own() + more <= own_max || user().noted_bytes + more <= of_user_max;
   }
 };
 
@@ -163,7 +163,7 @@ class AnnouncementNumbers {
 
   std::unordered_map<std::uint64_t, std::uint64_t> last_;
   std::uint64_t forgotten_ = 0;  // the latest packet with a forgotten announcement
-  BookBytes bytes_;
+  NotedBytes bytes_;
 };
 
 /// The collisions that a process was notified of on one connection. A reader that comes back again
@@ -193,7 +193,7 @@ class CollisionsNotified {
 
  private:
   std::map<std::pair<Announced, Announced>, Collision> notified_;
-  BookBytes bytes_;
+  NotedBytes bytes_;
 };
 
 struct Outgoing {

@@ -35,9 +35,10 @@ AGNOCAST_PUBLIC ConnectionState connection_state() noexcept;
 /// Any thread; no system call.
 AGNOCAST_PUBLIC Errc orphan_reason() noexcept;
 
-/// Returns the ROS domain of this process: that of its endpoints, and before agnocastd has accepted
-/// the first one, ROS_DOMAIN_ID or 0. Any thread; until then, no other may change the environment
-/// meanwhile. Errors: invalid_argument (not a number, or a program with raised rights).
+/// Returns the ROS domain of this process, that of an endpoint whose node names no other one.
+/// Before agnocastd has accepted the first endpoint: ROS_DOMAIN_ID or 0. Any thread; until then, no
+/// other may change the environment meanwhile. Errors: invalid_argument (not a number, or a program
+/// with raised rights).
 [[nodiscard]] AGNOCAST_PUBLIC Result<std::uint64_t> domain_id();
 
 }  // namespace agnocast

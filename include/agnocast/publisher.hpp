@@ -163,7 +163,7 @@ class AGNOCAST_PUBLIC UntypedPublisher {
   bool wait_for_all_acked(Patience patience) const noexcept;
   bool wait_for_local_links(Patience patience) const noexcept;
   std::size_t subscription_count() const noexcept;
-  /// Of these, returns how many are of this process.
+  /// Returns how many of these are of this process.
   std::size_t local_subscription_count() const noexcept;
   /// Returns how many have mapped this publisher and are mapped here; also those that have left,
   /// until they hold no message.

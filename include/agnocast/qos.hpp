@@ -79,8 +79,8 @@ class QoS {
   ///
   /// A publisher promises to publish at least once in this time, a subscription requests that.
   QoS& deadline(std::chrono::nanoseconds time) noexcept { return times_.deadline = time, *this; }
-  /// Of a publisher: its messages are taken only until they are this old. Their memory is used
-  /// until each subscription has passed over them. Without effect on a subscription.
+  /// A publisher's messages are taken only until they are this old. Their memory is used until each
+  /// subscription has passed over them. Without effect on a subscription.
   QoS& lifespan(std::chrono::nanoseconds time) noexcept { return times_.lifespan = time, *this; }
   QoS& liveliness(Liveliness kind) noexcept { return times_.liveliness = kind, *this; }
   /// With manual_by_topic, a publisher that is silent for this time is not alive. A process that

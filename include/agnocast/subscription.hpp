@@ -121,7 +121,7 @@ class AGNOCAST_PUBLIC UntypedSubscription {
   Arrivals arrivals() noexcept;
   std::uint64_t lost() const noexcept;
   std::size_t publisher_count() const noexcept;
-  /// Of these, returns how many this process has mapped.
+  /// Returns how many of these this process has mapped.
   std::size_t linked_publisher_count() const noexcept;
   std::uint64_t callback_exception_count() const noexcept;
   MatchedInfo matched_status() noexcept;
@@ -245,7 +245,7 @@ class SubscriptionBase {
   /// any process; a dead one does not, though its messages are still delivered. Costs a look at
   /// each place of the topic, microseconds at most; allocates nothing.
   std::size_t get_publisher_count() const noexcept { return untyped_->publisher_count(); }
-  /// Of these, returns how many this process has mapped. For measurements and tests.
+  /// Returns how many of these this process has mapped. For measurements and tests.
   std::size_t get_linked_publisher_count() const noexcept {
     return untyped_->linked_publisher_count();
   }

@@ -6,7 +6,7 @@
 // go while the subscriber is disconnected: it is notified all the same, and on reconnection the
 // daemon announces what its bit in the set says.
 //
-// The scenario runs the shipped AnnounceSet and AnnouncementBook, and link(), release() and
+// The scenario runs the shipped AnnounceSet and AnnouncementState, and link(), release() and
 // unlink() of LinkCore on the one link line that all these publishers share. Checked: a linked
 // subscriber never sees the region of another generation, and links every generation that it was
 // notified of, once; every publisher finds the line zero and owns it until its link is gone; in
@@ -85,7 +85,7 @@ class ReuseScenario {
     std::uint64_t life = 1;  // of the subscriber = its client index
     std::uint64_t dead_unnoticed =
         0;  // client index of a dead subscriber that the daemon has not reaped
-    journal::AnnouncementBook<ModelMemory> book;
+    journal::AnnouncementState<ModelMemory> announcement;
     std::uint64_t linking_generation = 0;   // announced, about to be linked
     std::uint64_t unlinked_generation = 0;  // about to be reported
     std::uint64_t addressee = 0;  // of the announcement about to be sent; lost with the daemon
@@ -158,7 +158,7 @@ class ReuseScenario {
         state.dead_unnoticed = state.life++;
         state.linked_generations = 0;
         disconnect(state);
-        state.book = {};
+        state.announcement = {};
         state.linking_generation = 0;
         state.unlinked_generation = 0;
         // The next process has its own region and line.
@@ -179,7 +179,7 @@ class ReuseScenario {
       run_subscriber(world);
     }
     // A linked subscriber may read the region at any moment.
-    const std::uint64_t linked = world.state.book.current();
+    const std::uint64_t linked = world.state.announcement.current();
     if (linked != 0 && world.state.region_owner != linked)
       machine.fail("a linked subscriber reads a region that was used again");
     if (linked != 0 && line(world, 0) != linked)
@@ -191,7 +191,7 @@ class ReuseScenario {
     if (state.set.generation() < plan_.generations)
       return "an index is lost: no further generation could be created";
     if (state.publisher_state == orphan) return "an orphan stays for ever";
-    if (state.publisher_alive != 0 && state.book.current() != state.set.generation())
+    if (state.publisher_alive != 0 && state.announcement.current() != state.set.generation())
       return "a living publisher is not linked";
     return nullptr;
   }
@@ -254,8 +254,9 @@ class ReuseScenario {
     state.to_daemon = {};
   }
   static bool must_unlink(const State& state) {
-    return state.book.current() != 0 &&
-           (state.publisher_state != active || state.set.generation() != state.book.current());
+    return state.announcement.current() != 0 &&
+           (state.publisher_state != active ||
+            state.set.generation() != state.announcement.current());
   }
 
   Task task(const W& world, std::uint64_t n) const {
@@ -352,20 +353,20 @@ class ReuseScenario {
         } else if (state.to_subscriber.count != 0 &&
                    (!must_unlink(state) || machine.choose(2) == 0)) {
           const std::uint64_t generation = state.to_subscriber.pop();
-          switch (state.book.on_announce(generation)) {
-            case journal::AnnouncementBook<ModelMemory>::Action::link:
+          switch (state.announcement.on_announce(generation)) {
+            case journal::AnnouncementState<ModelMemory>::Action::link:
               state.linking_generation = generation;
               thread.pc = link_line;
               break;
-            case journal::AnnouncementBook<ModelMemory>::Action::say_unlinked:
+            case journal::AnnouncementState<ModelMemory>::Action::say_unlinked:
               state.unlinked_generation = generation;
               thread.pc = say_unlinked;
               break;
-            case journal::AnnouncementBook<ModelMemory>::Action::nothing:
+            case journal::AnnouncementState<ModelMemory>::Action::nothing:
               break;
           }
         } else {
-          state.unlinked_generation = state.book.current();
+          state.unlinked_generation = state.announcement.current();
           thread.pc = unlink_line;
         }
         break;
@@ -375,14 +376,14 @@ class ReuseScenario {
         if ((state.linked_generations >> state.linking_generation & 1) != 0)
           machine.fail("a generation is linked twice");
         state.linked_generations |= std::uint64_t{1} << state.linking_generation;
-        state.book.linked(state.linking_generation);
+        state.announcement.linked(state.linking_generation);
         line(world, 2) = 1;  // holds a message while it is linked
         state.linking_generation = 0;
         thread.pc = serving;
         break;
       case unlink_line:
         if (!plan_.says_unlinked_first) unmap(state.unlinked_generation);
-        state.book.unlinked(
+        state.announcement.unlinked(
             state.unlinked_generation);  // (b) the link is gone; reported in a separate step
         thread.pc = say_unlinked;
         break;

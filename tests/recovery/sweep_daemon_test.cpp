@@ -75,7 +75,7 @@ class Sample {
   const std::uint64_t stride_, seed_ = number_of("AGNOCAST_SEED", 0);
 };
 
-/// Of the points of a short sequence, a part of AGNOCAST_ROTATION has every fourth, from here,
+/// A part of AGNOCAST_ROTATION has every fourth point of a short sequence, from here,
 /// where four or a multiple of that are the parts.
 struct Quarter {
   const test::Rotation rotation;

@@ -66,7 +66,7 @@ void GraphWatch::look() {
   } catch (const std::bad_alloc&) {
     // What is half done is no state to compare the next one with.
     last_.reset();
-    is_untold_ = true;
+    is_unreported_ = true;
     graph_.start_over();
     throw;
   }
@@ -93,7 +93,7 @@ void GraphWatch::take(GraphChanges changes) {
   incarnation_ = changes.incarnation;
   if (!has_changed) return;
   last_.reset();
-  is_untold_ = true;
+  is_unreported_ = true;
   came_.notify_all();
 }
 
@@ -112,7 +112,7 @@ void GraphWatch::run() noexcept {
     }
     if (!lock.owns_lock()) lock.lock();
     if (is_over_) return;
-    if (std::exchange(is_untold_, false)) {
+    if (std::exchange(is_unreported_, false)) {
       lock.unlock();
       changed_();
     } else if (has_failed) {

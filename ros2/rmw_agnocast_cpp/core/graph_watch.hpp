@@ -49,7 +49,7 @@ class GraphWatch {
   std::unordered_map<std::uint64_t, EndpointInfo> endpoints_;  // by generation
   std::uint64_t incarnation_ = 0;                              // 0 before the first state
   std::shared_ptr<const GraphSnapshot> last_;                  // null: of an earlier state
-  bool is_untold_ = false;  // it has changed since `changed` was called
+  bool is_unreported_ = false;  // it has changed since `changed` was called
   bool is_over_ = false;
   std::thread thread_;
 };

@@ -4,7 +4,7 @@
 // these rows, and the shipped code decides as they do. Method: feed every combination of possible
 // findings to every table, where it must match one row; every row must be matched; compare the
 // document's labels and decisions with the code's; run a publisher's reclamation scan, announce
-// set, announcement book and redo log for every combination of theirs.
+// set, announcement state and redo log for every combination of theirs.
 
 #include <agnocast/abi/client_region.hpp>
 #include <dataplane/publisher_core.hpp>
@@ -223,39 +223,39 @@ TEST(RecoveryTables, AgreeWithTheRedoLog) {
   });
 }
 
-// --- U, as announce set and announcement book do it
+// --- U, as announce set and announcement state do it
 
-TEST(RecoveryTables, AgreeWithAnnounceSetsAndBooks) {
+TEST(RecoveryTables, AgreeWithAnnounceSetsAndStates) {
   constexpr std::uint64_t generation = 5, client = 3;
   for_each_combination<3>({2, 2, 3}, [](const auto& found) {
     const auto& row = case_of(announce::rows, found);
     if (row.decision == AnnounceDecision::impossible) return;
     SCOPED_TRACE(row.label);
     AnnounceSet<M> set;
-    AnnouncementBook<M> book;
+    AnnouncementState<M> announcement;
     set.begin(generation);
     if (found[0] == announce::notified) set.notify(client);
-    if (found[2] != announce::never) book.linked(generation);
-    if (found[2] == announce::unlinked) book.unlinked(generation);
+    if (found[2] != announce::never) announcement.linked(generation);
+    if (found[2] == announce::unlinked) announcement.unlinked(generation);
     // The new connection: the daemon notifies each client in the set again, the client answers.
     AnnounceDecision done = AnnounceDecision::nothing;
     if (set.contains(client)) {
-      switch (book.on_announce(generation)) {
-        case AnnouncementBook<M>::Action::link:
+      switch (announcement.on_announce(generation)) {
+        case AnnouncementState<M>::Action::link:
           done = AnnounceDecision::link;
-          book.linked(generation);
+          announcement.linked(generation);
           break;
-        case AnnouncementBook<M>::Action::nothing:
+        case AnnouncementState<M>::Action::nothing:
           done = AnnounceDecision::ignore;
           break;
-        case AnnouncementBook<M>::Action::say_unlinked:
+        case AnnouncementState<M>::Action::say_unlinked:
           done = AnnounceDecision::say_unlinked;
           set.acknowledge(client, generation);
           break;
       }
     }
     EXPECT_EQ(done, row.decision);
-    EXPECT_EQ(set.reusable(), book.current() != generation)
+    EXPECT_EQ(set.reusable(), announcement.current() != generation)
         << "reusable while it is linked, or not reusable although it is not";
   });
 }

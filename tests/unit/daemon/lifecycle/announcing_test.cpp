@@ -54,7 +54,7 @@ TEST_F(AnnouncingTest, RecordsReceiversThenAnswersThenNotifiesReadersThenThePubl
   const EndpointRef publisher = scene.publisher(owner);
   const Effects effects = announcing.created(publisher, 42);
   ASSERT_EQ(effects.size(), 7u);
-  const auto members = all<effect::RecordMember>(effects);
+  const auto members = all<effect::RecordNotified>(effects);
   ASSERT_EQ(members.size(), 2u);
   EXPECT_EQ(members[0].to, first);
   ASSERT_TRUE(std::holds_alternative<effect::Send>(effects[2]));
@@ -114,7 +114,7 @@ TEST_F(AnnouncingTest, AnswersAgainOnlyToTheOwner) {
   const EndpointRef subscription = scene.subscription(reader), publisher = scene.publisher(owner);
   const Effects effects = announcing.answered_again(publisher, 7);
   EXPECT_EQ(count_of<effect::CountAnsweredAgain>(effects), 1u);
-  EXPECT_LT(place_of<effect::RecordMember>(effects), place_of<effect::Send>(effects));
+  EXPECT_LT(place_of<effect::RecordNotified>(effects), place_of<effect::Send>(effects));
   const auto notified = all<effect::Announce>(effects);
   ASSERT_EQ(notified.size(), 1u);
   EXPECT_EQ(notified[0].subject, subscription);
@@ -151,7 +151,7 @@ TEST_F(AnnouncingTest, NotifiesBothOwnersOfAMismatchAndAnnouncesNothing) {
   const EndpointRef publisher = scene.publisher(owner);
   subscription_with_history(scene.process());
   const Effects effects = announcing.created(publisher, 1);
-  EXPECT_EQ(count_of<effect::RecordMember>(effects), 0u);
+  EXPECT_EQ(count_of<effect::RecordNotified>(effects), 0u);
   EXPECT_EQ(count_of<effect::Announce>(effects), 0u);
   const auto notices = all<effect::Notice>(effects);
   ASSERT_EQ(notices.size(), 2u);

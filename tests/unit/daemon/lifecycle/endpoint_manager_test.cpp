@@ -365,7 +365,7 @@ TEST_F(EndpointManagerTest, ARegionIsAcknowledgedOnlyAfterTheWholeWelcomeOfItsRe
   for (int packets = 0; manager.is_announcing(); ++packets) {
     ASSERT_LT(packets, 100);
     session.drop_output();
-    manager.go_on_telling();
+    manager.go_on_announcing();
   }
   ASSERT_EQ(sent.back().opcode(), Opcode::region) << "so the process states it once more";
   ASSERT_TRUE(manager.unlinked(reader, region_unlinked(owner, packets_to(reader))));

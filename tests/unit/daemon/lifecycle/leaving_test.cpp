@@ -130,7 +130,7 @@ TEST_F(LeavingTest, AStatementMadeBeforeTheLastAnnouncementIsVoid) {
 
 TEST_F(LeavingTest, AnAnnouncementThatTheBookHasDroppedIsRepeatedOnANewConnection) {
   const auto user = std::make_shared<KeptForUser>();
-  user->book_bytes = BookBytes::of_user_max;  // other processes of the user have the rest
+  user->noted_bytes = NotedBytes::of_user_max;  // other processes of the user have the rest
   AnnouncementNumbers small(user);
   for (std::uint32_t i = 0; i < 1000; ++i) small.announced({Kind::publisher, 1, i}, i + 1);
   const ClientIndex owner = scene.process(), reader = scene.process();

@@ -60,8 +60,8 @@ TEST(CollisionsNotified, IsBoundedPerUser) {
   const CollisionsNotified::Collision what{10, 20, 0, true};
   // Used by its other processes: four of the sessions find room.
   constexpr std::uint64_t used =
-      BookBytes::of_user_max - 4 * CollisionsNotified::count_max * CollisionsNotified::entry_bytes;
-  user->book_bytes = used;
+      NotedBytes::of_user_max - 4 * CollisionsNotified::count_max * CollisionsNotified::entry_bytes;
+  user->noted_bytes = used;
   std::vector<CollisionsNotified> sessions;
   for (std::uint64_t s = 0; s < 10; ++s) {
     CollisionsNotified& notified = sessions.emplace_back(user);
@@ -69,7 +69,7 @@ TEST(CollisionsNotified, IsBoundedPerUser) {
     for (std::uint64_t i = 0; i < CollisionsNotified::count_max; ++i)
       if (notified.report(publisher, subscription(i), what)) ++reported;
     EXPECT_EQ(reported, CollisionsNotified::count_max);
-    ASSERT_LE(user->book_bytes, BookBytes::of_user_max + (s + 1) * BookBytes::own_max);
+    ASSERT_LE(user->noted_bytes, NotedBytes::of_user_max + (s + 1) * NotedBytes::own_max);
   }
   CollisionsNotified of_another(other);
   EXPECT_TRUE(of_another.report(publisher, subscription(0), what));
@@ -79,43 +79,43 @@ TEST(CollisionsNotified, IsBoundedPerUser) {
   EXPECT_EQ(reported, CollisionsNotified::count_max);
   EXPECT_FALSE(of_another.report(publisher, subscription(0), what))
       << "another user has its own room";
-  EXPECT_GT(user->book_bytes, BookBytes::of_user_max) << "the later ones found no room";
+  EXPECT_GT(user->noted_bytes, NotedBytes::of_user_max) << "the later ones found no room";
   sessions.clear();
-  EXPECT_EQ(user->book_bytes, used);
+  EXPECT_EQ(user->noted_bytes, used);
 }
 
 TEST(AnnouncementNumbers, AreExactWhileThereIsRoom) {
-  AnnouncementNumbers book(std::make_shared<KeptForUser>());
-  book.announced(subscription(0), 10);
-  book.announced(publisher, 12);
-  EXPECT_TRUE(book.is_void(subscription(0), 9));
-  EXPECT_FALSE(book.is_void(subscription(0), 10));
-  book.announced(subscription(0), 20);
-  EXPECT_TRUE(book.is_void(subscription(0), 19));
-  EXPECT_FALSE(book.is_void(publisher, 12));
-  book.forget(subscription(0));
-  EXPECT_FALSE(book.is_void(subscription(0), 0));
-  EXPECT_FALSE(book.may_be_void(subscription(0), 0)) << "the process itself has acknowledged it";
-  EXPECT_EQ(book.size(), 1u);
+  AnnouncementNumbers numbers(std::make_shared<KeptForUser>());
+  numbers.announced(subscription(0), 10);
+  numbers.announced(publisher, 12);
+  EXPECT_TRUE(numbers.is_void(subscription(0), 9));
+  EXPECT_FALSE(numbers.is_void(subscription(0), 10));
+  numbers.announced(subscription(0), 20);
+  EXPECT_TRUE(numbers.is_void(subscription(0), 19));
+  EXPECT_FALSE(numbers.is_void(publisher, 12));
+  numbers.forget(subscription(0));
+  EXPECT_FALSE(numbers.is_void(subscription(0), 0));
+  EXPECT_FALSE(numbers.may_be_void(subscription(0), 0)) << "the process itself has acknowledged it";
+  EXPECT_EQ(numbers.size(), 1u);
 }
 
 TEST(AnnouncementNumbers, AreBoundedPerUserAndReportWhatTheyCannotJudge) {
   const auto user = std::make_shared<KeptForUser>();
-  constexpr std::uint64_t own_count = BookBytes::own_max / AnnouncementNumbers::entry_bytes;
+  constexpr std::uint64_t own_count = NotedBytes::own_max / AnnouncementNumbers::entry_bytes;
   AnnouncementNumbers first(user), second(user);
   std::uint64_t packet = 0;
   const auto subject = [](std::uint64_t i) {
     return Announced{Kind::subscription, static_cast<std::uint32_t>(i >> 9), i & 511};
   };
   for (std::uint64_t i = 0;
-       user->book_bytes + AnnouncementNumbers::entry_bytes <= BookBytes::of_user_max; ++i)
+       user->noted_bytes + AnnouncementNumbers::entry_bytes <= NotedBytes::of_user_max; ++i)
     first.announced(subject(i), ++packet);
   for (std::uint64_t i = 0; i < own_count; ++i) second.announced(subject(i), i + 1);
   EXPECT_EQ(second.size(), own_count) << "its own minimum";
   EXPECT_TRUE(second.is_void(subject(0), 0));
 
   second.announced(subject(own_count), own_count + 1);
-  EXPECT_LE(user->book_bytes, BookBytes::of_user_max + BookBytes::own_max);
+  EXPECT_LE(user->noted_bytes, NotedBytes::of_user_max + NotedBytes::own_max);
   EXPECT_LT(second.size(), own_count);
   EXPECT_TRUE(second.may_be_void(subject(0), 0));
   EXPECT_FALSE(second.may_be_void(subject(0), own_count))
@@ -130,14 +130,14 @@ TEST(AnnouncementNumbers, AreBoundedPerUserAndReportWhatTheyCannotJudge) {
 TEST(AnnouncementNumbers, MakeAProcessReconnectIfTheyCannotJudgeItsStatement) {
   test::DaemonCore core;
   const auto user = std::make_shared<KeptForUser>();
-  user->book_bytes = BookBytes::of_user_max;  // used by its other processes
+  user->noted_bytes = NotedBytes::of_user_max;  // used by its other processes
   const ClientIndex reader = core.process(1), writer = core.process(2);
   const auto connect = [&] {
     core.channel.sessions.try_emplace(reader, PacketSocket(), PeerIdentity(), user);
   };
   connect();
   std::vector<EndpointRef> publishers;
-  for (std::uint64_t i = 0; i <= BookBytes::own_max / AnnouncementNumbers::entry_bytes; ++i) {
+  for (std::uint64_t i = 0; i <= NotedBytes::own_max / AnnouncementNumbers::entry_bytes; ++i) {
     const std::string topic = "/topic" + std::to_string(i / 200);
     if (i % 200 == 0) core.create(reader, Kind::subscription, topic);
     publishers.push_back(core.create(writer, Kind::publisher, topic));
