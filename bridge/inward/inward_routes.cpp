@@ -19,6 +19,10 @@ constexpr std::size_t takes_max = 64;
 // One that is being left gives all, unless it receives more than this thread publishes.
 constexpr std::chrono::seconds takes_all_max{1};
 
+bool gets_history(const QosClass& requested) noexcept {
+  return requested.reliable && requested.transient_local;
+}
+
 }  // namespace
 
 template <class Condition>
@@ -91,20 +95,6 @@ std::map<ReaderKey, std::vector<OpenRemotePublisher*>> InwardRoutes::leaving(con
   return leaving;
 }
 
-void InwardRoutes::go_over(const ReaderKey& dds_reader, const QosClass& requested,
-                           const std::vector<OpenRemotePublisher*>& remote_publishers) {
-  const auto left = [&](const ReaderKey& present) { return left_of(present, requested); };
-  std::set<ReaderKey> lossy;
-  for (const OpenRemotePublisher* const each : remote_publishers) {
-    if (left(each->handover.dds_reader()) == ReaderHandover::Left::lossy)
-      lossy.insert(each->handover.dds_reader());
-  }
-  publish_all_of(lossy);
-  const Time now = std::chrono::steady_clock::now();
-  for (OpenRemotePublisher* const each : remote_publishers)
-    each->handover.go_over(dds_reader, left, requested.reliable && requested.transient_local, now);
-}
-
 // A writer's last messages may come after its end is known, so its remote publisher lingers.
 void InwardRoutes::open_remote_publishers(const Plan& plan, Applied& applied) {
   const Time now = std::chrono::steady_clock::now();
@@ -151,37 +141,58 @@ void InwardRoutes::open_remote_publishers(const Plan& plan, Applied& applied) {
   }
 }
 
-// Writers go over at once: what they leave may lose messages from now on.
 void InwardRoutes::open_dds_readers(const Plan& plan) {
   const auto remote_publishers = leaving(plan);
-  const auto go_over_to = [&](const ReaderKey& key, const QosClass& requested) {
-    const auto found = remote_publishers.find(key);
-    if (found != remote_publishers.end()) go_over(key, requested, found->second);
-  };
   std::set<ReaderKey> planned;
-  for (const auto& [of, dds_reader] : plan.dds_readers) {
-    const ReaderKey key = reader_of(plan, of);
-    planned.insert(key);
-    if (const auto open = dds_readers_.find(key); open != dds_readers_.end()) {
-      open->second.plan = dds_reader;
-      go_over_to(key, dds_reader.requested);
-      continue;
+  // First those that get the history again: any reliable one makes best-effort ones lossy.
+  for (const bool repeats : {true, false}) {
+    for (const auto& [of, dds_reader] : plan.dds_readers) {
+      if (gets_history(dds_reader.requested) != repeats) continue;
+      const ReaderKey key = reader_of(plan, of);
+      planned.insert(key);
+      const auto found = remote_publishers.find(key);
+      open_dds_reader(key, dds_reader,
+                      found == remote_publishers.end() ? std::span<OpenRemotePublisher* const>()
+                                                       : found->second);
     }
-    const TopicKey& topic = of.key;
-    auto reader = participant_.create_reader(
-        *dds_topic_of({DdsTopicKind::topic, topic.topic}), *dds_type_of(topic.type),
-        dds_qos_of(dds_reader.requested, dds_reader.depth, dds_reader.keep_all),
-        decoder_of(types_.at(topic.type), topic.topic));
-    if (!reader) {
-      refusals_.note("reader of " + topic.topic, reader.error().text());
-      continue;
-    }
-    const auto made =
-        dds_readers_.emplace(key, OpenDdsReader{std::move(*reader), dds_reader, false}).first;
-    dds_reader_of_[made->second.reader.get()] = &made->first;
-    go_over_to(key, dds_reader.requested);
   }
   for (auto& [key, dds_reader] : dds_readers_) dds_reader.is_over = !planned.contains(key);
+}
+
+void InwardRoutes::open_dds_reader(const ReaderKey& key, const DdsReaderPlan& plan,
+                                   std::span<OpenRemotePublisher* const> remote_publishers) {
+  const auto left = [&](const ReaderKey& present) { return left_of(present, plan.requested); };
+  std::set<ReaderKey> lossy;
+  for (const OpenRemotePublisher* const each : remote_publishers) {
+    if (left(each->handover.dds_reader()) == ReaderHandover::Left::lossy)
+      lossy.insert(each->handover.dds_reader());
+  }
+  publish_all_of(lossy);
+  if (const auto open = dds_readers_.find(key); open != dds_readers_.end()) {
+    open->second.plan = plan;
+  } else if (!create_dds_reader(key, plan)) {
+    return;
+  }
+  // What came meanwhile; a history has it too.
+  if (!gets_history(plan.requested)) publish_all_of(lossy);
+  const Time now = std::chrono::steady_clock::now();
+  for (OpenRemotePublisher* const each : remote_publishers)
+    each->handover.go_over(key, left, gets_history(plan.requested), now);
+}
+
+bool InwardRoutes::create_dds_reader(const ReaderKey& key, const DdsReaderPlan& plan) {
+  const TopicKey& topic = key.of.key;
+  auto reader = participant_.create_reader(*dds_topic_of({DdsTopicKind::topic, topic.topic}),
+                                           *dds_type_of(topic.type),
+                                           dds_qos_of(plan.requested, plan.depth, plan.keep_all),
+                                           decoder_of(types_.at(topic.type), topic.topic));
+  if (!reader) {
+    refusals_.note("reader of " + topic.topic, reader.error().text());
+    return false;
+  }
+  const auto made = dds_readers_.emplace(key, OpenDdsReader{std::move(*reader), plan, false}).first;
+  dds_reader_of_[made->second.reader.get()] = &made->first;
+  return true;
 }
 
 std::vector<DdsSample> InwardRoutes::take(DdsReader& dds_reader) {

@@ -96,10 +96,11 @@ class InwardRoutes {
   void open_remote_publishers(const Plan& plan, Applied& applied);
   /// By planned DDS reader: remote publishers that are to go over to it.
   std::map<ReaderKey, std::vector<OpenRemotePublisher*>> leaving(const Plan& plan);
-  /// The DDS reader with this request exists.
-  void go_over(const ReaderKey& dds_reader, const QosClass& requested,
-               const std::vector<OpenRemotePublisher*>& remote_publishers);
   void open_dds_readers(const Plan& plan);
+  /// Creates it unless it exists; then these remote publishers go over to it.
+  void open_dds_reader(const ReaderKey& key, const DdsReaderPlan& plan,
+                       std::span<OpenRemotePublisher* const> remote_publishers);
+  bool create_dds_reader(const ReaderKey& key, const DdsReaderPlan& plan);
   void publish_one(const ReaderKey& dds_reader, DdsSample sample);
   void publish_former(const ReaderKey& dds_reader, std::span<const DdsSample> taken);
   /// Publishes what these DDS readers have received, after what those have that their writers
