@@ -264,8 +264,8 @@ struct Beside {
   Allowed subscribe;
 
   std::string why() const {
-    return escaped(topic) + ", which process " + std::to_string(pid) + " also publishes (" +
-           subscribe.why + "); restart it";
+    return escaped(topic) + " (domain " + std::to_string(domain) + "), which process " +
+           std::to_string(pid) + " also publishes (" + subscribe.why + "); restart it";
   }
   Object object() const {
     return {{"topic", topic}, {"domain", domain}, {"pid", pid}, {"subscribe", subscribe.object()}};

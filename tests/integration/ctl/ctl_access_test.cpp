@@ -136,7 +136,7 @@ TEST(CtlAccessToMemory, NamesReadersThroughOtherTopicsOfTheSameProcess) {
   EXPECT_EQ(found[0]["subscribe"]["everybody"], true);
   EXPECT_EQ(memory("/public")[0]["topic"], "/secret");
   EXPECT_THAT(run_ctl(daemon.socket_path(), {"access", "/secret"}).out,
-              testing::ContainsRegex("memory +everybody +/public, which process"));
+              testing::ContainsRegex("memory +everybody +/public .domain 0., which process"));
   EXPECT_EQ(memory("/other"), json::array());
 }
 
