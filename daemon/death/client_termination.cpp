@@ -119,6 +119,7 @@ void ClientTermination::reap(ClientIndex client, DeathReason reason, std::string
 // Until the process ends, the peer stays, with its connection's place in the user's quota and its
 // pidfd: until then the process has its memory and may not come back.
 void ClientTermination::revoke(Peer& peer, const std::string& why) {
+  static_cast<void>(MemoryReserve::refill());
   MemoryReserve::no_return();
   AGNOCAST_CRASH_POINT(B_revoke);
   const ClientIndex client = *peer.session.client();
