@@ -99,7 +99,7 @@ rmw_ret_t check_node(const char* name, const char* namespace_) {
 std::multiset<std::pair<std::string, std::string>> nodes_of(const rmw_node_t* node) {
   std::set<std::tuple<std::string, std::string, std::uint64_t>> seen;  // once in each process
   std::multiset<std::pair<std::string, std::string>> nodes;
-  {
+  if (!node->context->impl->is_in_child()) {
     const std::lock_guard lock(node->context->impl->mutex);
     for (const NodeData* own : node->context->impl->nodes)
       nodes.emplace(own->name.name_space, own->name.name);

@@ -50,6 +50,8 @@ rmw_node_t* rmw_create_node(rmw_context_t* context, const char* name, const char
   rmw_node_t* const node = rmw_node_allocate();
   const rmw_ret_t made = guarded([&] {
     if (node == nullptr) throw std::bad_alloc();
+    if (context->impl->is_in_child())
+      return refuse(RMW_RET_ERROR, "a forked child has no nodes: initialize a context there");
     auto data = std::make_unique<NodeData>();
     data->name = {name, namespace_, context->impl->domain};
     *node = {};
