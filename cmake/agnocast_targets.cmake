@@ -20,8 +20,8 @@ if(CCACHE_PROGRAM AND PROJECT_IS_TOP_LEVEL)
   set(CMAKE_C_COMPILER_LAUNCHER ${CCACHE_PROGRAM})
 endif()
 
-# A test may take this long, in seconds. Only one that hangs takes so long: on a loaded machine the longest need
-# five minutes.
+# Seconds that a test may take. Only one that hangs does: on a loaded machine the longest need five
+# minutes.
 set(agnocast_test_timeout 1200)
 
 option(AGNOCAST_COMPILE_BY_ROOMS "Compile the sources of a directory together: a third of the time"

@@ -39,15 +39,15 @@ SubscriptionEndpoint::SubscriptionEndpoint(const Identity& identity,
 bool SubscriptionEndpoint::add_publisher(const Publisher& publisher, std::shared_ptr<Peer> peer) {
   if (publisher.index >= abi::publisher_count_max) return false;
   const std::lock_guard lock(mutex_);
-  if (publisher.index >= books_.size()) books_.resize(publisher.index + 1);
-  Book& book = books_[publisher.index];
-  const Book::Action action = book.on_announce(publisher.generation);
-  if (action == Book::Action::nothing) {
+  if (publisher.index >= announcements_.size()) announcements_.resize(publisher.index + 1);
+  Announcement& last = announcements_[publisher.index];
+  const Announcement::Action action = last.on_announce(publisher.generation);
+  if (action == Announcement::Action::nothing) {
     wait_set_->wake();  // a message may have waited for a window that came with the announcement
     return true;
   }
   // Another link uses this line; rule RU excludes that.
-  if (action == Book::Action::say_unlinked || book.current() != 0 || closed_) return false;
+  if (action == Announcement::Action::say_unlinked || last.current() != 0 || closed_) return false;
   const Link::Core::Identity identity{self_.topic,
                                       {peer->region(), publisher.extent},
                                       {self_.region, self_.extent, publisher.index},
@@ -66,7 +66,7 @@ bool SubscriptionEndpoint::add_publisher(const Publisher& publisher, std::shared
   if (!link->core_.link(publisher.from_start)) return false;
   AGNOCAST_CRASH_POINT(C_linked);
   links_.push_back(std::move(link));
-  book.linked(publisher.generation);
+  last.linked(publisher.generation);
   events_->look_at_leases_by(links_.back()->lease_.next_ns());
   events_->gained();
   may_expire_ = may_expire_ || publisher.qos.lifespan_ns != 0;
@@ -130,7 +130,7 @@ std::vector<std::shared_ptr<Link>> SubscriptionEndpoint::collect_unlinked() {
     newest_before_ns_ =
         std::max(newest_before_ns_, std::min(link->core_.newest_stamp(), monotonic_ns()));
     link->core_.unlink();
-    books_[link->publisher()].unlinked(link->generation());
+    announcements_[link->publisher()].unlinked(link->generation());
     lost_before_ += link->core_.lost();
     malformed_before_ += link->core_.malformed();
     unreachable_before_ += link->core_.unreachable();

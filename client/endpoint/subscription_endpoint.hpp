@@ -10,8 +10,9 @@
 //   announced → linked → (publisher gone) orphaned → drained → (nothing held) unlinked → reported
 //                      → (subscription closed, and the daemon knows) → (nothing held) unlinked
 //
-// After a reconnect the daemon announces everything once more. A book per publisher index remembers
-// what was linked and unlinked last: linking a generation again would deliver its messages twice.
+// After a reconnect the daemon announces everything once more. An entry per publisher index
+// remembers what was linked and unlinked last: linking a generation again would deliver its
+// messages twice.
 #pragma once
 
 #include <agnocast/events.hpp>
@@ -373,7 +374,7 @@ class SubscriptionEndpoint {
   bool has_next(const Link& link, std::size_t age) const noexcept;
   std::size_t matched_count() const noexcept;  // on its own board
   bool takes_part() const noexcept;
-  using Book = journal::AnnouncementState<SharedMemory>;
+  using Announcement = journal::AnnouncementState<SharedMemory>;
   void drop_beyond_depth() noexcept;
   void note_losses(Link& link) noexcept;
   const std::shared_ptr<Link>* oldest() const noexcept;
@@ -382,8 +383,8 @@ class SubscriptionEndpoint {
   std::shared_ptr<WaitSet> wait_set_;
   mutable std::mutex mutex_;
   std::vector<std::shared_ptr<Link>> links_;
-  std::vector<Book> books_;  // by publisher index, as far as one was announced
-  bool counts_ = false;      // somebody wants to know arrivals()
+  std::vector<Announcement> announcements_;  // by publisher index, as far as one was announced
+  bool counts_ = false;                      // somebody wants to know arrivals()
   std::uint64_t arrived_ = 0;
   std::uint64_t lost_before_ = 0;       // of links that are over
   bool may_expire_ = false;             // messages of some publisher

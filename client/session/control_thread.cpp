@@ -213,7 +213,7 @@ void ControlThread::on_doorbells_renewed(Incoming& packet) {
 
 void ControlThread::run_upkeep() {
   HeapReturn::instance().look();
-  if (state_.is_alone()) return run_former_errands();
+  if (state_.is_alone()) return run_former_upkeep();
   if (reconnection_.state() == Reconnection::State::connected &&
       state_.step(SessionState::Step::speak)) {
     state_.give_reason(Errc::ok);
@@ -232,7 +232,7 @@ void ControlThread::run_upkeep() {
 
 // --- a session whose daemon will not come back: this thread finds out which peers are gone
 
-void ControlThread::run_former_errands() {
+void ControlThread::run_former_upkeep() {
   collector_.scan();
   const auto now = std::chrono::steady_clock::now();
   if (now - former_looked_ < std::chrono::milliseconds{ScanTimer::alone_ms}) return;

@@ -99,7 +99,7 @@ class ControlThread {
 
   // a previous session
   bool is_former() const noexcept;
-  void run_former_errands();
+  void run_former_upkeep();
   bool unmap_everything();
 
   Context* const context_;

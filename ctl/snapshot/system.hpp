@@ -53,7 +53,7 @@ struct Endpoint {
 
   abi::BoardState state() const noexcept { return abi::state_of(facts.board_word); }
   bool is_publisher() const noexcept { return facts.kind == wire::Kind::publisher; }
-  /// A subscription counts for publishers.
+  /// Returns whether publishers count this subscription.
   bool takes_messages() const noexcept { return abi::takes_part(facts.board_word); }
 };
 

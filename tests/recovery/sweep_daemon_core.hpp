@@ -273,7 +273,7 @@ class Core final : private ClientChannel {
 
   Session* session_of(ClientIndex client) override { return sessions_[number(client)].get(); }
   std::uint64_t user_namespace_of(ClientIndex) override { return 1; }
-  void begin_anew(ClientIndex, std::string_view) override {}  // the books never fill up here
+  void begin_anew(ClientIndex, std::string_view) override {}  // the notes never fill up here
   void send(ClientIndex client, Outgoing packet) override {
     Session* const session = session_of(client);
     if (session == nullptr) return;

@@ -55,7 +55,7 @@ class FakeBroker final : public ClientChannel {
   Session* session_of(ClientIndex client) override;
   std::uint64_t user_namespace_of(ClientIndex) override { return 1; }
   void send(ClientIndex client, Outgoing packet) override;
-  void begin_anew(ClientIndex, std::string_view) override {}  // the books never fill up here
+  void begin_anew(ClientIndex, std::string_view) override {}  // the notes never fill up here
 
  private:
   Process* process_of(ClientIndex client);

@@ -1,7 +1,7 @@
 // SPDX-License-Identifier: Apache-2.0
 //
 // Goal: a process is sent an announcement only after that is recorded, with the descriptors that it
-// needs and no other user's, and the book of its connection knows in which packet. Method: an
+// needs and no other user's, and the notes of its connection tell in which packet. Method: an
 // announcer over the daemon's core; connections that keep each packet, which the test completes as
 // if it was about to be sent.
 

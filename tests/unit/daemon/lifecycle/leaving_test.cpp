@@ -1,8 +1,8 @@
 // SPDX-License-Identifier: Apache-2.0
 //
 // Goal: a process can end and acknowledge only its own endpoints and its own announcements, each
-// once, and gets the answer again if it was lost. Method: a registry and the book of one
-// connection; each packet is one that a process could send.
+// once, and gets the answer again if it was lost. Method: a registry and the announcement numbers
+// of one connection; each packet is one that a process could send.
 
 #include <daemon/lifecycle/leaving.hpp>
 #include <daemon/lifecycle/references.hpp>
@@ -32,7 +32,7 @@ class LeavingTest : public testing::Test {
     statement.index = ref.index;
     statement.generation = registry.generation_of(ref);
     statement.seen = seen;
-    return leaving.unlinked(client, statement, {book, packet_count, false});
+    return leaving.unlinked(client, statement, {numbers, packet_count, false});
   }
   Result<Effects> region_unlinked(ClientIndex client, ClientIndex owner,
                                   bool is_being_announced_to) {
@@ -41,14 +41,14 @@ class LeavingTest : public testing::Test {
     statement.index = number(owner);
     statement.generation = registry.client(owner).generation;
     statement.seen = packet_count;
-    return leaving.unlinked(client, statement, {book, packet_count, is_being_announced_to});
+    return leaving.unlinked(client, statement, {numbers, packet_count, is_being_announced_to});
   }
 
   test::RegistryScene scene;
   Registry& registry = scene.registry;
   Endings endings{scene.registry};
   Leaving leaving{scene.registry, endings};
-  AnnouncementNumbers book{std::make_shared<KeptForUser>()};
+  AnnouncementNumbers numbers{std::make_shared<KeptForUser>()};
   std::uint64_t packet_count = 10;
 };
 
@@ -118,7 +118,7 @@ TEST_F(LeavingTest, AStatementMadeBeforeTheLastAnnouncementIsVoid) {
   const ClientIndex owner = scene.process(), reader = scene.process();
   const EndpointRef publisher = scene.publisher(owner);
   registry.notify(publisher, reader);
-  book.announced(subject_of(publisher), 5);
+  numbers.announced(subject_of(publisher), 5);
   EXPECT_EQ(unlinked(reader, publisher, 11).error().code, Errc::protocol_violation)
       << "a client cannot have read more packets than were sent";
   EXPECT_TRUE(unlinked(reader, publisher, 4)->empty());
@@ -165,13 +165,13 @@ TEST_F(LeavingTest, ALateAcknowledgementChangesNothing) {
   wire::Unlinked statement{};
   statement.kind = Kind::publisher;
   statement.topic = 4000;
-  EXPECT_TRUE(leaving.unlinked(reader, statement, {book, packet_count, false})->empty());
+  EXPECT_TRUE(leaving.unlinked(reader, statement, {numbers, packet_count, false})->empty());
   statement.kind = Kind::region;
   statement.index = number(owner);
   statement.generation = registry.client(owner).generation + 1;
-  EXPECT_TRUE(leaving.unlinked(reader, statement, {book, packet_count, false})->empty());
+  EXPECT_TRUE(leaving.unlinked(reader, statement, {numbers, packet_count, false})->empty());
   statement.index = std::uint64_t{1} << 40;
-  EXPECT_TRUE(leaving.unlinked(reader, statement, {book, packet_count, false})->empty());
+  EXPECT_TRUE(leaving.unlinked(reader, statement, {numbers, packet_count, false})->empty());
 }
 
 }  // namespace
