@@ -227,7 +227,10 @@ class Peer {
     add("1 kHz stream, " + how + ": longest gap with deaths / without",
         longest(gaps[1]) / longest(gaps[0]));
     add("1 kHz stream, " + how + ": messages lost", static_cast<double>(stream.lost()));
-    if (stream.lost() != 0) give_up("the stream lost messages");
+    // A listener that is starved for as long as its queue lasts loses messages without a death.
+    const double queue_ns = static_cast<double>(stream_depth) * 1e6;
+    if (stream.lost() != 0 && longest(gaps[0]) < queue_ns && longest(gaps[1]) < queue_ns)
+      give_up("the stream lost messages");
   }
 
   void start_idle(std::size_t count) {
