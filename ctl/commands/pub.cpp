@@ -58,18 +58,18 @@ class Sender {
     auto next_note = begin + say_nothing;
     while (publisher_.get_subscription_count() < course.wanted_subscriptions) {
       const auto now = Clock::now();
-      if (course.wait_s && now - begin >= Live::seconds(*course.wait_s))
-        return problem(Status::timed_out, publisher_.get_topic_name(),
-                       counted(publisher_.get_subscription_count(), "matching subscription") +
-                           " of " + std::to_string(course.wanted_subscriptions) +
-                           " matched in time",
-                       "agnocast-ctl topic info -v " + escaped(publisher_.get_topic_name()));
       if (now >= next_note) {
         console_.line("Waiting for at least " + std::to_string(course.wanted_subscriptions) +
                       " matching subscription(s)...");
         if (!write_out()) return false;
         next_note = now + remind;
       }
+      if (course.wait_s && now - begin >= Live::seconds(*course.wait_s))
+        return problem(Status::timed_out, publisher_.get_topic_name(),
+                       counted(publisher_.get_subscription_count(), "matching subscription") +
+                           " of " + std::to_string(course.wanted_subscriptions) +
+                           " matched in time",
+                       "agnocast-ctl topic info -v " + escaped(publisher_.get_topic_name()));
       if (!live_.run_until(now + step)) return false;
     }
     return true;
