@@ -26,6 +26,7 @@ namespace agnocast::bridge {
 struct ServiceKey {
   std::string service, type;  ///< "/ns/add", "example_interfaces/srv/AddTwoInts"
 
+  // clang-tidy 14 takes the zero behind <=> for a pointer. NOLINTNEXTLINE(modernize-use-nullptr)
   auto operator<=>(const ServiceKey&) const = default;
 };
 struct ServiceRoute {

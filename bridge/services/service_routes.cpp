@@ -193,9 +193,9 @@ void ServiceRoutes::ask(const ServiceKey& key, const ServiceRoute& route,
   asking->service = key.service;
   auto service = try_create_generic_service(
       node_, key.service, type.introspected(),
-      [asking, &log = log_](GenericServiceRequest request) {
+      [asking, &log = log_](const GenericServiceRequest& request) {
         try {
-          write_request(log, *asking, std::move(request));
+          write_request(log, *asking, request);
         } catch (const std::exception& error) {
           dropped(log, asking->traffic, asking->traffic.refused, asking->service, error.what());
         }
@@ -395,7 +395,7 @@ ServiceRoutes::Sent ServiceRoutes::send_on(Served& served, const Kept& kept, Tim
       [answering, header, &log = log_](const GenericClient::SharedFuture& future) {
         ServiceTraffic& counts = answering->traffic;
         try {
-          const GenericMessage response = future.get();
+          const GenericMessage& response = future.get();
           const BridgedType& type = *answering->type.response;
           const WindowSet within = windows_of(response);
           const std::size_t bytes = service_cdr_bytes(type.cdr, response.get(), &within);
@@ -437,7 +437,8 @@ bool ServiceRoutes::is_in_vain(Asking& asking, const std::set<Guid>& servers) {
   });
 }
 
-void ServiceRoutes::write_request(const Log& log, Asking& asking, GenericServiceRequest request) {
+void ServiceRoutes::write_request(const Log& log, Asking& asking,
+                                  const GenericServiceRequest& request) {
   GenericServiceRequest to_answer = request;
   to_answer.release();
   std::int64_t number = 0;

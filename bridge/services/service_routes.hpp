@@ -192,7 +192,7 @@ class ServiceRoutes {
   void forget(Served& served, const Kept& kept);
   /// Returns whether a request waits for servers that are all gone.
   static bool is_in_vain(Asking& asking, const std::set<Guid>& servers);
-  static void write_request(const Log& log, Asking& asking, GenericServiceRequest request);
+  static void write_request(const Log& log, Asking& asking, const GenericServiceRequest& request);
   static void dropped(const Log& log, ServiceTraffic& traffic, ServiceTraffic::Counter& reason,
                       const std::string& service, const std::string& why);
 

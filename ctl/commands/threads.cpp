@@ -122,7 +122,7 @@ std::size_t node_count_of(const CallbackThread& thread) {
 std::string rule_cell(const CallbackThread& thread) {
   if (!thread.has_rule()) return {};
   const wire::DumpCallbackThread& facts = *thread.facts;
-  const std::string rule = rule_words(facts);
+  std::string rule = rule_words(facts);
   switch (facts.setting) {
     case wire::ThreadSetting::no_rule:
       return {};

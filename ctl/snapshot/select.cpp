@@ -164,6 +164,7 @@ std::vector<Node> nodes_of(const System& system, const Arguments& arguments) {
     }
   }
   std::vector<Node> list;
+  list.reserve(nodes.size());
   for (auto& [key, node] : nodes) list.push_back(std::move(node));
   std::stable_sort(list.begin(), list.end(),
                    [](const Node& a, const Node& b) { return a.full_name() < b.full_name(); });
