@@ -76,30 +76,6 @@ TEST(Ctl, ListsTopicsInTheFormatOfRos2) {
       << "--socket overrides AGNOCAST_SOCKET, and options may stand first";
 }
 
-// A node may be in another domain than its process.
-TEST(Ctl, ShowsNodesInTheDomainOfTheirEndpoints) {
-  DaemonProcess daemon;
-  Node process(daemon.socket_path());
-  process.publisher("/points", {7}, "/lidar");
-  process.other_domain = 7;
-  process.publisher("/points", {7}, "/lidar");
-  const auto json = [&](std::vector<std::string> words) {
-    words.emplace_back("-j");
-    const CtlResult result = run_ctl(daemon.socket_path(), std::move(words));
-    EXPECT_EQ(result.status, 0) << result.err;
-    return result.json();
-  };
-  for (const int domain : {0, 7}) {
-    const auto nodes = json({"node", "list", "--domain", std::to_string(domain)});
-    ASSERT_EQ(nodes["node_count"], 1);
-    EXPECT_EQ(nodes["nodes"][0]["domain"], domain);
-    EXPECT_EQ(json({"process", "list", "--domain", std::to_string(domain)})["process_count"], 1);
-    EXPECT_EQ(json({"dump", "--domain", std::to_string(domain)})["processes"].size(), 1u);
-  }
-  EXPECT_EQ(json({"node", "list", "--all-domains"})["node_count"], 2);
-  EXPECT_EQ(json({"process", "list", "--domain", "8"})["process_count"], 0);
-}
-
 TEST(Ctl, ListsServicesInTheFormatOfRos2) {
   DaemonProcess daemon;
   Node server(daemon.socket_path()), client(daemon.socket_path()),
