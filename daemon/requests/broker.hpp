@@ -93,6 +93,10 @@ class Broker final {
   int due_ms() const noexcept;
   /// Returns the arena in force: the previous run's, whatever the options say.
   const Arena& arena() const noexcept { return options_.arena; }
+  // For tests.
+  const Registry& registry() const noexcept { return registry_; }
+  const AddressPlan& plan() const noexcept { return plan_; }
+  Registry::Memory tables() const noexcept { return regions_.memory(); }
 
  private:
   void fill_request_table();

@@ -1,10 +1,10 @@
 // SPDX-License-Identifier: Apache-2.0
 //
 // Goal: no sequence of packets, deaths and stores of clients into their own regions brings the
-// daemon's state machine into a wrong state. Method: the input is a list of steps of five
-// processes of two users. Each packet goes through decode() to registry, endpoint manager and
-// reaper over real regions; only sockets are missing. An oracle beside it knows only the packets:
-// what each process was notified of and has not acknowledged.
+// daemon into a wrong state. Method: the input is a list of steps of five processes of two users,
+// which connect to the broker of agnocastd in this process, with its listener, its threads and its
+// quotas. An oracle beside it knows only the packets: what each process was notified of and has
+// not acknowledged.
 //   rule RU   no place, extent, process index or window is reused while a process that was
 //             notified of the previous one has not acknowledged its end
 //   board     agrees with the tables about every endpoint
@@ -19,12 +19,13 @@
 //
 // This file is only the entry point. In protocol/:
 //   scenario      the input as steps: packets, stores, ends
-//   fake_broker   the daemon without sockets, which serves it
+//   daemon_loop   the daemon, and the connections to it
 //   processes     what each of the five has and was notified of
+//   peer_process  a process for the kernel, without memory of its own
 //   oracle        what the daemon may send and assign: RU, rejoin, revoke, complete answers
 //   table_checks  board, restart, and that nothing is left when all are dead
 
-#include <tests/fuzz/protocol/fake_broker.hpp>
+#include <tests/fuzz/protocol/daemon_loop.hpp>
 #include <tests/fuzz/protocol/scenario.hpp>
 #include <tests/fuzz/protocol/table_checks.hpp>
 
@@ -37,14 +38,14 @@ extern "C" int LLVMFuzzerTestOneInput(const std::uint8_t* data, std::size_t size
   using namespace agnocast::daemon::fuzz;
   constexpr int step_count_max = 300;
   FuzzedDataProvider input(data, size);
-  FakeBroker broker;
-  Scenario scenario(input, broker);
+  DaemonLoop daemon;
+  Scenario scenario(input, daemon);
   for (int step = 0; step < step_count_max && !scenario.is_over(); ++step) {
     scenario.step();
-    check_board(broker.registry(), broker.memory());
+    check_board(daemon.registry(), daemon.tables());
   }
-  check_restart(broker.registry(), broker.memory());
-  for (Process& process : broker.processes()) broker.die(process);
-  check_nothing_left(broker.registry(), broker.plan());
+  check_restart(daemon.registry(), daemon.tables());
+  for (Process& process : daemon.processes()) daemon.die(process);
+  check_nothing_left(daemon.registry(), daemon.plan());
   return 0;
 }

@@ -1,9 +1,10 @@
 // SPDX-License-Identifier: Apache-2.0
 //
 // Oracle: see the header. Rule RU is checked in three places: no client gets a place that another
-// process still knows (greeted), no window is assigned that a process still has (window_given), no
-// extent and no place of an endpoint that a process was notified of (create_served). At a creation
-// and at a rejoin, exactly the endpoints that match are announced to each other (check_announced).
+// process still knows (hello_served), no window is assigned that a process still has
+// (window_given), no extent and no place of an endpoint that a process was notified of
+// (create_served). At a creation and at a rejoin, exactly the endpoints that match are announced to
+// each other (check_announced).
 
 #include <tests/fuzz/protocol/oracle.hpp>
 
@@ -24,19 +25,16 @@ Range extent_of(Kind kind, std::uint64_t at) {
                                             : abi::subscription_extent_bytes(1))};
 }
 
-wire::Header header_of(const Outgoing& packet) {
+wire::Header header_of(const Oracle::Heard& packet) {
   wire::Header header;
   AGNOCAST_CHECK(packet.bytes.size() >= sizeof header);
-  AGNOCAST_CHECK(packet.bytes.size() <= wire::packet_bytes_max);
   std::memcpy(&header, packet.bytes.data(), sizeof header);
   AGNOCAST_CHECK(header.bytes == packet.bytes.size());
-  AGNOCAST_CHECK(packet.fds.size() <= wire::descriptor_count_max);
-  for (const SharedFd& fd : packet.fds) AGNOCAST_CHECK(fd != nullptr && fd->get() >= 0);
   return header;
 }
 
 template <class Body>
-Body read(const Outgoing& packet) {
+Body read(const Oracle::Heard& packet) {
   AGNOCAST_CHECK(packet.bytes.size() == sizeof(Body));
   Body body;
   std::memcpy(static_cast<void*>(&body), packet.bytes.data(), sizeof body);
@@ -72,29 +70,54 @@ bool is_about(const wire::Unlinked& statement, const Notified& notified) {
 
 // --- what the daemon sends
 
-void Oracle::hear(Process& to, std::uint64_t number, const Outgoing& packet) {
+void Oracle::hear(Process& to, const Heard& packet) {
   switch (header_of(packet).opcode) {
+    case Opcode::welcome: {
+      answer_.welcome = read<wire::Welcome>(packet);
+      AGNOCAST_CHECK(packet.fds.size() == 2);  // board and region
+      to.greeted = true;
+      to.region = std::move(Mapping::map(packet.fds[1].get(), answer_.welcome->client_region_bytes,
+                                         Mapping::Access::read_write)
+                                .value());
+      break;
+    }
+    case Opcode::rejoined:
+      answer_.rejoined = to.greeted = true;
+      // All the following is about this connection.
+      for (auto& [subject, notified] : to.notified) notified.packet = 0;
+      for (auto& [owner, notified] : to.regions) notified.packet = 0;
+      break;
+    case Opcode::refused:
+      answer_.refused = static_cast<Errc>(read<wire::Refused>(packet).code);
+      break;
+    case Opcode::revoked:
+      if (!to.revoked) revoked(to);
+      break;
     case Opcode::announce:
-      hear_announcement(to, read<wire::Announcement>(packet), number, packet.fds.size());
+      hear_announcement(to, read<wire::Announcement>(packet), packet.fds.size());
+      break;
+    case Opcode::window_opened:
+      AGNOCAST_CHECK(packet.fds.size() == 2);  // for writing and for reading
+      answer_.window = read<wire::WindowOpened>(packet);
       break;
     case Opcode::window_announced: {
       const auto body = read<wire::WindowAnnounced>(packet);
       AGNOCAST_CHECK(packet.fds.size() == 1);
       AGNOCAST_CHECK(to.regions.count(body.client) == 1);
-      to.regions[body.client].packet = number;
-      to.windows[body.client].push_back({body.base, body.base + body.bytes});
+      to.regions[body.client].packet = to.packet_count;
+      answer_.windows.push_back({&to, body.client, {body.base, body.base + body.bytes}});
       break;
     }
     case Opcode::endpoint_created:
-      created_ = read<wire::EndpointCreated>(packet);
+      answer_.created = read<wire::EndpointCreated>(packet);
       break;
     case Opcode::done:
-      done_ = true;
+      answer_.done = true;
       break;
     case Opcode::region: {
       const auto body = read<wire::Reference>(packet);
       AGNOCAST_CHECK(body.kind == Kind::region);
-      to.regions[body.index] = {number, body.generation, body.index, {}, {}};
+      to.regions[body.index] = {to.packet_count, body.generation, body.index, {}, {}};
       break;
     }
     case Opcode::own:
@@ -108,25 +131,30 @@ void Oracle::hear(Process& to, std::uint64_t number, const Outgoing& packet) {
   }
 }
 
-void Oracle::hear_announcement(Process& to, const wire::Announcement& body, std::uint64_t packet,
-                               std::size_t fd_count) {
+// Others may know a window before its owner does.
+void Oracle::end_answer() {
+  for (const Answer::NewWindow& one : answer_.windows)
+    one.notified->windows[one.owner].push_back(one.window);
+}
+
+void Oracle::hear_announcement(Process& to, const wire::Announcement& body, std::size_t fd_count) {
   const bool publisher = body.kind == Kind::publisher;
   AGNOCAST_CHECK(fd_count == 1 + (publisher ? body.window_count : body.doorbell_count));
-  const Notified notified{packet, body.generation, body.client, extent_of(body.kind, body.extent),
-                          abi::unpack_qos(body.qos)};
+  const Notified notified{to.packet_count, body.generation, body.client,
+                          extent_of(body.kind, body.extent), abi::unpack_qos(body.qos)};
   Notified& place = to.notified[{body.kind, body.topic, body.index}];
   AGNOCAST_CHECK(place.generation == 0 || place.generation == body.generation);
   place = notified;
   Notified& region = to.regions[body.client];
   AGNOCAST_CHECK(region.generation == 0 || region.generation == body.client_generation);
-  region = {packet, body.client_generation, body.client, {}, {}};
+  region = {to.packet_count, body.client_generation, body.client, {}, {}};
   if (publisher) {
     auto& windows = to.windows[body.client];
     windows.clear();
     for (std::uint32_t w = 0; w < body.window_count; ++w)
       windows.push_back({body.window[w].base, body.window[w].base + body.window[w].bytes});
   }
-  announced_.insert({body.own_generation, body.generation});
+  answer_.announced.insert({body.own_generation, body.generation});
   // It is for an endpoint of the addressed process, and the two match.
   const auto own = own_of(to, body.own_generation);
   if (own == to.own.end()) return;  // it is being created: create_served() checks
@@ -141,9 +169,9 @@ void Oracle::check_announced(const Process& who, const Endpoint& own,
     for (const Endpoint& other : process.own) {
       if (other.topic != own.topic || other.kind == own.kind || other.left) continue;
       const bool match = do_match(own, number(*who.client), other.qos, number(*process.client));
-      AGNOCAST_CHECK(announced_.contains({own.generation, other.generation}) == match);
-      if (in_both_directions && process.session)
-        AGNOCAST_CHECK(announced_.contains({other.generation, own.generation}) == match);
+      AGNOCAST_CHECK(answer_.announced.contains({own.generation, other.generation}) == match);
+      if (in_both_directions && process.connection)
+        AGNOCAST_CHECK(answer_.announced.contains({other.generation, own.generation}) == match);
     }
   }
 }
@@ -156,44 +184,40 @@ void Oracle::hear_own(const Process& to, const wire::Own& body) {
     return;
   }
   AGNOCAST_CHECK(known->creation == body.creation && known->left == (body.active == 0));
-  ++own_reported_;
+  ++answer_.own_count;
 }
 
-void Oracle::check_whole(const std::vector<Outgoing>& packets, Opcode last) {
-  AGNOCAST_CHECK(!packets.empty());
-  for (const Outgoing& packet : packets)
-    AGNOCAST_CHECK((header_of(packet).opcode == last) == (&packet == &packets.back()));
-}
+// --- the answer to a request
 
-// --- the result of a request
-
-void Oracle::greeted(Process& who, ClientIndex client, std::uint64_t generation) {
+void Oracle::hello_served(Process& who) const {
+  if (!answer_.welcome) return;
+  AGNOCAST_CHECK(!who.revoked);
+  const std::uint64_t client = answer_.welcome->client;
   for (const Process& process : processes_) {
-    AGNOCAST_CHECK(process.client != client);
-    if (process.client) AGNOCAST_CHECK(process.regions.count(number(client)) == 0);
+    if (!process.client) continue;
+    AGNOCAST_CHECK(number(*process.client) != client);
+    AGNOCAST_CHECK(process.regions.count(client) == 0);
   }
-  who.client = client;
-  who.generation = generation;
+  who.client = ClientIndex{static_cast<std::uint32_t>(client)};
+  who.generation = answer_.welcome->client_generation;
 }
 
-void Oracle::check_rejoin(const Process& who, const wire::Rejoin& request,
-                          journal::RejoinDecision decision) const {
+void Oracle::rejoin_served(Process& who, const wire::Rejoin& request) const {
   const bool is_true = request.fingerprint == abi::fingerprint() &&
                        request.incarnation == incarnation && who.client &&
                        number(*who.client) == request.client &&
                        who.generation == request.client_generation;
-  if (is_true && who.revoked) AGNOCAST_CHECK(decision == journal::RejoinDecision::revoked);
-  AGNOCAST_CHECK((decision == journal::RejoinDecision::take_back) == (is_true && !who.revoked));
+  if (is_true && who.revoked) AGNOCAST_CHECK(answer_.refused == Errc::revoked);
+  if (answer_.rejoined) {
+    AGNOCAST_CHECK(is_true && !who.revoked);
+    check_welcome_back(who);
+  } else if (is_true && !who.revoked) {
+    AGNOCAST_CHECK(answer_.refused == Errc::limit_reached);  // too often
+  }
 }
 
-void Oracle::begin_welcome_back(Process& who) {
-  for (auto& [subject, notified] : who.notified) notified.packet = 0;
-  for (auto& [owner, notified] : who.regions) notified.packet = 0;
-  own_reported_ = 0;
-}
-
-void Oracle::end_welcome_back(const Process& who) const {
-  AGNOCAST_CHECK(own_reported_ == who.own.size());
+void Oracle::check_welcome_back(const Process& who) const {
+  AGNOCAST_CHECK(answer_.own_count == who.own.size());
   for (const Endpoint& own : who.own) {
     if (!own.left) check_announced(who, own, false);
   }
@@ -202,11 +226,29 @@ void Oracle::end_welcome_back(const Process& who) const {
     AGNOCAST_CHECK(notified.packet != 0 || owner == number(*who.client));
 }
 
-void Oracle::check_not_blocked(const Process& who, const Range& window) {
-  for (const Range& blocked : who.blocked) AGNOCAST_CHECK(!blocked.meets(window));
+void Oracle::window_served(Process& who) const {
+  if (!answer_.window) return;
+  const Range window = window_at(answer_.window->base);
+  if (answer_.window->window < who.heap.size()) {
+    AGNOCAST_CHECK(who.heap[answer_.window->window].from == window.from);
+    return;
+  }
+  for (const Range& range : who.blocked) AGNOCAST_CHECK(!range.meets(window));
+  window_given(who, window);
 }
 
-void Oracle::window_given(Process& who, const Range& window) {
+void Oracle::window_brought(Process& who, const wire::BringWindow& request, bool is_its_own) const {
+  if (answer_.refused == Errc::permission_denied) AGNOCAST_CHECK(!is_its_own);
+  if (!answer_.done) return;
+  if (request.window < who.heap.size()) {
+    AGNOCAST_CHECK(who.heap[request.window].from == request.base);
+    return;
+  }
+  AGNOCAST_CHECK(is_its_own);
+  window_given(who, window_at(request.base));
+}
+
+void Oracle::window_given(Process& who, const Range& window) const {
   for (const Process& process : processes_) {
     for (const Range& own : process.heap) AGNOCAST_CHECK(!own.meets(window));
     for (const auto& [client, windows] : process.windows) {
@@ -216,55 +258,55 @@ void Oracle::window_given(Process& who, const Range& window) {
   who.heap.push_back(window);
 }
 
-const Endpoint* Oracle::created_before(const Process& who, const CreateRequest& request) const {
+void Oracle::blocked(Process& who, const wire::Blocked& range) const {
+  if (!answer_.refused) who.blocked.push_back({range.base, range.base + range.bytes});
+}
+
+const Endpoint* Oracle::created_before(const Process& who, const CreateRequest& request) {
   const auto found = std::find_if(who.own.begin(), who.own.end(), [&](const Endpoint& endpoint) {
     return endpoint.creation == request.request && endpoint.kind == request.kind;
   });
   return found == who.own.end() ? nullptr : &*found;
 }
 
-void Oracle::check_answered_again(const Endpoint& endpoint) const {
-  AGNOCAST_CHECK(created_.generation == endpoint.generation && created_.index == endpoint.index);
-}
-
-void Oracle::create_served(Process& who, const CreateRequest& request, bool was_made) {
-  if (!was_made) {
-    AGNOCAST_CHECK(created_.generation == 0);
+void Oracle::create_served(Process& who, const CreateRequest& request) {
+  const wire::EndpointCreated& created = answer_.created;
+  if (const Endpoint* const before = created_before(who, request)) {
+    AGNOCAST_CHECK(created.generation == before->generation && created.index == before->index);
     return;
   }
-  AGNOCAST_CHECK(created_.generation > last_generation_);
-  last_generation_ = created_.generation;
-  const Range extent = extent_of(request.kind, created_.extent);
+  if (created.generation == 0) return;
+  AGNOCAST_CHECK(created.generation > last_generation_);
+  last_generation_ = created.generation;
+  const Range extent = extent_of(request.kind, created.extent);
   AGNOCAST_CHECK(extent.from >= abi::page_bytes && extent.to <= abi::client_region_bytes);
   for (const Process& process : processes_) {
     if (!process.client) continue;
-    const auto same = process.notified.find({request.kind, created_.topic, created_.index});
+    const auto same = process.notified.find({request.kind, created.topic, created.index});
     if (same != process.notified.end())
-      AGNOCAST_CHECK(same->second.generation == created_.generation);
+      AGNOCAST_CHECK(same->second.generation == created.generation);
     for (const auto& [subject, notified] : process.notified) {
-      if (notified.generation != created_.generation && notified.owner == number(*who.client))
+      if (notified.generation != created.generation && notified.owner == number(*who.client))
         AGNOCAST_CHECK(!notified.extent.meets(extent));
     }
   }
   for (const Endpoint& other : who.own) AGNOCAST_CHECK(!other.extent.meets(extent));
   who.created.insert(request.request);
-  who.own.push_back({request.kind, created_.topic, created_.index, created_.generation, extent,
+  who.own.push_back({request.kind, created.topic, created.index, created.generation, extent,
                      request.qos, request.request, false});
   check_announced(who, who.own.back(), true);
 }
 
-void Oracle::leave_served(Process& who, const LeaveRequest& request, bool accepted) const {
-  AGNOCAST_CHECK(accepted == done_);
-  if (!accepted) return;
+void Oracle::leave_served(Process& who, const LeaveRequest& request) const {
+  if (!answer_.done) return;
   const auto left = own_of(who, request.reference);
   AGNOCAST_CHECK(request.again || (left != who.own.end() && !left->left));
   if (left != who.own.end()) left->left = true;
 }
 
 // docs/control-plane.md, leaving: the other effects of a `drained`.
-void Oracle::drained_served(Process& who, const DrainedRequest& request, bool accepted) const {
-  AGNOCAST_CHECK(accepted == done_);
-  if (!accepted) return;
+void Oracle::drained_served(Process& who, const DrainedRequest& request) const {
+  if (!answer_.done) return;
   const auto gone = own_of(who, request.reference);
   if (request.again && gone == who.own.end()) return;
   AGNOCAST_CHECK(gone != who.own.end() && gone->left);
@@ -284,7 +326,8 @@ void Oracle::drained_served(Process& who, const DrainedRequest& request, bool ac
   }
 }
 
-void Oracle::unlinked(Process& who, const wire::Unlinked& statement) {
+void Oracle::unlinked(Process& who, const wire::Unlinked& statement) const {
+  if (answer_.refused) return;
   if (statement.kind == Kind::region) {
     const auto found = who.regions.find(statement.index);
     if (found == who.regions.end() || !is_about(statement, found->second)) return;
@@ -294,6 +337,27 @@ void Oracle::unlinked(Process& who, const wire::Unlinked& statement) {
   }
   const auto found = who.notified.find({statement.kind, statement.topic, statement.index});
   if (found != who.notified.end() && is_about(statement, found->second)) who.notified.erase(found);
+}
+
+void Oracle::observer_served(const Request& request) const {
+  const std::vector<Opcode>& bodies = answer_.observed;
+  AGNOCAST_CHECK(!bodies.empty());
+  if (bodies.front() == Opcode::refused) return;
+  if (std::holds_alternative<wire::Dump>(request)) check_whole(Opcode::dump_end);
+  if (std::holds_alternative<wire::ReadJournal>(request)) check_whole(Opcode::journal_end);
+  const auto* const revocation = std::get_if<wire::Revoke>(&request);
+  if (revocation == nullptr) return;
+  for (Process& process : processes_) {
+    if (process.client && number(*process.client) == revocation->client) {
+      AGNOCAST_CHECK(process.generation == revocation->generation);
+      revoked(process);
+    }
+  }
+}
+
+void Oracle::check_whole(Opcode last) const {
+  const std::vector<Opcode>& bodies = answer_.observed;
+  AGNOCAST_CHECK(std::count(bodies.begin(), bodies.end(), last) == 1 && bodies.back() == last);
 }
 
 void Oracle::revoked(Process& who) {

@@ -2,19 +2,20 @@
 //
 // Oracle: what the daemon may send and assign, judged from the packets alone.
 //
-// It sees every packet to a process and the result of each request, and records for every process
-// what it knows (processes.hpp). It never looks into the daemon's tables: table_checks.hpp
-// compares those with each other. Any error aborts.
+// It sees every packet that a process receives, so also which answer a request got, and records for
+// every process what it knows (processes.hpp). It never looks into the daemon's tables:
+// table_checks.hpp compares those with each other. Any error aborts.
 #pragma once
 
+#include <agnocast/error.hpp>
+#include <base/descriptors/unique_fd.hpp>
 #include <daemon/transport/request_reading.hpp>
-#include <daemon/transport/session.hpp>
-#include <journal/cases.hpp>
 
 #include <tests/fuzz/protocol/processes.hpp>
 
 #include <cstddef>
 #include <cstdint>
+#include <optional>
 #include <set>
 #include <span>
 #include <utility>
@@ -27,53 +28,69 @@ class Oracle {
   explicit Oracle(Processes& processes) : processes_(processes) {}
 
   // --- what the daemon sends
+  /// A packet as a process received it.
+  struct Heard {
+    std::span<const std::byte> bytes;
+    std::span<const UniqueFd> fds;
+  };
   /// A request is about to be served: forgets the previous answer.
-  void expect_answer() {
-    created_ = {};
-    done_ = false;
-    announced_.clear();
-  }
-  /// `number`: the packet's number on the connection of `to`.
-  void hear(Process& to, std::uint64_t number, const Outgoing& packet);
-  /// Checks that an observer's answer ends with `last`, and contains no other one.
-  static void check_whole(const std::vector<Outgoing>& packets, Opcode last);
+  void expect_answer() { answer_ = {}; }
+  void hear(Process& to, const Heard& packet);
+  void hear_observer(Opcode body) { answer_.observed.push_back(body); }
+  /// All that follows from the request was heard and judged.
+  void end_answer();
 
-  // --- the result of a request
-  void greeted(Process& who, ClientIndex client, std::uint64_t generation);
-  void check_rejoin(const Process& who, const wire::Rejoin& request,
-                    journal::RejoinDecision decision) const;
-  /// Between these two the daemon repeats to `who` what it has and which peers it knows.
-  void begin_welcome_back(Process& who);
-  void end_welcome_back(const Process& who) const;
+  // --- the answer to a request
+  void hello_served(Process& who) const;
+  void rejoin_served(Process& who, const wire::Rejoin& request) const;
+  void window_served(Process& who) const;
+  /// `is_its_own`: whether the window that came with the request is the one it claims.
+  void window_brought(Process& who, const wire::BringWindow& request, bool is_its_own) const;
   /// Records the ranges that `who` reports as blocked.
-  static void blocked(Process& who, const Range& what) { who.blocked.push_back(what); }
-  /// Checks a window that the daemon has chosen for `who`.
-  static void check_not_blocked(const Process& who, const Range& window);
-  void window_given(Process& who, const Range& window);
+  void blocked(Process& who, const wire::Blocked& range) const;
   /// Returns the endpoint that a request with this id has created, if there is one.
-  const Endpoint* created_before(const Process& who, const CreateRequest& request) const;
-  void check_answered_again(const Endpoint& endpoint) const;
-  void create_served(Process& who, const CreateRequest& request, bool was_made);
-  void leave_served(Process& who, const LeaveRequest& request, bool accepted) const;
-  void drained_served(Process& who, const DrainedRequest& request, bool accepted) const;
-  static void unlinked(Process& who, const wire::Unlinked& statement);
+  static const Endpoint* created_before(const Process& who, const CreateRequest& request);
+  void create_served(Process& who, const CreateRequest& request);
+  void leave_served(Process& who, const LeaveRequest& request) const;
+  void drained_served(Process& who, const DrainedRequest& request) const;
+  void unlinked(Process& who, const wire::Unlinked& statement) const;
+  void observer_served(const Request& request) const;
   /// It lives on with its memory and windows; its notifications no longer count.
   static void revoked(Process& who);
 
  private:
-  void hear_announcement(Process& to, const wire::Announcement& body, std::uint64_t packet,
-                         std::size_t fd_count);
+  /// What was heard since the request.
+  struct Answer {
+    bool done = false, rejoined = false;
+    std::optional<Errc> refused;
+    std::optional<wire::Welcome> welcome;
+    std::optional<wire::WindowOpened> window;
+    wire::EndpointCreated created{};
+    std::vector<Opcode> observed;  // bodies for the observer
+    // Announcements: generation of the notified endpoint, and of the other one.
+    std::set<std::pair<std::uint64_t, std::uint64_t>> announced;
+    struct NewWindow {
+      Process* notified;
+      std::uint64_t owner;
+      Range window;
+    };
+    std::vector<NewWindow> windows;
+    std::size_t own_count = 0;  // endpoints reported to a process that has come back
+  };
+
+  void hear_announcement(Process& to, const wire::Announcement& body, std::size_t fd_count);
   void hear_own(const Process& to, const wire::Own& body);
+  void check_welcome_back(const Process& who) const;
+  /// Checks a window that the daemon has assigned to `who`.
+  void window_given(Process& who, const Range& window) const;
+  /// Checks that the answer ends with `last`, and contains no other one.
+  void check_whole(Opcode last) const;
   /// Checks that `own`, an endpoint of `who`, was just notified of the endpoints that match it and
   /// of no other one. With `in_both_directions`, that they were notified of it as well.
   void check_announced(const Process& who, const Endpoint& own, bool in_both_directions) const;
 
   Processes& processes_;
-  wire::EndpointCreated created_{};
-  bool done_ = false;
-  // Announcements since the request: generation of the notified endpoint, and of the other one.
-  std::set<std::pair<std::uint64_t, std::uint64_t>> announced_;
-  std::size_t own_reported_ = 0;  // endpoints reported to a process that has come back
+  Answer answer_;
   std::uint64_t last_generation_ = 0;
 };
 

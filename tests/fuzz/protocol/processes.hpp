@@ -1,15 +1,19 @@
 // SPDX-License-Identifier: Apache-2.0
 //
 // Processes: five of two users, each with the knowledge of an honest one: what it has, and what it
-// was notified of and has not acknowledged. The oracle records that, from packets alone; the fake
-// broker keeps the connection; the scenario reads what a process can name.
+// was notified of and has not acknowledged. The oracle records that, from packets alone; the
+// daemon's loop keeps process and connection; the scenario reads what a process can name.
 #pragma once
 
 #include <agnocast/abi/client_region.hpp>
 #include <agnocast/abi/wire.hpp>
 #include <agnocast/abi/words.hpp>
+#include <base/memory/mapping.hpp>
+#include <base/sockets/packet_socket.hpp>
 #include <daemon/state/tables.hpp>
 #include <daemon/transport/session.hpp>
+
+#include <tests/fuzz/protocol/peer_process.hpp>
 
 #include <array>
 #include <cstddef>
@@ -57,7 +61,11 @@ struct Endpoint {
 };
 
 struct Process {
-  std::unique_ptr<Session> session;  // none after the connection has ended
+  std::unique_ptr<PeerProcess> running;  // none before its first connection
+  PacketSocket connection;               // none after it has ended
+  std::uint64_t packet_count = 0;        // received on it
+  bool greeted = false;                  // on it
+  Mapping region;                        // its own
   std::optional<ClientIndex> client;
   std::uint64_t generation = 0;
   std::uint32_t uid = 0;

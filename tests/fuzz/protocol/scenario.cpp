@@ -39,12 +39,12 @@ void Scenario::step() {
   Process& process = any_process();
   switch (up_to(31)) {
     case 0:
-      return broker_.die(process);
+      return daemon_.die(process);
     case 1:
       return store(process);
     case 2:
       // The connection ends, the process does not.
-      if (process.client) process.session.reset();
+      if (process.client) daemon_.disconnect(process);
       return;
     case 3:
     case 4:
@@ -60,7 +60,7 @@ void Scenario::store(const Process& process) {
   const Endpoint& where = one_of(process.own);
   for (int i = input_.ConsumeIntegralInRange(1, 4); i > 0; --i) {
     const std::uint64_t word = up_to(31);
-    SharedMemory::word(broker_.region(*process.client), where.extent.from + word * 8)
+    SharedMemory::word(process.region.base(), where.extent.from + word * 8)
         .store(input_.ConsumeBool() ? any_word() : input_.ConsumeIntegral<std::uint8_t>());
   }
 }
@@ -69,7 +69,7 @@ void Scenario::store(const Process& process) {
 
 void Scenario::say(Process& process) {
   if (!process.client && !rarely()) return say_first(process);
-  if (process.client && !process.session && !rarely()) return say_rejoin(process, process);
+  if (process.client && !process.connection && !rarely()) return say_rejoin(process, process);
   switch (up_to(18)) {
     case 0:
       return say_anything(process);
@@ -108,10 +108,8 @@ void Scenario::say(Process& process) {
 void Scenario::say_anything(Process& process) {
   const auto bytes = input_.ConsumeBytes<std::uint8_t>(up_to(wire::packet_bytes_max));
   const std::size_t descriptor_count = up_to(2);
-  const bool truncated = input_.ConsumeBool();
   const BroughtWindow brought = draw_former_window(process);
-  broker_.serve(process, std::as_bytes(std::span(bytes)), {descriptor_count, truncated, false},
-                &brought);
+  daemon_.serve(process, std::as_bytes(std::span(bytes)), descriptor_count, brought);
 }
 
 void Scenario::say_right_in_length(Process& process) {
@@ -133,7 +131,9 @@ void Scenario::say_right_in_length(Process& process) {
       {Opcode::observe, sizeof(wire::Observe)},
       {Opcode::dump, sizeof(wire::Dump)},
       {Opcode::revoke, sizeof(wire::Revoke)},
-      {Opcode::read_journal, sizeof(wire::ReadJournal)}};
+      {Opcode::read_journal, sizeof(wire::ReadJournal)},
+      {Opcode::set_log_level, sizeof(wire::SetLogLevel)},
+      {Opcode::ask_access, sizeof(wire::AskAccess)}};
   const auto [opcode, size] = one_of(packets);
   std::vector<std::byte> packet(size);
   const auto body = input_.ConsumeBytes<std::uint8_t>(size - sizeof(wire::Header));
@@ -141,7 +141,7 @@ void Scenario::say_right_in_length(Process& process) {
                  [](std::uint8_t byte) { return std::byte{byte}; });
   const wire::Header header{opcode, static_cast<std::uint32_t>(size), ++last_request_};
   std::memcpy(packet.data(), &header, sizeof header);
-  broker_.serve(process, packet);
+  daemon_.serve(process, packet);
 }
 
 /// Sends what a process must send before other requests get far.
@@ -188,7 +188,7 @@ void Scenario::say_bring_window(Process& process) {
   body.bytes = window_bytes << (rarely() ? 1 : 0);
   body.first = rarely() ? 0 : body.window;
   const std::size_t descriptor_count = rarely() ? 0 : 1;
-  broker_.serve(process, packet_of(body), {descriptor_count, false, false}, &brought);
+  daemon_.serve(process, packet_of(body), descriptor_count, brought);
 }
 
 void Scenario::say_blocked(Process& process) {
@@ -244,13 +244,13 @@ void Scenario::say_leave_or_drained(Process& process) {
 
 void Scenario::say_unlinked_endpoint(Process& process) {
   const Process& whose = mostly(process);
-  if (whose.notified.empty() || !process.session) return;
+  if (whose.notified.empty() || !process.connection) return;
   const auto& [subject, notified] = one_of(whose.notified);
   say_unlinked(process, subject, notified.generation);
 }
 
 void Scenario::say_unlinked_region(Process& process) {
-  if (process.regions.empty() || !process.session) return;
+  if (process.regions.empty() || !process.connection) return;
   const auto& [owner, notified] = one_of(process.regions);
   say_unlinked(process, {Kind::region, 0, owner}, notified.generation);
 }
@@ -261,7 +261,7 @@ void Scenario::say_unlinked(Process& process, const Announced& subject, std::uin
   body.topic = subject.topic;
   body.index = subject.index;
   body.generation = generation;
-  const std::uint64_t sent = process.session->packet_count();
+  const std::uint64_t sent = process.packet_count;
   body.seen = sent - std::min(sent, up_to(3));
   if (up_to(31) == 0) body.seen += 2;
   ask(process, Opcode::unlinked, body);
@@ -273,25 +273,25 @@ void Scenario::watch() {
   const std::uint64_t id = ++last_request_;
   switch (up_to(5)) {
     case 0: {  // a new connection
-      broker_.accept_observer();
+      daemon_.connect_observer();
       auto body = make_body<wire::Observe>(Opcode::observe, id);
       body.fingerprint = abi::fingerprint() + (rarely() ? 1 : 0);
-      return broker_.serve_observer(packet_of(body));
+      return daemon_.serve_observer(packet_of(body));
     }
     case 1:
-      return broker_.serve_observer(packet_of(make_body<wire::Dump>(Opcode::dump, id)));
+      return daemon_.serve_observer(packet_of(make_body<wire::Dump>(Opcode::dump, id)));
     case 2: {
       auto body = make_body<wire::ReadJournal>(Opcode::read_journal, id);
       body.last = rarely() ? any_word() : up_to(200);
       body.count = rarely() ? any_word() : up_to(200);
-      return broker_.serve_observer(packet_of(body));
+      return daemon_.serve_observer(packet_of(body));
     }
     default: {
       const Process& whose = any_process();
       auto body = make_body<wire::Revoke>(Opcode::revoke, id);
       body.client = whose.client ? number(*whose.client) : any_word();
       body.generation = whose.generation + (rarely() ? 1 : 0);
-      return broker_.serve_observer(packet_of(body));
+      return daemon_.serve_observer(packet_of(body));
     }
   }
 }

@@ -8,7 +8,7 @@
 // (corpus/protocol) change their meaning when a draw is added, removed or moved.
 #pragma once
 
-#include <tests/fuzz/protocol/fake_broker.hpp>
+#include <tests/fuzz/protocol/daemon_loop.hpp>
 #include <tests/fuzz/protocol/processes.hpp>
 
 #include <fuzzer/FuzzedDataProvider.h>
@@ -21,7 +21,7 @@ namespace agnocast::daemon::fuzz {
 
 class Scenario {
  public:
-  Scenario(FuzzedDataProvider& input, FakeBroker& broker) : input_(input), broker_(broker) {}
+  Scenario(FuzzedDataProvider& input, DaemonLoop& daemon) : input_(input), daemon_(daemon) {}
 
   bool is_over() const { return input_.remaining_bytes() == 0; }
   void step();
@@ -49,7 +49,7 @@ class Scenario {
     body.header = {opcode, sizeof body, id != 0 ? id : ++last_request_};
     // As if the sender did not know whether the first one had arrived.
     if (up_to(15) == 0) body.header.request |= wire::asked_again;
-    broker_.serve(from, packet_of(body));
+    daemon_.serve(from, packet_of(body));
   }
   BroughtWindow draw_former_window(const Process& process);
 
@@ -67,11 +67,11 @@ class Scenario {
     return *std::next(std::begin(container),
                       static_cast<std::ptrdiff_t>(up_to(std::size(container) - 1)));
   }
-  Process& any_process() { return one_of(broker_.processes()); }
+  Process& any_process() { return one_of(daemon_.processes()); }
   Process& mostly(Process& process) { return rarely() ? any_process() : process; }
 
   FuzzedDataProvider& input_;
-  FakeBroker& broker_;
+  DaemonLoop& daemon_;
   std::uint64_t last_request_ = 0;
 };
 
