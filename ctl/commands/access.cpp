@@ -9,7 +9,7 @@
 #include <base/text/names.hpp>
 #include <base/text/text.hpp>
 #include <ctl/cli/commands.hpp>
-#include <ctl/snapshot/objects.hpp>
+#include <ctl/commands/objects.hpp>
 #include <ctl/snapshot/select.hpp>
 #include <ctl/snapshot/system.hpp>
 

@@ -6,7 +6,7 @@
 #include <base/clock.hpp>
 #include <ctl/cli/commands.hpp>
 #include <ctl/cli/waiting.hpp>
-#include <ctl/snapshot/objects.hpp>
+#include <ctl/commands/objects.hpp>
 #include <ctl/snapshot/select.hpp>
 #include <ctl/snapshot/watch.hpp>
 

@@ -4,6 +4,7 @@
 
 #include <base/text/text.hpp>
 #include <ctl/cli/commands.hpp>
+#include <ctl/commands/objects.hpp>
 #include <ctl/snapshot/journal.hpp>
 #include <ctl/snapshot/select.hpp>
 #include <ctl/snapshot/system.hpp>

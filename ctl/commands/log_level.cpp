@@ -4,7 +4,7 @@
 
 #include <base/text/text.hpp>
 #include <ctl/cli/commands.hpp>
-#include <ctl/snapshot/objects.hpp>
+#include <ctl/commands/objects.hpp>
 #include <ctl/snapshot/system.hpp>
 
 #include <string>

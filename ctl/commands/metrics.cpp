@@ -12,8 +12,8 @@
 #include <base/text/text.hpp>
 #include <ctl/cli/commands.hpp>
 #include <ctl/cli/waiting.hpp>
+#include <ctl/commands/objects.hpp>
 #include <ctl/snapshot/numbers.hpp>
-#include <ctl/snapshot/objects.hpp>
 #include <ctl/snapshot/overview.hpp>
 #include <ctl/snapshot/select.hpp>
 

@@ -7,9 +7,10 @@
 #include <base/text/text.hpp>
 #include <ctl/cli/commands.hpp>
 #include <ctl/cli/waiting.hpp>
+#include <ctl/commands/objects.hpp>
 #include <ctl/snapshot/journal.hpp>
 #include <ctl/snapshot/numbers.hpp>
-#include <ctl/snapshot/objects.hpp>
+#include <ctl/snapshot/refusals.hpp>
 #include <ctl/snapshot/select.hpp>
 #include <ctl/snapshot/watch.hpp>
 

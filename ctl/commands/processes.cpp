@@ -6,8 +6,9 @@
 #include <agnocast/error.hpp>
 #include <base/text/text.hpp>
 #include <ctl/cli/commands.hpp>
+#include <ctl/commands/objects.hpp>
 #include <ctl/snapshot/numbers.hpp>
-#include <ctl/snapshot/objects.hpp>
+#include <ctl/snapshot/refusals.hpp>
 #include <ctl/snapshot/select.hpp>
 #include <ctl/snapshot/system.hpp>
 
@@ -155,15 +156,6 @@ Object refusal_object(const wire::DumpRefusal& refusal) {
           {"why", text_of(refusal.why)},
           {"age_ns", refusal.age_ns},
           {"times", refusal.times}};
-}
-
-std::string refusal_words(const wire::DumpRefusal& refusal) {
-  std::string text = std::string(word_of(static_cast<Errc>(refusal.code))) + ": ";
-  if (const std::string topic = text_of(refusal.topic); !topic.empty())
-    text += std::string(refusal.kind == wire::Kind::publisher ? "publisher" : "subscription") +
-            " of " + escaped(topic) + ": ";
-  return text + escaped(text_of(refusal.why)) + " (" + duration_for_people(refusal.age_ns) +
-         " ago" + (refusal.times > 1 ? ", " + std::to_string(refusal.times) + " times" : "") + ")";
 }
 
 Outcome<void> list_processes(const Arguments& arguments, Console& console) {

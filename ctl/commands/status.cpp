@@ -5,7 +5,7 @@
 #include <agnocast/abi/fingerprint.hpp>
 #include <base/text/text.hpp>
 #include <ctl/cli/commands.hpp>
-#include <ctl/snapshot/objects.hpp>
+#include <ctl/commands/objects.hpp>
 #include <ctl/snapshot/system.hpp>
 
 #include <string>

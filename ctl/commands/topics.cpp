@@ -4,8 +4,8 @@
 
 #include <base/text/text.hpp>
 #include <ctl/cli/commands.hpp>
+#include <ctl/commands/objects.hpp>
 #include <ctl/snapshot/numbers.hpp>
-#include <ctl/snapshot/objects.hpp>
 #include <ctl/snapshot/pairs.hpp>
 #include <ctl/snapshot/select.hpp>
 #include <ctl/snapshot/system.hpp>

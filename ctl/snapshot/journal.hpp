@@ -37,14 +37,6 @@ inline std::string text_of(const wire::Name& name) {
   return std::string(name.text, ::strnlen(name.text, sizeof name.text));
 }
 
-/// Returns the whole line: "12:01:33.120 #4711 publisher 3 of /points (lidar, pid 812): ended …".
-std::string line_of(const wire::JournalRecord& record, const Journal& journal);
-/// Returns the same for programs.
-nlohmann::ordered_json record_object(const wire::JournalRecord& record, const Journal& journal);
-/// Return the current time: "12:01:33.120", and "2026-01-31T12:01:33.120Z".
-std::string now_for_people();
-std::string now_for_programs();
-
 /// Selects records; an empty text selects all.
 struct JournalFilter {
   std::string topic;    // its name

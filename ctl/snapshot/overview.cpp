@@ -5,7 +5,7 @@
 #include <agnocast/error.hpp>
 #include <base/text/text.hpp>
 #include <ctl/snapshot/numbers.hpp>
-#include <ctl/snapshot/objects.hpp>
+#include <ctl/snapshot/refusals.hpp>
 #include <ctl/snapshot/select.hpp>
 #include <region/views.hpp>
 

@@ -4,6 +4,7 @@
 // little is known of it, and foreign names cannot write into a terminal. Method: hand-made
 // records; every record type; the important sentences word by word.
 
+#include <ctl/commands/objects.hpp>
 #include <ctl/snapshot/journal.hpp>
 
 #include <gmock/gmock.h>
