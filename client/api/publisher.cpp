@@ -161,7 +161,7 @@ Errc UntypedPublisher::publish(void* message, std::size_t object_bytes,
 
 void UntypedPublisher::make_room() const noexcept {
   if (state() != Errc::ok) return;
-  if (endpoint_->context() == &Context::instance()) [[likely]]
+  if (endpoint_->owner() == &Context::instance()) [[likely]]
     endpoint_->make_room();
   else
     endpoint_->present(endpoint_)->make_room();
@@ -171,7 +171,7 @@ bool UntypedPublisher::has_more_room() const noexcept {
   Context& present = Context::instance();
   bool some = present.has_more_room();
   const auto endpoint = endpoint_->present(endpoint_);
-  if (endpoint->context() != &present) some = endpoint->has_more_room() || some;
+  if (endpoint->owner() != &present) some = endpoint->has_more_room() || some;
   endpoint->lacked_room();
   return some;
 }
@@ -226,9 +226,9 @@ PublishResult UntypedPublisher::publish(BlockCopy& copy) noexcept {
 SharedHeap UntypedPublisher::heap() const noexcept {
   Context& present = Context::instance();
   SharedHeap heap = present.shared_heap();
-  if (endpoint_ == nullptr || endpoint_->context() == &present) [[likely]]
+  if (endpoint_ == nullptr || endpoint_->owner() == &present) [[likely]]
     return heap;
-  Context* const publishes_in = endpoint_->present(endpoint_)->context();
+  Context* const publishes_in = Context::of(*endpoint_->present(endpoint_));
   if (publishes_in == &present) return heap;
   heap.context = publishes_in;
   heap.windows = windows_of_former;

@@ -14,6 +14,7 @@
 #include <base/descriptors/doorbell.hpp>
 #include <client/endpoint/departure.hpp>
 #include <client/endpoint/endpoint_events.hpp>
+#include <client/endpoint/endpoint_owner.hpp>
 #include <client/endpoint/peer.hpp>
 #include <client/process/library_thread.hpp>
 #include <client/shares/descriptor_share.hpp>
@@ -35,8 +36,6 @@
 
 namespace agnocast {
 
-class Context;
-
 class PublisherEndpoint {
  public:
   using Core = dataplane::PublisherCore<SharedMemory>;
@@ -47,7 +46,7 @@ class PublisherEndpoint {
     std::function<void()> wake_control;  // asks the control thread to call run_upkeep(); any
                                          // thread, no allocation
     std::shared_ptr<EndpointEvents> events = {};  // of the endpoint that this one continues
-    Context* context = nullptr;                   // its session
+    EndpointOwner* owner = nullptr;
     std::uint64_t persistent_id = 0;
     bool announces_persistent_id_later = false;
     bool (*make_room_everywhere)() noexcept =
@@ -90,7 +89,7 @@ class PublisherEndpoint {
   ~PublisherEndpoint() = default;
 
   const Core::Identity& identity() const noexcept { return identity_.core; }
-  Context* context() const noexcept { return identity_.context; }
+  EndpointOwner* owner() const noexcept { return identity_.owner; }
   std::uint64_t persistent_id() const noexcept { return identity_.persistent_id; }
   std::uint32_t topic_index() const noexcept { return identity_.topic_index; }
 

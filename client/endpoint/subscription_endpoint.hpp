@@ -21,6 +21,7 @@
 #include <base/clock.hpp>
 #include <client/endpoint/departure.hpp>
 #include <client/endpoint/endpoint_events.hpp>
+#include <client/endpoint/endpoint_owner.hpp>
 #include <client/endpoint/peer.hpp>
 #include <client/process/forked_child.hpp>
 #include <client/process/steps.hpp>
@@ -209,8 +210,6 @@ class Receiver {
   std::size_t wanted_;  // messages
 };
 
-class Context;
-
 class SubscriptionEndpoint {
  public:
   struct Identity {
@@ -227,7 +226,7 @@ class SubscriptionEndpoint {
     std::uint64_t message_alignment = 1;
     std::function<void()> wake_control = {};      // of the session; any thread
     std::shared_ptr<EndpointEvents> events = {};  // of the endpoint that this one continues
-    Context* context = nullptr;                   // its session
+    EndpointOwner* owner = nullptr;
     std::uint64_t persistent_id = 0;
   };
   struct Publisher {
@@ -247,7 +246,7 @@ class SubscriptionEndpoint {
   const Identity& identity() const noexcept { return self_; }
   const WaitSet& wait_set() const noexcept { return *wait_set_; }
   const std::shared_ptr<WaitSet>& shared_wait_set() const noexcept { return wait_set_; }
-  Context* context() const noexcept { return self_.context; }
+  EndpointOwner* owner() const noexcept { return self_.owner; }
 
   // --- control thread
 
@@ -314,7 +313,7 @@ class SubscriptionEndpoint {
   bool add_successor(const std::shared_ptr<SubscriptionEndpoint>& successor);
   /// Returns the endpoint of that session: this one, or a successor; null if there is none.
   std::shared_ptr<SubscriptionEndpoint> in_session(
-      const Context* context, const std::shared_ptr<SubscriptionEndpoint>& self) const;
+      const EndpointOwner* owner, const std::shared_ptr<SubscriptionEndpoint>& self) const;
   std::size_t successor_count() const noexcept;
   /// Returns the successor of the given number, oldest first; null if there are fewer.
   std::shared_ptr<SubscriptionEndpoint> successor(std::size_t number) const noexcept;

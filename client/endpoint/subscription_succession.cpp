@@ -45,11 +45,11 @@ bool SubscriptionEndpoint::add_successor(const std::shared_ptr<SubscriptionEndpo
 }
 
 std::shared_ptr<SubscriptionEndpoint> SubscriptionEndpoint::in_session(
-    const Context* context, const std::shared_ptr<SubscriptionEndpoint>& self) const {
-  if (self_.context == context) return self;
+    const EndpointOwner* owner, const std::shared_ptr<SubscriptionEndpoint>& self) const {
+  if (self_.owner == owner) return self;
   const std::lock_guard lock(mutex_);
   for (const auto& successor : successors_) {
-    if (successor->context() == context) return successor;
+    if (successor->owner() == owner) return successor;
   }
   return nullptr;
 }

@@ -230,8 +230,8 @@ void Context::destroy(const std::shared_ptr<PublisherEndpoint>& publisher,
   if (!is_connected()) return;
   publisher->end();
   const std::shared_ptr<PublisherEndpoint> present = publisher->present(publisher);
-  if (present != publisher) publisher->context()->let_leave(*publisher, end);
-  present->context()->let_leave(*present, end);
+  if (present != publisher) Context::of(*publisher)->let_leave(*publisher, end);
+  Context::of(*present)->let_leave(*present, end);
 }
 
 void Context::destroy(const std::shared_ptr<SubscriptionEndpoint>& subscription,
@@ -241,9 +241,9 @@ void Context::destroy(const std::shared_ptr<SubscriptionEndpoint>& subscription,
   // Newest first: if an old one is removed meanwhile, no other one is skipped.
   for (std::size_t i = subscription->successor_count(); i-- > 0;) {
     if (const auto successor = subscription->successor(i); successor != nullptr)
-      successor->context()->let_leave(*successor, end);
+      Context::of(*successor)->let_leave(*successor, end);
   }
-  subscription->context()->let_leave(*subscription, end);
+  Context::of(*subscription)->let_leave(*subscription, end);
 }
 
 }  // namespace agnocast

@@ -54,11 +54,16 @@ namespace agnocast {
 /// invalid_argument: the value is neither on nor off.
 [[nodiscard]] Result<bool> is_switched_off() noexcept;
 
-class Context {
+class Context : public EndpointOwner {
  public:
   static constexpr Reconnection::Clock::time_point for_ever =
       Reconnection::Clock::time_point::max();
 
+  /// Returns the session of a publisher's or subscription's endpoint.
+  template <class Endpoint>
+  static Context* of(const Endpoint& endpoint) noexcept {
+    return static_cast<Context*>(endpoint.owner());
+  }
   /// Returns the current session of this process. Any thread.
   static Context& instance() noexcept {
     Context* const present = present_.load(std::memory_order_acquire);

@@ -63,7 +63,7 @@ void Reregistration::add(const std::shared_ptr<PublisherEndpoint>& publisher,
     forget(publishers_, [](const Publisher& entry) { return entry.endpoint.expired(); });
     publishers_.push_back({publisher, Request(request), end_message});
   }
-  check_added(publisher->context());
+  check_added(Context::of(*publisher));
 }
 
 void Reregistration::add(const std::shared_ptr<SubscriptionEndpoint>& subscription,
@@ -73,7 +73,7 @@ void Reregistration::add(const std::shared_ptr<SubscriptionEndpoint>& subscripti
     forget(subscriptions_, [](const Subscription& entry) { return entry.endpoint.expired(); });
     subscriptions_.push_back({subscription, Request(request)});
   }
-  check_added(subscription->context());
+  check_added(Context::of(*subscription));
 }
 
 void Reregistration::add(const std::shared_ptr<WaitSet>& wait_set) {
@@ -225,7 +225,7 @@ void Reregistration::abandon_pending(Which which) noexcept {
 // Also moves endpoints that were created meanwhile in a session that is the previous one by now.
 void Reregistration::move_everything(Context& present) {
   // An earlier attempt may have run out of memory, and may have been for another session.
-  abandon_pending([&](const Pending& entry) { return entry.successor->context() != &present; });
+  abandon_pending([&](const Pending& entry) { return entry.successor->owner() != &present; });
   auto look = std::chrono::milliseconds{1};
   auto again = std::chrono::milliseconds{1000};  // after a refusal
   for (bool first = true; !exit_has_begun() && !LibraryThread::is_over(); first = false) {
@@ -322,7 +322,7 @@ Result<void> Reregistration::make_publishers(Context& present) {
   for (const Publisher& entry : all) {
     const auto publisher = entry.endpoint.lock();
     if (publisher == nullptr || publisher->has_ended() ||
-        publisher->present(publisher)->context() == &present ||
+        publisher->present(publisher)->owner() == &present ||
         std::any_of(pending_.begin(), pending_.end(),
                     [&](const Pending& other) { return other.publisher == publisher; }))
       continue;
@@ -347,7 +347,7 @@ bool Reregistration::try_to_move(Context& present, const Pending& pending) {
   if (!publisher->has_ended()) {
     if (!before->is_succeeded_by(*successor) && Clock::now() - since < move_patience) return false;
     if (before->move_to(successor) && before != publisher) publisher->redirect_to(successor);
-    before->context()->wake_control();
+    Context::of(*before)->wake_control();
   }
   if (publisher->has_ended()) AGNOCAST_CRASH_POINT(C_successor_leaves);
   if (publisher->has_ended()) present.let_leave(*successor);  // also if it ended in between
