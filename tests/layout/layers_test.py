@@ -59,6 +59,19 @@ class Layers(unittest.TestCase):
                 problems = self.found(dict(below, **{"region/a.hpp": "", path: line + "\n"}))
                 self.assertEqual([p.split(":")[0] for p in problems], [] if allowed else [path])
 
+    def test_declarations(self):
+        context = {"client/session/context.hpp": "class Context : public Base {\n};\n", "client/heap/a.hpp": "class Other {};\n"}
+        for path, line, allowed in [
+            ("client/endpoint/a.hpp", "class Context;", False),
+            ("client/endpoint/a.hpp", "struct Elsewhere;", True),
+            ("client/session/a.hpp", "class Context;", True),
+            ("client/executors/a.hpp", "class Context;", True),
+            ("include/agnocast/a.hpp", "class Context;", True),
+        ]:
+            with self.subTest(path=path, line=line):
+                problems = self.found(dict(context, **{path: line + "\n"}))
+                self.assertEqual([p.split(":")[0] for p in problems], [] if allowed else [path])
+
     def test_a_folder_without_a_row(self):
         self.assertIn("no room", self.found({"daemon/other/a.cpp": ""})[0])
         self.assertIn("this one is not", self.found({"ctl/other/a.cpp": ""})[0])
