@@ -35,10 +35,12 @@
 #include <unistd.h>
 
 #include <atomic>
+#include <cerrno>
 #include <chrono>
 #include <cstdint>
 #include <cstdio>
 #include <cstdlib>
+#include <cstring>
 #include <deque>
 #include <fstream>
 #include <optional>
@@ -67,7 +69,8 @@ class HonestNode {
     if (what == "watch") return watch(topic);
     if (what == "limit-addresses") return limit_addresses();
     // Without a uid map its uid is the overflow uid, 65534.
-    if (what == "enter-user-namespace") return ::unshare(CLONE_NEWUSER) == 0 ? "ok" : "no";
+    if (what == "enter-user-namespace")
+      return ::unshare(CLONE_NEWUSER) == 0 ? "ok" : std::strerror(errno);
     if (what == "create") return create(topic);
     if (what == "publish_flat") return publish_flat(topic);
     if (what == "publish_bulk") return publish_bulk(topic);
@@ -149,7 +152,7 @@ class HonestNode {
 
   std::string subscribe(const std::string& topic, bool has_begun) {
     subscription_ = create_subscription<Numbered>(
-        node_, topic, QoS(depth), [this, has_begun](ipc_shared_ptr<const Numbered> message) {
+        node(), topic, QoS(depth), [this, has_begun](ipc_shared_ptr<const Numbered> message) {
           const std::uint64_t received = received_.load() + 1;
           if (has_begun && received == 1) missed_ = message->number - 1;
           const std::uint64_t number = missed_ + received;
@@ -172,7 +175,7 @@ class HonestNode {
 
   std::string watch(const std::string& topic) {
     watched_ = create_subscription<Flat>(
-        node_, topic, QoS(100), [this](ipc_shared_ptr<const Flat> message) {
+        node(), topic, QoS(100), [this](ipc_shared_ptr<const Flat> message) {
           const auto at = reinterpret_cast<std::uint64_t>(message.get());
           // Read completely: every message that was handed out has to be readable.
           std::uint64_t sum = 0;
@@ -186,17 +189,23 @@ class HonestNode {
   }
 
   std::string create(const std::string& topic) {
-    auto publisher = try_create_publisher<Flat>(node_, topic, QoS(1));
+    auto publisher = try_create_publisher<Flat>(node(), topic, QoS(1));
     if (!publisher) return sentence_of(publisher.error().code);
-    auto subscription = try_create_subscription<Flat>(node_, topic, QoS(1));
+    auto subscription = try_create_subscription<Flat>(node(), topic, QoS(1));
     return subscription ? "ok" : sentence_of(subscription.error().code);
   }
 
   std::string publish_flat(const std::string& topic) {
-    auto made = try_create_publisher<Flat>(node_, topic, QoS(1));
+    auto made = try_create_publisher<Flat>(node(), topic, QoS(1));
     if (!made) return sentence_of(made.error().code);
     flat_ = *made;
     return "ok";
+  }
+
+  // Made late: a process with threads cannot enter a user namespace.
+  Spun<PlainNode>& node() {
+    if (!node_) node_.emplace();
+    return *node_;
   }
 
   std::string state() const {
@@ -214,7 +223,7 @@ class HonestNode {
     if (thread_.joinable()) thread_.join();
   }
 
-  Spun<PlainNode> node_;
+  std::optional<Spun<PlainNode>> node_;
   std::atomic<std::uint64_t> published_{0}, refused_{0}, received_{0}, wrong_{0};
   std::atomic<std::uint64_t> seen_{0}, low_{~std::uint64_t{0}}, high_{0}, sum_{0};
   std::atomic<const char*> refusal_{""};
