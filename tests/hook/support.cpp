@@ -119,7 +119,7 @@ void run_in_own_process(const char* suite, const char* name) {
   options.preload = !hook_is_linked();
   const std::string filter = std::string("--gtest_filter=") + suite + "." + name;
   const Outcome outcome = run({self, "--in-own-process", filter, "--gtest_brief=1"}, options);
-  if (outcome.output.find("[  SKIPPED ]") != std::string::npos) {
+  if (outcome.exit_status == 0 && outcome.output.find("[  SKIPPED ]") != std::string::npos) {
     // GoogleTest prints the place, and the reason on the next line.
     constexpr std::string_view place = ": Skipped\n";
     const std::size_t at = outcome.output.find(place);

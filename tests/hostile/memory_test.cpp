@@ -8,8 +8,8 @@
 // kernel or one of our changes opens a way, or closes it otherwise, an attempt fails the test.
 
 #include <tests/hostile/hostile_node.hpp>
+#include <tests/support/machine/immutable_memory.hpp>
 
-#include <base/memory/memfd.hpp>
 #include <base/memory/populate.hpp>
 
 #include <fcntl.h>
@@ -321,11 +321,12 @@ TEST_P(HostileMemory, KillsNoReaderByFreeingItsOwnMemory) {
 // others read.
 TEST(HostileHoles, InItsOwnRegionDelayNobody) {
   AGNOCAST_NEEDS_TWO_USERS();
-  if (const auto can = forbid_holes(make_memfd("agnocast-probe", 0).value().get()); !can)
-    GTEST_SKIP() << "holes cannot be forbidden here: " << std::strerror(can.error().os_errno);
+  if (const int error = kernel_refuses_immutable_memory())
+    GTEST_SKIP() << "it needs Linux 6.0 and CAP_LINUX_IMMUTABLE: " << std::strerror(error);
   Stage stage;
   Attacker attacker([&](Attack& attack) {
     HostileNode node(stage.socket_path());
+    EXPECT_TRUE(has_no_holes(node.region_fd()));
     const auto subscription = node.join(Kind::subscription, stream_topic);
     constexpr std::uint64_t much = 256 << 20;
     EXPECT_TRUE(lengthen(node.region_fd(), much));

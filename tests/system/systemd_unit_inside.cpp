@@ -3,7 +3,10 @@
 // Goal: the restrictions of the unit (capabilities, namespaces, file systems) break none of the
 // daemon's tasks, and systemd's journal has the log. Method: as systemd_inside.cpp.
 
+#include <tests/support/machine/immutable_memory.hpp>
 #include <tests/system/systemd_inside.hpp>
+
+#include <cstring>
 
 namespace agnocast::test {
 namespace {
@@ -23,9 +26,8 @@ TEST(Systemd, SeesHowManyMappingsAProcessMayHave) {
 
 // It has the capability for this, where the kernel supports such files.
 TEST(Systemd, ForbidsHolesInRegions) {
-  const auto file = make_memfd("agnocast-probe", 0);
-  ASSERT_TRUE(file);
-  if (!forbid_holes(file->get())) GTEST_SKIP() << "root may not either";
+  if (const int error = kernel_refuses_immutable_memory())
+    GTEST_SKIP() << "it needs Linux 6.0 and CAP_LINUX_IMMUTABLE: " << std::strerror(error);
   ASSERT_TRUE(systemctl("restart", "agnocastd"));
   EXPECT_EQ(said("holes are allowed"), 0u);
 }

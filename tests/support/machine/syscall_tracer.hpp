@@ -45,7 +45,7 @@ class SyscallTracer {
     std::vector<long> calls;  // numbers, in order
   };
 
-  /// Returns when `pid` is traced, or cannot be: see is_tracing().
+  /// Returns when `pid` is traced, or cannot be: see is_tracing() and is_forbidden().
   explicit SyscallTracer(pid_t pid) {
     int ends[2];
     if (::pipe2(ends, O_CLOEXEC) != 0) std::abort();
@@ -55,6 +55,7 @@ class SyscallTracer {
     if (tracer_ == 0) ::_exit(trace(pid, say.get()));
     std::string first;
     is_tracing_ = read_line(first) && first == "tracing";
+    is_forbidden_ = first == "forbidden";
   }
   ~SyscallTracer() {
     ::kill(tracer_, SIGKILL);  // the kernel detaches
@@ -64,6 +65,8 @@ class SyscallTracer {
   SyscallTracer& operator=(const SyscallTracer&) = delete;
 
   bool is_tracing() const noexcept { return is_tracing_; }
+  /// Returns whether this system does not let a process trace another one of its user.
+  bool is_forbidden() const noexcept { return is_forbidden_; }
   /// Returns the next section that ended; empty if none ends within 20 s.
   std::optional<Section> next() {
     std::string line;
@@ -99,7 +102,10 @@ class SyscallTracer {
 
   // Runs in the child. Ends with the traced thread.
   static int trace(pid_t pid, int fd) {
-    if (::ptrace(PTRACE_SEIZE, pid, nullptr, PTRACE_O_TRACESYSGOOD) != 0) return 1;
+    if (::ptrace(PTRACE_SEIZE, pid, nullptr, PTRACE_O_TRACESYSGOOD) != 0) {
+      if (errno == EPERM) say(fd, "forbidden");
+      return 1;
+    }
     if (::ptrace(PTRACE_INTERRUPT, pid, nullptr, nullptr) != 0) return 1;
     bool said = false;
     std::optional<std::string> section;
@@ -132,7 +138,7 @@ class SyscallTracer {
   pid_t tracer_ = -1;
   UniqueFd said_;
   std::string text_;
-  bool is_tracing_ = false;
+  bool is_tracing_ = false, is_forbidden_ = false;
 };
 
 }  // namespace agnocast::test
