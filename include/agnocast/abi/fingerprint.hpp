@@ -365,7 +365,7 @@ constexpr std::uint64_t fingerprint() noexcept {
           Opcode::ask_access, Opcode::access_is, wire::ProcessState::connected,
           wire::ProcessState::orphaned, wire::ProcessState::dead, wire::ProcessState::revoked,
           wire::JournalState::applied, wire::JournalState::pending, wire::JournalState::damaged);
-  sum.add(Opcode::watch_graph, Opcode::graph_changed);
+  sum.add(Opcode::watch_graph, Opcode::graph_changed, Opcode::doorbells_renewed);
   sum.add(Opcode::callback_group, Opcode::callback_thread, Opcode::dump_callback_group,
           Opcode::dump_callback_thread, Opcode::dump_thread_executors, wire::ThreadSetting::no_rule,
           wire::ThreadSetting::due, wire::ThreadSetting::applied, wire::ThreadSetting::not_allowed,

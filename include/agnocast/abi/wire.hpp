@@ -17,13 +17,14 @@
 //   rejoin                Rejoin             rejoined            after the connection was lost
 //   open_window           WindowRequest      window_opened       window (write), window (read)
 //   bring_window          BringWindow        done                (comes with: window (write))
-//   open_wait_set         WaitSetRequest    wait_set_opened     eventfd, datagram socket
+//   open_wait_set         WaitSetRequest     wait_set_opened     eventfd, datagram socket
 //   create_publisher      CreateEndpoint     endpoint_created
 //   create_subscription   CreateEndpoint     endpoint_created
 //   leave                 Reference          done                stop taking or publishing
 //   drained               Reference          done                nothing held, lines zeroed
 //   unlinked              Unlinked           –                   rule RU: unmapped
 //   blocked               Blocked            –                   a range of the arena is occupied
+//   withdrawn             Withdrawn          –                   it no longer serves a subscription
 //   callback_group        CallbackGroup      –                   an executor has it, or no longer
 //   callback_thread       CallbackThread     –                   it spins an executor, or no longer
 //   watch_graph           WatchGraph         graph_changed       graph table (read), if it is another
@@ -42,7 +43,7 @@
 //   notice                Notice             incompatible QoS, type mismatch, …
 //   own                   Own                after rejoined: your endpoint, as the daemon knows it
 //   region                Reference          after rejoined: a region that was announced to you
-//   doorbells_renewed         DoorbellsRenewed       eventfd, datagram socket: a wait set's new doorbells
+//   doorbells_renewed     DoorbellsRenewed   eventfd, datagram socket: a wait set's new doorbells
 //   revoked               Refused            your session is over; the connection ends
 #pragma once
 
