@@ -10,12 +10,12 @@
 //
 // Three numbers decide everything (h = newest sequence, H = history kept for late joiners, D = a
 // subscription's reach):
-//   need  no subscription may ask for an entry below it
-//         min(h-H+1, min over active s of max(low_s, h-D_s+1))
-//   past  no subscription will ever take an entry below it again
-//         min over active and leaving s of low_s
-//   unk   an unmapped endpoint may have started at it, or later
-//         min over unmapped s of since_s
+//   need     no subscription may ask for an entry below it
+//            min(h-H+1, min over active s of max(low_s, h-D_s+1))
+//   past     no subscription will ever take an entry below it again
+//            min over active and leaving s of low_s
+//   unknown  an unmapped endpoint may have started at it, or later
+//            min over unmapped s of since_s
 // A withdrawn endpoint takes no more: it counts in none of them. What it holds counts until it has
 // once held nothing, or is disregarded.
 //

@@ -3,7 +3,7 @@
 // PublisherEndpoint: an untyped publisher: its queue, the subscriptions that it has mapped, and the
 // wait sets that it rings.
 //
-// publish() runs in user threads, scan() also in the control thread, under one private mutex. Two
+// publish() runs in user threads, run_upkeep() in the control thread, under one private mutex. Two
 // things happen outside it. Freed messages are destroyed there: their destructors are user code
 // (after small publishes, not before the next borrow or publish). And the control thread rings the
 // wait sets beyond the first two, so that a wide topic does not cost its publisher one system call

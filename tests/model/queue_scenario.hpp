@@ -520,7 +520,7 @@ class QueueScenario {
   static std::uint64_t windows_of(const W& world, std::uint32_t s) {
     return world.state.window_announced[s] == 2 ? 2 : 1;
   }
-  /// Like Link::is_ready: asking again makes sense once there is another window.
+  /// Like SubscriptionEndpoint::can_take: asking again makes sense once there is another window.
   static bool awaits_window(const W& world, std::uint32_t s, const SubscriptionPrivate& own) {
     return own.link.is_awaiting_window() &&
            machine.remember(windows_of(world, s)) == own.windows_seen;
