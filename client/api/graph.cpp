@@ -34,7 +34,7 @@ using std::chrono::milliseconds;
 // Combines changes, at least: nodes come with a dozen endpoints each.
 constexpr milliseconds gather_time{10};
 // Longer than any useful wait, and short enough to be added to a time.
-constexpr milliseconds patience_max = std::chrono::hours(24 * 365);
+constexpr milliseconds timeout_max = std::chrono::hours(24 * 365);
 // A restarted daemon is back within some ten milliseconds.
 constexpr milliseconds reconnect_interval{50};
 
@@ -131,8 +131,8 @@ class Graph::State {
   State(const State&) = delete;
   State& operator=(const State&) = delete;
 
-  Result<std::optional<GraphSnapshot>> wait(milliseconds patience) {
-    auto table = wait_for_table(patience);
+  Result<std::optional<GraphSnapshot>> wait(milliseconds timeout) {
+    auto table = wait_for_table(timeout);
     if (!table) return tl::unexpected<Failure>(table.error());
     if (*table == nullptr) return std::optional<GraphSnapshot>();
     const Clock::time_point begin = Clock::now();
@@ -144,8 +144,8 @@ class Graph::State {
     gathered_ = end + std::max<Clock::duration>(gather_time, 4 * (end - begin));
     return std::optional(std::move(snapshot));
   }
-  Result<bool> wait_for_news(milliseconds patience) {
-    auto table = wait_for_table(patience);
+  Result<bool> wait_for_change(milliseconds timeout) {
+    auto table = wait_for_table(timeout);
     if (!table) return tl::unexpected<Failure>(table.error());
     if (*table == nullptr) return false;
     const std::uint64_t changes = (*table)->changes();
@@ -160,13 +160,13 @@ class Graph::State {
     auto table = graph_.table();
     if (table == nullptr) return std::nullopt;
     const std::uint64_t now = table->changes();
-    const bool is_anew = looked_at_ != table;
-    if (!is_anew && now == looked_changes_) return std::nullopt;
-    if (is_anew) known_.clear();
+    const bool is_reset = looked_at_ != table;
+    if (!is_reset && now == looked_changes_) return std::nullopt;
+    if (is_reset) known_.clear();
     const Clock::time_point begin = Clock::now();
     try {
       GraphChanges changes = compare(*table, known_);
-      changes.is_anew = is_anew;
+      changes.is_reset = is_reset;
       look_time_.store(Clock::now() - begin, std::memory_order_relaxed);
       looked_at_ = std::move(table);
       looked_changes_ = now;
@@ -192,11 +192,11 @@ class Graph::State {
 
  private:
   /// Sleeps until there is something new, and returns where; null: nothing came.
-  Result<std::shared_ptr<const GraphTable>> wait_for_table(milliseconds patience) {
+  Result<std::shared_ptr<const GraphTable>> wait_for_table(milliseconds timeout) {
     const std::shared_ptr<const GraphTable> nothing;
     if (Result<void> refused = refuse_forked_child(); !refused)
       return tl::unexpected<Failure>(refused.error());
-    const Clock::time_point deadline = Clock::now() + std::min(patience, patience_max);
+    const Clock::time_point deadline = Clock::now() + std::min(timeout, timeout_max);
     if (table_ != nullptr && pause_until(std::min(gathered_, deadline))) return nothing;
     for (;;) {
       if (auto table = changed_table()) return table;
@@ -284,10 +284,12 @@ Graph::~Graph() = default;
 Graph::Graph(Graph&&) noexcept = default;
 Graph& Graph::operator=(Graph&&) noexcept = default;
 
-Result<std::optional<GraphSnapshot>> Graph::wait(milliseconds patience) {
-  return state_->wait(patience);
+Result<std::optional<GraphSnapshot>> Graph::wait(milliseconds timeout) {
+  return state_->wait(timeout);
 }
-Result<bool> Graph::wait_for_news(milliseconds patience) { return state_->wait_for_news(patience); }
+Result<bool> Graph::wait_for_change(milliseconds timeout) {
+  return state_->wait_for_change(timeout);
+}
 std::optional<GraphChanges> Graph::look() { return state_->look(); }
 void Graph::start_over() noexcept { state_->start_over(); }
 void Graph::interrupt() noexcept { state_->interrupt(); }

@@ -247,26 +247,26 @@ std::size_t UntypedPublisher::linked_subscription_count() const noexcept {
   return endpoint_ != nullptr ? endpoint_->subscription_count(Readers::linked) : 0;
 }
 
-bool UntypedPublisher::wait_for_all_acked(Patience patience) const noexcept {
+bool UntypedPublisher::wait_for_all_acked(Timeout timeout) const noexcept {
   if (endpoint_ == nullptr) return true;
   if (state() != Errc::ok) return false;
   // What was published before is in the present endpoint, and in the first one if that has moved.
   const std::shared_ptr<PublisherEndpoint> newest = endpoint_->present(endpoint_);
   const std::uint64_t first_head = endpoint_->head_sequence(), head = newest->head_sequence();
   while (!endpoint_->is_taken(first_head) || !newest->is_taken(head)) {
-    if (!patience.wait() || state() != Errc::ok) return false;
+    if (!timeout.wait() || state() != Errc::ok) return false;
   }
   return true;
 }
 
-bool UntypedPublisher::wait_for_local_links(Patience patience) const noexcept {
+bool UntypedPublisher::wait_for_local_links(Timeout timeout) const noexcept {
   using Readers = PublisherEndpoint::Readers;
   if (endpoint_ == nullptr) return true;
   while (state() == Errc::ok) {
     if (endpoint_->subscription_count(Readers::local_linked) >=
         endpoint_->subscription_count(Readers::local))
       return true;
-    if (!patience.wait()) return false;
+    if (!timeout.wait()) return false;
   }
   return false;
 }
@@ -287,7 +287,7 @@ void UntypedPublisher::tell(std::shared_ptr<Watch> watch) noexcept {
   if (endpoint_ != nullptr) endpoint_->events().tell(std::move(watch));
 }
 
-bool Patience::wait() noexcept {
+bool Timeout::wait() noexcept {
   const auto left = end_ - std::chrono::steady_clock::now();
   if (left <= left.zero()) return false;
   std::this_thread::sleep_for(std::min<std::chrono::steady_clock::duration>(left, step_));

@@ -267,7 +267,7 @@ std::vector<UntypedSubscription::Writer> UntypedSubscription::writers() const {
   return all;
 }
 void UntypedSubscription::look_again() noexcept {
-  if (endpoint_ != nullptr) endpoint_->events().drained();
+  if (endpoint_ != nullptr) endpoint_->events().publisher_exhausted();
 }
 void UntypedSubscription::tell(std::shared_ptr<Watch> watch) noexcept {
   if (endpoint_ != nullptr) endpoint_->events().tell(std::move(watch));

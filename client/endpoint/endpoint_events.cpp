@@ -61,9 +61,9 @@ void EndpointEvents::quota_reached() noexcept {
   changed();
 }
 
-void EndpointEvents::drained() noexcept {
+void EndpointEvents::publisher_exhausted() noexcept {
   const std::lock_guard lock(mutex_);
-  ++now_.drained;
+  ++now_.publisher_exhausted;
   changed();
 }
 
@@ -208,7 +208,7 @@ void EndpointEvents::wake_for(const detail::EventCallbacks& callbacks,
              callbacks.deadline != nullptr,
              callbacks.liveliness_lost != nullptr,
              callbacks.liveliness_changed != nullptr,
-             callbacks.drained != nullptr};
+             callbacks.publisher_exhausted != nullptr};
   wait_set_ = std::move(wait_set);
   changed();
 }
@@ -229,7 +229,8 @@ bool EndpointEvents::look_for_pending() const noexcept {
          (wanted_.liveliness_lost &&
           now_.liveliness_lost != notified_by_callback_.liveliness_lost) ||
          (wanted_.liveliness_changed && liveliness_has_changed()) ||
-         (wanted_.drained && now_.drained != notified_by_callback_.drained);
+         (wanted_.publisher_exhausted &&
+          now_.publisher_exhausted != notified_by_callback_.publisher_exhausted);
 }
 
 void EndpointEvents::changed() noexcept {
@@ -269,9 +270,10 @@ bool EndpointEvents::run_one(const detail::EventCallbacks& callbacks) {
     return run(callbacks.liveliness_lost, liveliness_lost_since(notified_by_callback_));
   if (wanted_.liveliness_changed && liveliness_has_changed())
     return run(callbacks.liveliness_changed, liveliness_since(notified_by_callback_));
-  if (wanted_.drained && now_.drained != notified_by_callback_.drained) {
-    notified_by_callback_.drained = now_.drained;
-    return run([&](bool) { callbacks.drained(); }, true);
+  if (wanted_.publisher_exhausted &&
+      now_.publisher_exhausted != notified_by_callback_.publisher_exhausted) {
+    notified_by_callback_.publisher_exhausted = now_.publisher_exhausted;
+    return run([&](bool) { callbacks.publisher_exhausted(); }, true);
   }
   return false;
 }

@@ -44,7 +44,7 @@ class EndpointEvents {
   void quota_reached() noexcept;
   /// Notes that unread messages of a gone publisher were lost or had expired: a take found nothing
   /// to deliver. Any thread.
-  void drained() noexcept;
+  void publisher_exhausted() noexcept;
   /// Wakes the watch after a move: matches in the newer session count from now on.
   void moved() noexcept;
 
@@ -129,7 +129,7 @@ class EndpointEvents {
     std::uint64_t deadlines = 0;
     std::uint64_t liveliness_lost = 0;
     std::int64_t alive = 0, not_alive = 0;  // now
-    std::uint64_t drained = 0;
+    std::uint64_t publisher_exhausted = 0;
   };
   MatchedInfo matched_since(Counts& notified) const noexcept;
   IncompatibleQosInfo qos_since(Counts& notified) const noexcept;
@@ -164,7 +164,7 @@ class EndpointEvents {
   struct {
     bool matched = false, qos = false, types = false, connections = false, collisions = false,
          quota_reached = false, deadlines = false, liveliness_lost = false,
-         liveliness_changed = false, drained = false;
+         liveliness_changed = false, publisher_exhausted = false;
   } wanted_;
   std::shared_ptr<WaitSet> wait_set_;  // null: no callbacks
   std::shared_ptr<Watch> watch_;

@@ -316,7 +316,7 @@ SubscriptionEndpoint::Attempt SubscriptionEndpoint::take_from(const std::shared_
     note_losses(*link);
     if (!taken) {
       link->is_refused_ |= link->core_.was_refused();
-      if (link->ceased_ && !link->core_.has_news()) events_->drained();
+      if (link->ceased_ && !link->core_.has_news()) events_->publisher_exhausted();
       return attempt;
     }
     link->held_.fetch_add(1, std::memory_order_relaxed);
@@ -346,7 +346,7 @@ void SubscriptionEndpoint::pass_over_expired() noexcept {
     note_losses(*link);
     words.counter(offsetof(abi::SubscriptionCounters, expired))
         .fetch_add(passed, std::memory_order_relaxed);
-    if (link->ceased_ && !link->core_.has_news()) events_->drained();
+    if (link->ceased_ && !link->core_.has_news()) events_->publisher_exhausted();
   }
 }
 

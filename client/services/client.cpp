@@ -40,7 +40,7 @@ class ReplyOptions : public SubscriptionOptions {
     callback_group(group);
     is_serial_ = true;
     events_.matched = [changed](MatchedInfo&) { changed(); };
-    events_.drained = std::move(changed);
+    events_.publisher_exhausted = std::move(changed);
   }
 };
 

@@ -1,6 +1,6 @@
 // SPDX-License-Identifier: Apache-2.0
 //
-// Whether this process is connected to agnocastd. Messages between endpoints that are already
+// State of the connection of this process to agnocastd. Messages between endpoints that are already
 // connected flow in every state. The daemon is needed to match new endpoints, to create endpoints
 // and to enlarge the heap. The library reconnects by itself as soon as the daemon is back.
 #pragma once

@@ -205,7 +205,7 @@ class AGNOCAST_PUBLIC Error : public std::system_error {
   explicit Error(const Failure& failure);
   /// "what: why", as text_of().
   const char* what() const noexcept override { return text_->c_str(); }
-  /// What the user can do about it; static text.
+  /// Returns a remedy for the user; static text.
   const char* remedy() const noexcept { return remedy_of(failure_.code); }
   /// Returns the value this was made from; its `what` is static text.
   const Failure& failure() const noexcept { return failure_; }

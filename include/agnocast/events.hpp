@@ -17,7 +17,7 @@
 
 namespace agnocast {
 
-/// What has come to a subscription: see SubscriptionBase::get_arrivals().
+/// Counts of a subscription's messages: see SubscriptionBase::get_arrivals().
 struct Arrivals {
   std::uint64_t count = 0;
   std::uint64_t unread = 0;
@@ -122,12 +122,12 @@ struct EventCallbacks {
   std::function<void(LivelinessChangedInfo&)> liveliness_changed;  // of a subscription
   /// For services: all unread messages of a dead publisher were read or lost; it sends nothing
   /// more.
-  std::function<void()> drained;
+  std::function<void()> publisher_exhausted;
   explicit operator bool() const noexcept {
     return matched != nullptr || incompatible_qos != nullptr || incompatible_type != nullptr ||
            connection != nullptr || heap_collision != nullptr || hold_quota != nullptr ||
            deadline != nullptr || liveliness_lost != nullptr || liveliness_changed != nullptr ||
-           drained != nullptr;
+           publisher_exhausted != nullptr;
   }
 };
 

@@ -262,13 +262,13 @@ class GenericPublisher : public detail::LendingPublisher<std::byte, detail::Code
   template <class Rep, class Period>
   PublishResult publish_copy_of(const void* message,
                                 std::chrono::duration<Rep, Period> timeout) noexcept {
-    detail::Patience patience(timeout);
+    detail::Timeout limit(timeout);
     auto copy = this->copy_in(*static_cast<const std::byte*>(message));
     for (;;) {
       // publish_copy() keeps it unless it succeeds.
       // NOLINTNEXTLINE(bugprone-use-after-move)
       const PublishResult result = this->publish_copy(std::move(copy));
-      if (result.code != Errc::would_block || !patience.wait()) return result;
+      if (result.code != Errc::would_block || !limit.wait()) return result;
     }
   }
   const MessageMembers& members() const noexcept { return *members_; }

@@ -47,10 +47,10 @@ struct GraphSnapshot {
   std::uint64_t missing = 0;            ///< endpoints that agnocastd had no room for, or no memory
 };
 
-/// What has changed since the last look.
+/// Changes since the last look.
 struct GraphChanges {
   std::uint64_t incarnation = 0;  ///< as in GraphSnapshot
-  bool is_anew = false;           ///< what was known before is void: `added` is the whole state
+  bool is_reset = false;          ///< what was known before is void: `added` is the whole state
   std::vector<EndpointInfo> added;
   std::vector<std::uint64_t> removed;  ///< generations
   std::uint64_t missing = 0;           ///< as in GraphSnapshot
@@ -70,14 +70,14 @@ class AGNOCAST_PUBLIC Graph {
   /// The first call, and the first after an error, returns the present state. Later calls sleep
   /// until something changes and return the whole state again; changes within 10 ms are combined,
   /// also for longer where there are many endpoints, or many processes of one user that watch.
-  /// Returns nothing if nothing has changed for `patience`, or after interrupt(). Cost: reads all
-  /// endpoints, a KiB each. Errors: daemon_not_running (no daemon for `patience`; a restart in that
+  /// Returns nothing if nothing has changed for `timeout`, or after interrupt(). Cost: reads all
+  /// endpoints, a KiB each. Errors: daemon_not_running (no daemon for `timeout`; a restart in that
   /// time is no error); at once those of creating an endpoint: permission_denied, layout_mismatch,
   /// revoked, shut_down (a forked child) and others. Connecting may last five seconds more. The
   /// next call tries again.
-  [[nodiscard]] Result<std::optional<GraphSnapshot>> wait(std::chrono::milliseconds patience);
+  [[nodiscard]] Result<std::optional<GraphSnapshot>> wait(std::chrono::milliseconds timeout);
   /// The same, without reading: returns whether something has changed. For those that look().
-  [[nodiscard]] Result<bool> wait_for_news(std::chrono::milliseconds patience);
+  [[nodiscard]] Result<bool> wait_for_change(std::chrono::milliseconds timeout);
   /// Returns what is new since the last look, for those that keep the state themselves; nothing if
   /// nothing is, or if a wait has not brought the state of this daemon process yet. It asks nobody
   /// and does not sleep. While the connection lasts, the endpoints that this process has created

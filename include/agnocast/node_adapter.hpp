@@ -1,7 +1,7 @@
 // SPDX-License-Identifier: Apache-2.0
 //
-// What the create_… functions take with a node, besides names: options, callback groups and message
-// info of this library, or those of the node's own.
+// NodeAdapter: the types of options, callback groups and message info that the create_… functions
+// take with a node: this library's, or those of the node's own library.
 #pragma once
 
 #include <agnocast/callback_group.hpp>
@@ -32,7 +32,7 @@ struct NodeAdapter {
   using Group = CallbackGroup::SharedPtr;
   using PublisherOptions = core::PublisherOptions;
   using SubscriptionOptions = core::SubscriptionOptions;
-  /// What callbacks may take besides agnocast::MessageInfo.
+  /// A type that callbacks may take besides agnocast::MessageInfo.
   using Info = MessageInfo;
   static const Info& info(const MessageInfo& info) noexcept { return info; }
   static Result<Group> group(const Node&, const Group& named) { return named; }

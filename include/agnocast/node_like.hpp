@@ -75,7 +75,7 @@ template <class Node>
 inline constexpr bool
     is_base_interface<Node, std::void_t<decltype(std::declval<Node&>().get_rcl_node_handle())>> =
         true;
-/// Whether the callbacks of this node type belong to rclcpp's callback groups and executors: an
+/// True if rclcpp's callback groups and executors run the callbacks of this node type: an
 /// rclcpp::Node, a lifecycle node, or the interface that rclcpp's executors take.
 template <class Node>
 inline constexpr bool is_rclcpp_node = has_base_interface<Node> || is_base_interface<Node>;

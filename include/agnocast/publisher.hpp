@@ -61,10 +61,10 @@ AGNOCAST_CORE_END
 namespace detail {
 
 /// Sleeps between attempts, ever longer up to a millisecond, until the timeout.
-class Patience {
+class Timeout {
  public:
   template <class Rep, class Period>
-  explicit Patience(std::chrono::duration<Rep, Period> timeout) noexcept {
+  explicit Timeout(std::chrono::duration<Rep, Period> timeout) noexcept {
     // A year stands for "no limit", and an end that can be computed.
     constexpr auto for_ever = std::chrono::hours(24 * 365);
     end_ = std::chrono::steady_clock::now() +
@@ -160,8 +160,8 @@ class AGNOCAST_PUBLIC UntypedPublisher {
   const MessageType& type() const noexcept { return type_; }
   const std::string& topic() const noexcept { return topic_; }
   const QoS& qos() const noexcept { return qos_; }
-  bool wait_for_all_acked(Patience patience) const noexcept;
-  bool wait_for_local_links(Patience patience) const noexcept;
+  bool wait_for_all_acked(Timeout timeout) const noexcept;
+  bool wait_for_local_links(Timeout timeout) const noexcept;
   std::size_t subscription_count() const noexcept;
   /// Returns how many of these are of this process.
   std::size_t local_subscription_count() const noexcept;
@@ -226,14 +226,14 @@ class PublisherBase {
   bool wait_for_all_acked(
       std::chrono::duration<Rep, Period> timeout = std::chrono::milliseconds(-1)) const noexcept {
     return timeout < timeout.zero()
-               ? untyped_->wait_for_all_acked(detail::Patience(std::chrono::hours::max()))
-               : untyped_->wait_for_all_acked(detail::Patience(timeout));
+               ? untyped_->wait_for_all_acked(detail::Timeout(std::chrono::hours::max()))
+               : untyped_->wait_for_all_acked(detail::Timeout(timeout));
   }
   /// Waits until each matched subscription of this process can take the next message at once, as
   /// it can where DDS matches within a process; usually a millisecond. Returns false if time ran
   /// out, or the session was revoked, or this is a forked child.
   bool wait_for_local_links(std::chrono::nanoseconds timeout) const noexcept {
-    return untyped_->wait_for_local_links(detail::Patience(timeout));
+    return untyped_->wait_for_local_links(detail::Timeout(timeout));
   }
   /// Returns the number of matched subscriptions, which receive messages published from now on.
   /// One counts as soon as its creation has returned, in any process. Costs a look at each place
@@ -365,7 +365,7 @@ class LendingPublisher : public PublisherBase, public Lender<T, Code> {
   PublishResult publish_for(Message&& message,
                             std::chrono::duration<Rep, Period> timeout) noexcept {
     static_assert(!std::is_lvalue_reference_v<Message>, "publish_for(std::move(message), timeout)");
-    Patience patience(timeout);
+    Timeout limit(timeout);
     std::uint64_t adopted_bytes = 0;
     BlockCopy kept(Errc::ok);
     for (;;) {
@@ -373,7 +373,7 @@ class LendingPublisher : public PublisherBase, public Lender<T, Code> {
       // NOLINTNEXTLINE(bugprone-move-forwarding-reference,bugprone-use-after-move)
       PublishResult result = attempt(std::move(message), &kept);
       result.adopted_bytes = adopted_bytes += result.adopted_bytes;
-      if (result.code != Errc::would_block || !patience.wait()) return result;
+      if (result.code != Errc::would_block || !limit.wait()) return result;
     }
   }
 
@@ -516,11 +516,11 @@ class Publisher : public detail::LendingPublisher<T, detail::TypedCode<T>> {
   /// publish_for with a message that the caller keeps: copies it once, however often it retries.
   template <class Rep, class Period>
   PublishResult publish_for(const T& message, std::chrono::duration<Rep, Period> timeout) noexcept {
-    detail::Patience patience(timeout);
+    detail::Timeout limit(timeout);
     auto copy = copy_of(message);
     for (;;) {
       const PublishResult result = this->publish_copy(std::move(copy));
-      if (result.code != Errc::would_block || !patience.wait()) return result;
+      if (result.code != Errc::would_block || !limit.wait()) return result;
     }
   }
   template <class Message, class Rep, class Period,

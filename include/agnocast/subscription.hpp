@@ -145,7 +145,7 @@ class AGNOCAST_PUBLIC UntypedSubscription {
   std::vector<Writer> writers() const;
   /// Registers `watch`, which is notified when matched endpoints change.
   void tell(std::shared_ptr<Watch> watch) noexcept;
-  /// Makes the callback `drained` run again.
+  /// Makes the callback `publisher_exhausted` run again.
   void look_again() noexcept;
 
  private:

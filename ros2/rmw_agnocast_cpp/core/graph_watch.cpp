@@ -76,7 +76,7 @@ void GraphWatch::take(GraphChanges changes) {
   std::erase_if(changes.added,
                 [this](const EndpointInfo& endpoint) { return endpoint.domain != domain_; });
   bool has_changed = incarnation_ != changes.incarnation;
-  if (changes.is_anew) {
+  if (changes.is_reset) {
     decltype(endpoints_) before;
     before.swap(endpoints_);
     has_changed = has_changed || before.size() != changes.added.size();
@@ -85,7 +85,7 @@ void GraphWatch::take(GraphChanges changes) {
   }
   for (const std::uint64_t generation : changes.removed)
     has_changed |= endpoints_.erase(generation) != 0;
-  has_changed |= !changes.is_anew && !changes.added.empty();
+  has_changed |= !changes.is_reset && !changes.added.empty();
   for (EndpointInfo& endpoint : changes.added) {
     const std::uint64_t generation = endpoint.generation;
     endpoints_.insert_or_assign(generation, std::move(endpoint));
@@ -104,7 +104,7 @@ void GraphWatch::run() noexcept {
     bool has_failed = true;
     std::unique_lock lock(mutex_, std::defer_lock);
     try {
-      has_failed = !graph_.wait_for_news(std::chrono::seconds(10));
+      has_failed = !graph_.wait_for_change(std::chrono::seconds(10));
       lock.lock();
       look();
     } catch (const std::bad_alloc&) {

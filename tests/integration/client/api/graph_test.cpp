@@ -150,12 +150,12 @@ TEST_F(GraphTest, ReportsChangesOnly) {
   std::size_t added = 0, states = 0;
   const auto follow_until = [&](std::size_t count) {
     do {
-      const auto news = watch.wait_for_news(patience);
-      ASSERT_TRUE(news && *news);
+      const auto changed = watch.wait_for_change(patience);
+      ASSERT_TRUE(changed && *changed);
       const auto next = watch.look();
       if (!next) continue;  // the last look has seen it
-      if (next->is_anew) known.clear();
-      states += next->is_anew;
+      if (next->is_reset) known.clear();
+      states += next->is_reset;
       for (const std::uint64_t generation : next->removed) EXPECT_EQ(known.erase(generation), 1u);
       for (const EndpointInfo& endpoint : next->added)
         EXPECT_TRUE(known.emplace(endpoint.generation, endpoint.topic).second);
@@ -179,12 +179,12 @@ TEST_F(GraphTest, ReportsChangesOnly) {
   }
   EXPECT_EQ(states, 1u);
   EXPECT_EQ(added, 1u + 55u) << "each once";
-  EXPECT_FALSE(watch.wait_for_news(50ms).value());
+  EXPECT_FALSE(watch.wait_for_change(50ms).value());
   EXPECT_FALSE(watch.look());
   watch.start_over();
   const auto again = watch.look();
   ASSERT_TRUE(again);
-  EXPECT_TRUE(again->is_anew);
+  EXPECT_TRUE(again->is_reset);
   EXPECT_THAT(again->added, SizeIs(1));
   daemon->kill_worker();
   follow_until(1);  // of the next daemon, the same tables
@@ -270,7 +270,7 @@ TEST_F(GraphTest, ANewWatchAfterARestartSeesThePresent) {
   until_there_are(1);
   node.reset();
   daemon->kill_worker();
-  // Nobody waited, so nobody was told.
+  // Nobody waited, so nobody was notified.
   const auto deadline = std::chrono::steady_clock::now() + patience;
   while (Graph().wait(patience).value().value().endpoints.size() != 0)
     ASSERT_LT(std::chrono::steady_clock::now(), deadline);
