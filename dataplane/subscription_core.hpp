@@ -239,7 +239,7 @@ class LinkCore {
     store_cursor();
     return true;
   }
-  /// Returns the stamp of the newest message, 0 if there was none, or it cannot be told. A hint.
+  /// Returns the stamp of the newest message, 0 if there was none, or it is not known. A hint.
   std::uint64_t newest_stamp() const noexcept {
     const std::uint64_t head = newest();
     const std::uint64_t slot = abi::slot_of(head);

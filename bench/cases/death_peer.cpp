@@ -152,7 +152,7 @@ class Peer {
                         double seconds) {
     const std::string who = "publisher dies, " + how + ": ";
     say("step", who + std::to_string(rounds) + " times");
-    Series ended{who + "ended", {}}, notified{who + "its subscription is told", {}},
+    Series ended{who + "ended", {}}, notified{who + "its subscription is notified", {}},
         free{who + "everything free", {}}, meanwhile{who + "longest creation meanwhile", {}};
     for (const std::int64_t end = budget(seconds); rounds > 0 && now_ns() < end; --rounds) {
       const std::uint64_t heard = heard_;
@@ -168,7 +168,7 @@ class Peer {
                          double seconds) {
     const std::string who = "subscriber dies, " + how + ": ";
     say("step", who + std::to_string(rounds) + " times");
-    Series ended{who + "ended", {}}, notified{who + "its publisher is told", {}},
+    Series ended{who + "ended", {}}, notified{who + "its publisher is notified", {}},
         back{who + "the message it held is free", {}}, free{who + "everything free", {}},
         meanwhile{who + "longest creation meanwhile", {}};
     for (const std::int64_t end = budget(seconds); rounds > 0 && now_ns() < end; --rounds) {

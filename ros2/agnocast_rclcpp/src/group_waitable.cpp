@@ -75,7 +75,7 @@ bool GroupWaitable::take_one() noexcept {
 }
 
 void GroupWaitable::execute(WaitableData) {
-  // An events executor does not wait again, so it must be told of what is left.
+  // An events executor does not wait again, so it must be notified of the rest.
   struct Telling {
     GroupWaitable& self;
     ~Telling() {

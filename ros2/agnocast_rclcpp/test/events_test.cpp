@@ -1,8 +1,8 @@
 // SPDX-License-Identifier: Apache-2.0
 //
-// Goal: an executor that builds no wait set, but is told by each source that it is ready, serves
-// each message once and sleeps otherwise. Method: a small one, because Humble has none; it does
-// what rclcpp's events executor does with a waitable.
+// Goal: an executor that builds no wait set, but is notified by each source that it is ready,
+// serves each message once and sleeps otherwise. Method: a small one, because Humble has none; it
+// does what rclcpp's events executor does with a waitable.
 
 #include "test_node.hpp"
 
@@ -111,7 +111,7 @@ TEST_F(EventsTest, EachMessageIsServedOnceAndTheExecutorSleepsOtherwise) {
     std::this_thread::sleep_for(100ms);
     sleeps = executor.event_count() == events;
   }
-  EXPECT_TRUE(sleeps) << "it is told again and again";
+  EXPECT_TRUE(sleeps) << "it is notified again and again";
   EXPECT_EQ(heard, 1100);
   EXPECT_EQ(overlapped, 0);
   second.publish(1);

@@ -1,6 +1,6 @@
 // SPDX-License-Identifier: Apache-2.0
 //
-// GraphWatch: the endpoints of one domain of the host, and who is told when they change. A thread
+// GraphWatch: the endpoints of one domain of the host, and their observers. A thread
 // of its own sleeps until there is something new (agnocast::Graph), and tells of it. A thread that
 // asks for a snapshot looks as well: rcl asks for the endpoints that it has just made.
 #pragma once

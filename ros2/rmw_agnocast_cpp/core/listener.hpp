@@ -51,7 +51,7 @@ class Listener {
 
   /// From now on calls `callback` in the listener's thread, with the signals blocked that the
   /// calling thread blocks now; null ends that. What came before is reported at once, as far as no
-  /// callback was told of it and nobody has taken it. When this function returns, an earlier
+  /// callback was notified of it and nobody has taken it. When this function returns, an earlier
   /// callback of `to` runs no more, unless it is what calls this. `to` must stay until forget().
   /// Errors: as MessageWait::try_create; os_failure: no thread can be started; shut_down: a forked
   /// child, which has no such thread. Throws std::bad_alloc.

@@ -1,6 +1,6 @@
 // SPDX-License-Identifier: Apache-2.0
 //
-// Goal: every process that asks gets the graph table, is told once of the next change and not
+// Goal: every process that asks gets the graph table, is notified once of the next change and not
 // again, whatever the number of such processes, and after the daemon's death gets the table of the
 // next one. Method: raw clients against the real daemon, which map the table themselves.
 

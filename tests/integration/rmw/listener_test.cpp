@@ -1,6 +1,6 @@
 // SPDX-License-Identifier: Apache-2.0
 //
-// Goal: a listener's callbacks are told of each arrival once, whichever thread takes meanwhile, and
+// Goal: a listener's callbacks run for each arrival once, whichever thread takes meanwhile, and
 // none runs after it was replaced. Method: endpoints of this process and the real daemon; counts
 // that must be reached, and threads that replace callbacks while others publish.
 

@@ -60,7 +60,7 @@ struct LookAlikeQos {
   Durability durability() const { return how_durable; }
 };
 
-/// What an rclcpp::QoS can be told.
+/// The calls of an rclcpp::QoS.
 struct ToldQos {
   explicit ToldQos(std::size_t told) : depth(told) {}
   ToldQos& keep_all() { return all = true, *this; }

@@ -1,9 +1,9 @@
 // SPDX-License-Identifier: Apache-2.0
 //
-// Goal: a publisher and a subscription with a deadline are told of each period in which nothing was
-// published, by getters and by callbacks of the executor, and of no other.
-// Method: publishers and subscriptions in this process, with the real daemon. How many periods are
-// over is computed from clocks read before and after.
+// Goal: a publisher and a subscription with a deadline are notified of each period in which nothing
+// was published, by getters and by callbacks of the executor, and of no other. Method: publishers
+// and subscriptions in this process, with the real daemon. How many periods are over is computed
+// from clocks read before and after.
 
 #include <agnocast/agnocast.hpp>
 #include <tests/integration/client/programs/second_process.hpp>

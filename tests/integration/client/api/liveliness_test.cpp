@@ -1,10 +1,10 @@
 // SPDX-License-Identifier: Apache-2.0
 //
 // Goal: a publisher with manual liveliness is alive while it publishes or asserts that within its
-// lease, and both sides are told when that changes; a dead process takes its publishers along at
-// once.
-// Method: publishers and subscriptions in this process, one in another that is killed, with the
-// real daemon. A lease of milliseconds is over when somebody has waited, one of an hour is not.
+// lease, and both sides are notified when that changes; a dead process takes its publishers along
+// at once. Method: publishers and subscriptions in this process, one in another that is killed,
+// with the real daemon. A lease of milliseconds is over when somebody has waited, one of an hour is
+// not.
 
 #include <agnocast/agnocast.hpp>
 #include <tests/integration/client/programs/second_process.hpp>
