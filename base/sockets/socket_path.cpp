@@ -11,11 +11,10 @@ namespace agnocast {
 std::string socket_path() {
   if (const char* named = ::secure_getenv("AGNOCAST_SOCKET"); named != nullptr && *named != '\0')
     return named;
-  constexpr const char* system_socket = "/run/agnocast/agnocastd.sock";
   if (::access(system_socket, F_OK) == 0) return system_socket;
   if (const char* runtime = ::secure_getenv("XDG_RUNTIME_DIR");
       runtime != nullptr && *runtime == '/') {
-    return std::string(runtime) + "/agnocast/agnocastd.sock";
+    return std::string(runtime) + user_socket;
   }
   return system_socket;
 }

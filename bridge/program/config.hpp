@@ -13,6 +13,7 @@
 // config_keys() lists all keys.
 #pragma once
 
+#include <base/domain.hpp>
 #include <base/text/log.hpp>
 #include <bridge/program/bridge.hpp>
 #include <config/mistake.hpp>
@@ -26,9 +27,6 @@
 #include <vector>
 
 namespace agnocast::bridge {
-
-/// DDS has ports for domains up to this one (RTPS 2.3, 9.6.1.1), and ROS has the same limit.
-inline constexpr std::uint32_t domain_max = 232;
 
 using ConfigError = config::Mistake;
 /// One key, for the manual page and the example.

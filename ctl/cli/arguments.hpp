@@ -9,6 +9,8 @@
 // only valid ones.
 #pragma once
 
+#include <base/domain.hpp>
+#include <base/sockets/socket_path.hpp>
 #include <ctl/cli/option.hpp>
 #include <ctl/cli/problem.hpp>
 
@@ -23,13 +25,6 @@
 namespace agnocast::ctl {
 
 struct Command;
-
-/// The socket of the daemon that root starts.
-inline constexpr const char* system_socket = "/run/agnocast/agnocastd.sock";
-/// The socket of any other user's daemon, below $XDG_RUNTIME_DIR.
-inline constexpr const char* user_socket = "/agnocast/agnocastd.sock";
-// ROS 2's own limit; a higher domain has no DDS ports.
-inline constexpr std::uint64_t domain_max = 232;
 
 enum class Json : std::uint8_t { no, compact, pretty };
 

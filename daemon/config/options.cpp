@@ -2,6 +2,7 @@
 
 #include <agnocast/abi/fingerprint.hpp>
 #include <agnocast/version.hpp>
+#include <base/sockets/socket_path.hpp>
 #include <base/sockets/unix_address.hpp>
 #include <base/text/text.hpp>
 #include <daemon/config/options.hpp>
@@ -43,7 +44,7 @@ std::optional<std::string> environment(const char* name) {
 tl::expected<std::string, UsageError> checked(std::string path, const char* what) {
   if (const auto address = unix_address(path); !address) {
     return tl::unexpected(
-        UsageError{what, address.error().what, "agnocastd --socket /run/agnocast/agnocastd.sock"});
+        UsageError{what, address.error().what, std::string("agnocastd --socket ") + system_socket});
   }
   return path;
 }
@@ -181,9 +182,9 @@ tl::expected<std::string, UsageError> choose_socket(const Options& options, cons
   if (options.socket) return checked(*options.socket, "--socket");
   if (around.agnocast_socket) return checked(*around.agnocast_socket, "AGNOCAST_SOCKET");
   if (!config.daemon.socket.empty()) return config.daemon.socket;
-  if (around.euid == 0) return "/run/agnocast/agnocastd.sock";
+  if (around.euid == 0) return system_socket;
   if (around.xdg_runtime_dir)
-    return checked(*around.xdg_runtime_dir + "/agnocast/agnocastd.sock", "XDG_RUNTIME_DIR");
+    return checked(*around.xdg_runtime_dir + user_socket, "XDG_RUNTIME_DIR");
   return tl::unexpected(UsageError{"socket", "not root, and XDG_RUNTIME_DIR is not set",
                                    "agnocastd --socket /path/to/agnocastd.sock"});
 }
