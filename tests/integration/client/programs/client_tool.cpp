@@ -28,6 +28,7 @@
 #include <sys/mman.h>
 #include <unistd.h>
 
+#include <chrono>
 #include <cstdint>
 #include <cstdio>
 #include <deque>
@@ -35,6 +36,7 @@
 #include <memory>
 #include <sstream>
 #include <string>
+#include <thread>
 #include <vector>
 
 namespace agnocast {
@@ -218,17 +220,27 @@ class Tool {
     return "ok";
   }
 
+  /// Returns the next message, all of it in the windows; null: there is no room.
+  std::unique_ptr<Cloud> make_shared(const SharedHeap& heap, std::uint64_t elements) const {
+    // The control thread may not have opened the next window yet.
+    for (int i = 0; i < 1000; ++i) {
+      SharedScope scope(heap);
+      auto cloud = std::make_unique<Cloud>();
+      fill(*cloud, number_ + 1, elements);
+      if (scope.close() == 0) return cloud;
+      cloud.reset();
+      std::this_thread::sleep_for(std::chrono::milliseconds(10));
+    }
+    return nullptr;
+  }
+
   std::string publish(std::istringstream& line) {
     std::uint64_t count = 0, elements = 0;
     line >> count >> elements;
     const SharedHeap heap = Context::instance().shared_heap();
     for (std::uint64_t i = 0; i < count; ++i) {
-      std::unique_ptr<Cloud> cloud;
-      {
-        SharedScope scope(heap);
-        cloud = std::make_unique<Cloud>();
-        fill(*cloud, number_ + 1, elements);
-      }
+      std::unique_ptr<Cloud> cloud = make_shared(heap, elements);
+      if (cloud == nullptr) return "error no room";
       const auto outcome = publisher_->publish(cloud.get(), sizeof(Cloud), sizeof(Cloud));
       if (outcome != dataplane::PublishOutcome::published)
         return "error outcome " + std::to_string(static_cast<int>(outcome));
