@@ -12,7 +12,9 @@
 
 #include <algorithm>
 #include <array>
+#include <chrono>
 #include <cstring>
+#include <thread>
 #include <utility>
 #include <variant>
 #include <vector>
@@ -48,6 +50,17 @@ bool is_reused(const Endpoint* before, const Process& from, const CreateRequest&
 }
 
 }  // namespace
+
+// Of a directory of directories: two, and one for each (proc(5)).
+nlink_t ThreadsOfDaemon::count() {
+  struct stat tasks {};
+  AGNOCAST_CHECK(::stat("/proc/self/task", &tasks) == 0);
+  return tasks.st_nlink;
+}
+
+ThreadsOfDaemon::~ThreadsOfDaemon() {
+  while (count() > before_) std::this_thread::sleep_for(std::chrono::microseconds(100));
+}
 
 DaemonLoop::DaemonLoop()
     : log_(silent_log()),
@@ -86,6 +99,11 @@ void DaemonLoop::run_until_quiet() {
     broker_.tick();
     const bool is_quiet = !hear() && !had_errands && broker_.due_ms() != 0;
     quiet_rounds = is_quiet ? quiet_rounds + 1 : 0;
+  }
+  // Once a second the daemon also revokes processes that seem to hold more than they may.
+  for (Process& process : processes_) {
+    if (process.client && !process.revoked && registry().is_revoked(*process.client))
+      Oracle::revoked(process);
   }
 }
 
@@ -180,9 +198,9 @@ void DaemonLoop::conclude(Process& from, const Request& request, const BroughtWi
   if (std::holds_alternative<wire::Hello>(request)) {
     oracle_.hello_served(from);
   } else if (const auto* const again = std::get_if<wire::Rejoin>(&request)) {
-    // Once a second the daemon revokes processes that seem to hold more than they may.
-    if (from.client && !from.revoked && registry().is_revoked(*from.client)) Oracle::revoked(from);
     oracle_.rejoin_served(from, *again);
+  } else if (from.revoked) {
+    // Whatever it had asked for has ended with its session.
   } else if (std::holds_alternative<wire::WindowRequest>(request)) {
     oracle_.window_served(from);
   } else if (const auto* const former = std::get_if<wire::BringWindow>(&request)) {

@@ -15,6 +15,8 @@
 #include <tests/fuzz/protocol/processes.hpp>
 #include <tests/support/machine/temporary_directory.hpp>
 
+#include <sys/types.h>
+
 #include <cstddef>
 #include <cstdint>
 #include <memory>
@@ -27,6 +29,20 @@ struct BroughtWindow {
   const UniqueFd* fd = nullptr;
   std::uint64_t base = 0;
   std::uint32_t uid = 0;
+};
+
+/// Waits at its end for the threads that have begun meanwhile: a check for leaks takes what they
+/// own for lost.
+class ThreadsOfDaemon {
+ public:
+  ThreadsOfDaemon() = default;
+  ThreadsOfDaemon(const ThreadsOfDaemon&) = delete;
+  ThreadsOfDaemon& operator=(const ThreadsOfDaemon&) = delete;
+  ~ThreadsOfDaemon();
+
+ private:
+  static nlink_t count();
+  nlink_t before_ = count();
 };
 
 class DaemonLoop final {
@@ -62,6 +78,7 @@ class DaemonLoop final {
   bool hear_observer();
   void conclude(Process& from, const Request& request, const BroughtWindow& brought);
 
+  ThreadsOfDaemon threads_;
   test::TemporaryDirectory directory_;
   DescriptorStore store_;
   Log log_;

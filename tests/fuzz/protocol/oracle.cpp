@@ -170,7 +170,7 @@ void Oracle::check_announced(const Process& who, const Endpoint& own,
       if (other.topic != own.topic || other.kind == own.kind || other.left) continue;
       const bool match = do_match(own, number(*who.client), other.qos, number(*process.client));
       AGNOCAST_CHECK(answer_.announced.contains({own.generation, other.generation}) == match);
-      if (in_both_directions && process.connection)
+      if (in_both_directions && process.greeted)
         AGNOCAST_CHECK(answer_.announced.contains({other.generation, own.generation}) == match);
     }
   }
@@ -348,10 +348,8 @@ void Oracle::observer_served(const Request& request) const {
   const auto* const revocation = std::get_if<wire::Revoke>(&request);
   if (revocation == nullptr) return;
   for (Process& process : processes_) {
-    if (process.client && number(*process.client) == revocation->client) {
-      AGNOCAST_CHECK(process.generation == revocation->generation);
-      revoked(process);
-    }
+    if (process.client && number(*process.client) == revocation->client)
+      AGNOCAST_CHECK(process.generation == revocation->generation && process.revoked);
   }
 }
 
