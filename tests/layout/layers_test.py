@@ -60,10 +60,15 @@ class Layers(unittest.TestCase):
                 self.assertEqual([p.split(":")[0] for p in problems], [] if allowed else [path])
 
     def test_declarations(self):
-        context = {"client/session/context.hpp": "class Context : public Base {\n};\n", "client/heap/a.hpp": "class Other {};\n"}
+        context = {"client/session/context.hpp": "class Context : public Base {\n};\n", "client/session/aligned.hpp": "struct alignas(64) Aligned {\n};\n"}
         for path, line, allowed in [
             ("client/endpoint/a.hpp", "class Context;", False),
             ("client/endpoint/a.hpp", "struct Elsewhere;", True),
+            ("client/endpoint/a.hpp", "namespace agnocast { class Context; }", False),
+            ("client/endpoint/a.hpp", "template <class T> class Context;", False),
+            ("client/endpoint/a.hpp", "  friend class Context;", False),
+            ("client/endpoint/a.hpp", "  class Context;", True),
+            ("client/endpoint/a.hpp", "class Aligned;", False),
             ("client/session/a.hpp", "class Context;", True),
             ("client/executors/a.hpp", "class Context;", True),
             ("include/agnocast/a.hpp", "class Context;", True),
