@@ -28,6 +28,7 @@
 #include <client/connection/connection.hpp>
 #include <client/connection/reconnection.hpp>
 #include <client/connection/registration.hpp>
+#include <client/endpoint/endpoint_owner.hpp>
 #include <client/endpoint/endpoint_table.hpp>
 #include <client/endpoint/peer_table.hpp>
 #include <client/endpoint/publisher_endpoint.hpp>

@@ -1,6 +1,6 @@
 // SPDX-License-Identifier: Apache-2.0
 //
-// Goal: the daemon may die at any step of its start, be it the first one, the format of an
+// Goal: the daemon may die at any step of its start, be it the first one, the formatting of an
 // incarnation, or a continuation. Method: as daemon_restart_test.cpp, with a daemon that dies at
 // the n-th crash point, for n = 1, 2, 3 … until it survives.
 
@@ -86,9 +86,9 @@ TEST(DaemonRestart, MayDieAtAnyStepOfItsContinuation) {
   EXPECT_GT(deaths, 60u);
 }
 
-// The same with the format of an incarnation: the store is useless without the board, so the
+// The same with the formatting of an incarnation: the store is useless without the board, so the
 // next daemon releases it and begins with nothing. Wherever that daemon dies, the one after it
-// founds one incarnation, keeps exactly the descriptors of it, and serves.
+// formats one incarnation, keeps exactly the descriptors of it, and serves.
 TEST(DaemonRestart, MayDieAtAnyStepOfFormatting) {
   if (::geteuid() != 0) GTEST_SKIP() << "needs root";
   const unsigned deaths = deaths_of([](CrashControl& control, std::uint64_t n, bool& survived) {
@@ -121,7 +121,7 @@ TEST(DaemonRestart, MayDieAtAnyStepOfFormatting) {
     pair.exchange();
     EXPECT_EQ(daemon.log().find("damaged"), std::string::npos) << daemon.log();
   });
-  std::printf("died at %u steps of the format\n", deaths);
+  std::printf("died at %u steps of formatting\n", deaths);
   EXPECT_GT(deaths, 15u);
 }
 

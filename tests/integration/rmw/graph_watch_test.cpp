@@ -82,7 +82,7 @@ TEST_F(GraphWatches, HaveOneDomain) {
   ASSERT_TRUE(eventually([&] { return count(here, topic) == 1; }));
   EXPECT_EQ(count(elsewhere, topic), 0);
   ASSERT_TRUE(eventually([&] { return changes == 1; })) << "its first state";
-  // A change of its domain would be notified with the second of these at the latest: both watches
+  // A change of its domain would be reported with the second of these at the latest: both watches
   // are woken for each.
   for (int i = 0; i < 2; ++i) {
     const int before = changes_here;

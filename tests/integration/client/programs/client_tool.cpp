@@ -221,9 +221,10 @@ class Tool {
   }
 
   /// Returns the next message, all of it in the windows; null: there is no room.
-  std::unique_ptr<Cloud> make_shared(const SharedHeap& heap, std::uint64_t elements) const {
+  std::unique_ptr<Cloud> make_shared(std::uint64_t elements) const {
     // The control thread may not have opened the next window yet.
     for (int i = 0; i < 1000; ++i) {
+      const SharedHeap heap = Context::instance().shared_heap();
       SharedScope scope(heap);
       auto cloud = std::make_unique<Cloud>();
       fill(*cloud, number_ + 1, elements);
@@ -237,9 +238,8 @@ class Tool {
   std::string publish(std::istringstream& line) {
     std::uint64_t count = 0, elements = 0;
     line >> count >> elements;
-    const SharedHeap heap = Context::instance().shared_heap();
     for (std::uint64_t i = 0; i < count; ++i) {
-      std::unique_ptr<Cloud> cloud = make_shared(heap, elements);
+      std::unique_ptr<Cloud> cloud = make_shared(elements);
       if (cloud == nullptr) return "error no room";
       const auto outcome = publisher_->publish(cloud.get(), sizeof(Cloud), sizeof(Cloud));
       if (outcome != dataplane::PublishOutcome::published)
