@@ -31,8 +31,28 @@
 
 #include <fuzzer/FuzzedDataProvider.h>
 
+#include <sys/socket.h>
+#include <unistd.h>
+
 #include <cstddef>
 #include <cstdint>
+#include <cstdio>
+#include <cstdlib>
+
+extern "C" int LLVMFuzzerInitialize(int*, char***) {
+  // Before that the sender of a packet has to be the process that connected; here one process sends
+  // for all.
+  constexpr int so_peerpidfd = 77;
+  int ends[2], process = -1;
+  socklen_t bytes = sizeof process;
+  if (::socketpair(AF_UNIX, SOCK_SEQPACKET | SOCK_CLOEXEC, 0, ends) != 0 ||
+      ::getsockopt(ends[0], SOL_SOCKET, so_peerpidfd, &process, &bytes) != 0) {
+    std::puts("SKIPPED: SO_PEERPIDFD needs Linux 6.5");
+    std::exit(77);
+  }
+  for (const int fd : {ends[0], ends[1], process}) ::close(fd);
+  return 0;
+}
 
 extern "C" int LLVMFuzzerTestOneInput(const std::uint8_t* data, std::size_t size) {
   using namespace agnocast::daemon::fuzz;

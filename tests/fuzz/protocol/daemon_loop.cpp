@@ -9,11 +9,12 @@
 #include <base/sockets/answer_packet.hpp>
 
 #include <sys/stat.h>
+#include <unistd.h>
 
 #include <algorithm>
 #include <array>
 #include <chrono>
-#include <cstring>
+#include <set>
 #include <thread>
 #include <utility>
 #include <variant>
@@ -81,7 +82,9 @@ DaemonLoop::DaemonLoop()
 
 bool DaemonLoop::has_errands() const {
   using Lane = Errands::Lane;
-  for (const std::uint32_t uid : {0u, 1u}) {
+  std::set<std::uint32_t> uids{::geteuid()};
+  for (const Process& process : processes_) uids.insert(process.uid);
+  for (const std::uint32_t uid : uids) {
     if (closings_->waiting(Lane::receiving, uid) != 0) return true;
     for (const Lane lane : {Lane::looking, Lane::freeing, Lane::clearing, Lane::scheduling}) {
       if (errands_->waiting(lane, uid) != 0) return true;
@@ -92,6 +95,11 @@ bool DaemonLoop::has_errands() const {
 
 // A round may end with an answer of an errand that the next one finds.
 void DaemonLoop::run_until_quiet() {
+  std::array<bool, 5> were_greeted{}, were_revoked{};
+  for (std::size_t i = 0; i < processes_.size(); ++i) {
+    were_greeted[i] = processes_[i].greeted;
+    were_revoked[i] = processes_[i].revoked;
+  }
   for (int quiet_rounds = 0; quiet_rounds < 2;) {
     const bool had_errands = has_errands();
     AGNOCAST_CHECK(dispatcher_.wait(had_errands ? 1 : 0).has_value());
@@ -100,10 +108,26 @@ void DaemonLoop::run_until_quiet() {
     const bool is_quiet = !hear() && !had_errands && broker_.due_ms() != 0;
     quiet_rounds = is_quiet ? quiet_rounds + 1 : 0;
   }
-  // Once a second the daemon also revokes processes that seem to hold more than they may.
+  judge_revocations(were_greeted, were_revoked);
   for (Process& process : processes_) {
-    if (process.client && !process.revoked && registry().is_revoked(*process.client))
+    if (std::exchange(process.hung_up, false)) AGNOCAST_CHECK(process.revoked || &process == asks_);
+  }
+}
+
+// A process without a connection does not hear of it. Nobody has to ask where a process seems to
+// hold more than it may: stores and lost connections bring that about. But the daemon looks for
+// seconds first (daemon/death/hold_watch.hpp).
+void DaemonLoop::judge_revocations(const std::array<bool, 5>& were_greeted,
+                                   const std::array<bool, 5>& were_revoked) {
+  constexpr std::chrono::seconds looks_at_least{4};
+  for (std::size_t i = 0; i < processes_.size(); ++i) {
+    Process& process = processes_[i];
+    if (process.client && !process.revoked && registry().is_revoked(*process.client)) {
+      AGNOCAST_CHECK(!were_greeted[i]);
       Oracle::revoked(process);
+    }
+    if (process.revoked && !were_revoked[i] && number(*process.client) != is_revoking_)
+      AGNOCAST_CHECK(std::chrono::steady_clock::now() - begin_ >= looks_at_least);
   }
 }
 
@@ -122,6 +146,7 @@ bool DaemonLoop::hear(Process& process) {
     heard = true;
     if (!packet || packet->kind == Packet::Kind::end) {
       close(process);
+      process.hung_up = true;
       break;
     }
     AGNOCAST_CHECK(!packet->truncated && !packet->descriptors_lost);
@@ -156,8 +181,9 @@ bool DaemonLoop::hear_observer() {
 
 bool DaemonLoop::connect(Process& process) {
   if (!process.running) {
-    process.uid = static_cast<std::uint32_t>(&process - processes_.data()) % 2;
-    process.running = std::make_unique<PeerProcess>(process.uid);
+    process.running =
+        std::make_unique<PeerProcess>(static_cast<uid_t>(&process - processes_.data()) % 2);
+    process.uid = process.running->uid();
   }
   process.connection = process.running->connect(listener_.path());
   run_until_quiet();
@@ -185,22 +211,34 @@ void DaemonLoop::serve(Process& from, std::span<const std::byte> packet, std::si
   }
   // A process that has a place comes back with `rejoin`. With another `hello` it would have two.
   if (std::holds_alternative<wire::Hello>(request) && from.client && !from.revoked) return;
-  oracle_.expect_answer();
+  if (std::holds_alternative<wire::Observe>(request)) return;  // it would be another observer
+  oracle_.expect_answer(&from, request_id_of(request));
   const std::vector<int> fds(fd_count, fd_count == 0 ? -1 : brought.fd->get());
   const auto sent = from.connection.send(packet, fds);
-  if (!sent || *sent != Sent::sent) return;  // it takes no descriptors now, or has ended
+  if (!sent || *sent != Sent::sent) return;  // it takes no descriptors now
+  const bool was_revoked = from.revoked;
+  asks_ = &from;
   run_until_quiet();
-  conclude(from, request, brought);
+  asks_ = nullptr;
+  // What it has asked for has ended with its session.
+  if (from.revoked == was_revoked) {
+    const auto* const rejected = std::get_if<Rejected>(&request);
+    const bool may_hang_up =
+        fd_count != 0 || (rejected != nullptr && rejected->ends_connection) || from.revoked;
+    AGNOCAST_CHECK(from.connection || may_hang_up);
+    if (!may_hang_up) oracle_.check_answered(request);
+    conclude(from, request, brought);
+  }
   oracle_.end_answer();
+  // A process that may not come back tries again on another connection.
+  if (from.client && !from.greeted && from.connection) disconnect(from);
 }
 
 void DaemonLoop::conclude(Process& from, const Request& request, const BroughtWindow& brought) {
-  if (std::holds_alternative<wire::Hello>(request)) {
-    oracle_.hello_served(from);
+  if (const auto* const hello = std::get_if<wire::Hello>(&request)) {
+    oracle_.hello_served(from, *hello);
   } else if (const auto* const again = std::get_if<wire::Rejoin>(&request)) {
     oracle_.rejoin_served(from, *again);
-  } else if (from.revoked) {
-    // Whatever it had asked for has ended with its session.
   } else if (std::holds_alternative<wire::WindowRequest>(request)) {
     oracle_.window_served(from);
   } else if (const auto* const former = std::get_if<wire::BringWindow>(&request)) {
@@ -216,8 +254,6 @@ void DaemonLoop::conclude(Process& from, const Request& request, const BroughtWi
   } else if (const auto* const unlinked = std::get_if<wire::Unlinked>(&request)) {
     oracle_.unlinked(from, *unlinked);
   }
-  // A process that may not come back tries again on another connection.
-  if (from.client && !from.greeted && from.connection) disconnect(from);
 }
 
 // --- the observer's packets
@@ -229,11 +265,16 @@ void DaemonLoop::connect_observer() {
 
 void DaemonLoop::serve_observer(std::span<const std::byte> packet) {
   if (!observer_) connect_observer();
-  oracle_.expect_answer();
+  const Request request = decode(packet, {}, Role::observer);
+  oracle_.expect_answer(nullptr, 0);
   const auto sent = observer_.send(packet);
-  if (!sent || *sent != Sent::sent) return;
+  AGNOCAST_CHECK(sent && *sent == Sent::sent);
+  if (const auto* const revocation = std::get_if<wire::Revoke>(&request))
+    is_revoking_ = revocation->client;
   run_until_quiet();
-  if (observer_) oracle_.observer_served(decode(packet, {}, Role::observer));
+  is_revoking_.reset();
+  AGNOCAST_CHECK(static_cast<bool>(observer_));
+  oracle_.observer_served(request);
   oracle_.end_answer();
 }
 

@@ -1,8 +1,9 @@
 // SPDX-License-Identifier: Apache-2.0
 //
 // Daemon loop: agnocastd's broker with its listener, threads and loop, inside this process. It has
-// small tables, quotas as by default, and no rule. The processes connect to it; the oracle sees
-// each packet that they receive, and which answer a request got.
+// small tables, the default quotas but for dumps, and no rule. The processes connect to it; the
+// oracle sees each packet that they receive. The end of a connection and an end of a session that
+// nobody asked for are judged here.
 //
 // Each input gets a new one.
 #pragma once
@@ -17,9 +18,12 @@
 
 #include <sys/types.h>
 
+#include <array>
+#include <chrono>
 #include <cstddef>
 #include <cstdint>
 #include <memory>
+#include <optional>
 #include <span>
 
 namespace agnocast::daemon::fuzz {
@@ -71,6 +75,8 @@ class DaemonLoop final {
   [[nodiscard]] bool connect(Process& process);
   static void close(Process& process);
   void run_until_quiet();
+  void judge_revocations(const std::array<bool, 5>& were_greeted,
+                         const std::array<bool, 5>& were_revoked);
   bool has_errands() const;
   /// Reads what the daemon has sent. Returns whether there was anything.
   bool hear();
@@ -90,6 +96,9 @@ class DaemonLoop final {
   Processes processes_;
   Oracle oracle_{processes_};
   PacketSocket observer_;
+  const Process* asks_ = nullptr;             // a process whose request is being served
+  std::optional<std::uint64_t> is_revoking_;  // the client that the observer has named
+  std::chrono::steady_clock::time_point begin_ = std::chrono::steady_clock::now();
 };
 
 }  // namespace agnocast::daemon::fuzz

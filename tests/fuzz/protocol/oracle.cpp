@@ -70,8 +70,27 @@ bool is_about(const wire::Unlinked& statement, const Notified& notified) {
 
 // --- what the daemon sends
 
+void Oracle::hear_answer(const Process& to, const wire::Header& header) {
+  AGNOCAST_CHECK(&to == answer_.from && header.request == answer_.id);
+  ++answer_.count;
+}
+
 void Oracle::hear(Process& to, const Heard& packet) {
-  switch (header_of(packet).opcode) {
+  const wire::Header header = header_of(packet);
+  switch (header.opcode) {
+    case Opcode::welcome:
+    case Opcode::rejoined:
+    case Opcode::refused:
+    case Opcode::window_opened:
+    case Opcode::wait_set_opened:
+    case Opcode::endpoint_created:
+    case Opcode::done:
+      hear_answer(to, header);
+      break;
+    default:
+      break;
+  }
+  switch (header.opcode) {
     case Opcode::welcome: {
       answer_.welcome = read<wire::Welcome>(packet);
       AGNOCAST_CHECK(packet.fds.size() == 2);  // board and region
@@ -133,8 +152,9 @@ void Oracle::hear(Process& to, const Heard& packet) {
 
 // Others may know a window before its owner does.
 void Oracle::end_answer() {
-  for (const Answer::NewWindow& one : answer_.windows)
-    one.notified->windows[one.owner].push_back(one.window);
+  for (const Answer::NewWindow& one : answer_.windows) {
+    if (!one.notified->revoked) one.notified->windows[one.owner].push_back(one.window);
+  }
 }
 
 void Oracle::hear_announcement(Process& to, const wire::Announcement& body, std::size_t fd_count) {
@@ -189,8 +209,23 @@ void Oracle::hear_own(const Process& to, const wire::Own& body) {
 
 // --- the answer to a request
 
-void Oracle::hello_served(Process& who) const {
-  if (!answer_.welcome) return;
+void Oracle::check_answered(const Request& request) const {
+  const bool is_statement = std::holds_alternative<wire::Unlinked>(request) ||
+                            std::holds_alternative<wire::Blocked>(request) ||
+                            std::holds_alternative<wire::Withdrawn>(request) ||
+                            std::holds_alternative<wire::CallbackGroup>(request) ||
+                            std::holds_alternative<wire::CallbackThread>(request) ||
+                            std::holds_alternative<wire::WatchGraph>(request);
+  AGNOCAST_CHECK(answer_.count == 1 || (is_statement && answer_.count == 0));
+}
+
+void Oracle::hello_served(Process& who, const wire::Hello& request) const {
+  if (!answer_.welcome) {
+    AGNOCAST_CHECK(request.fingerprint != abi::fingerprint() || who.revoked ||
+                   answer_.refused == Errc::limit_reached ||
+                   answer_.refused == Errc::quota_exceeded);
+    return;
+  }
   AGNOCAST_CHECK(!who.revoked);
   const std::uint64_t client = answer_.welcome->client;
   for (const Process& process : processes_) {

@@ -33,15 +33,22 @@ class Oracle {
     std::span<const std::byte> bytes;
     std::span<const UniqueFd> fds;
   };
-  /// A request is about to be served: forgets the previous answer.
-  void expect_answer() { answer_ = {}; }
+  /// A request of a process, or (null) of the observer, is about to be served: forgets the previous
+  /// answer. `id`: of the request.
+  void expect_answer(const Process* from, std::uint64_t id) {
+    answer_ = {};
+    answer_.from = from;
+    answer_.id = id;
+  }
   void hear(Process& to, const Heard& packet);
   void hear_observer(Opcode body) { answer_.observed.push_back(body); }
   /// All that follows from the request was heard and judged.
   void end_answer();
 
   // --- the answer to a request
-  void hello_served(Process& who) const;
+  /// Checks that the request has got one answer, or none where it needs none.
+  void check_answered(const Request& request) const;
+  void hello_served(Process& who, const wire::Hello& request) const;
   void rejoin_served(Process& who, const wire::Rejoin& request) const;
   void window_served(Process& who) const;
   /// `is_its_own`: whether the window that came with the request is the one it claims.
@@ -61,6 +68,9 @@ class Oracle {
  private:
   /// What was heard since the request.
   struct Answer {
+    const Process* from = nullptr;
+    std::uint64_t id = 0;
+    std::size_t count = 0;
     bool done = false, rejoined = false;
     std::optional<Errc> refused;
     std::optional<wire::Welcome> welcome;
@@ -78,6 +88,8 @@ class Oracle {
     std::size_t own_count = 0;  // endpoints reported to a process that has come back
   };
 
+  /// Checks that an answer is the one that is expected, and counts it.
+  void hear_answer(const Process& to, const wire::Header& header);
   void hear_announcement(Process& to, const wire::Announcement& body, std::size_t fd_count);
   void hear_own(const Process& to, const wire::Own& body);
   void check_welcome_back(const Process& who) const;

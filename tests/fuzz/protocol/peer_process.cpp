@@ -1,7 +1,7 @@
 // SPDX-License-Identifier: Apache-2.0
 //
 // Peer process: see the header. It has this process's thread-local data, errno among it, so it runs
-// only system calls, and only while this process waits for them or for nothing.
+// system calls alone, which fail only where a later one would not be understood either.
 
 #include <tests/fuzz/protocol/peer_process.hpp>
 
@@ -17,10 +17,10 @@
 #include <sys/wait.h>
 #include <unistd.h>
 
-#include <atomic>
 #include <cerrno>
 #include <climits>
 #include <csignal>
+#include <cstdint>
 #include <new>
 #include <utility>
 
@@ -29,23 +29,24 @@
 
 namespace agnocast::daemon::fuzz {
 
-/// Shared by both. `given` and `done` count orders: to connect `socket`.
+/// Shared by both. `given` and `done` count orders: to connect `socket`. Words for the compiler's
+/// atomics: members of std::atomic are sanitized functions in a build without optimisation.
 struct PeerProcess::Orders {
   static constexpr std::size_t stack_bytes = 64 * 1024;
 
-  std::atomic<std::uint32_t> given{0}, done{0};
+  std::uint32_t given = 0, done = 0;
   uid_t uid = 0;
   int socket = -1;
   UnixAddress address;
   bool connected = false;
   alignas(64) char stack[stack_bytes];
 
-  NOT_SANITIZED static void wait(std::atomic<std::uint32_t>& word, std::uint32_t while_it_is) {
-    while (word.load() == while_it_is)
+  NOT_SANITIZED static void wait(std::uint32_t& word, std::uint32_t while_it_is) {
+    while (__atomic_load_n(&word, __ATOMIC_SEQ_CST) == while_it_is)
       ::syscall(SYS_futex, &word, FUTEX_WAIT, while_it_is, nullptr, nullptr, 0);
   }
-  NOT_SANITIZED static void advance(std::atomic<std::uint32_t>& word) {
-    ++word;
+  NOT_SANITIZED static void advance(std::uint32_t& word) {
+    __atomic_fetch_add(&word, 1, __ATOMIC_SEQ_CST);
     ::syscall(SYS_futex, &word, FUTEX_WAKE, INT_MAX, nullptr, nullptr, 0);
   }
   NOT_SANITIZED static int run(void* shared);
@@ -53,8 +54,10 @@ struct PeerProcess::Orders {
 
 int PeerProcess::Orders::run(void* shared) {
   Orders& orders = *static_cast<Orders*>(shared);
-  // Not setresuid(3), which would tell the threads of this process.
+  // Not setresuid(3), which would change the threads of this process as well. It may not in a user
+  // namespace without that uid.
   if (::syscall(SYS_geteuid) == 0) ::syscall(SYS_setresuid, orders.uid, orders.uid, orders.uid);
+  orders.uid = static_cast<uid_t>(::syscall(SYS_geteuid));
   ::syscall(SYS_prctl, PR_SET_PDEATHSIG, SIGKILL, 0, 0, 0);  // after the change, which resets it
   for (std::uint32_t number = 0;; ++number) {
     advance(orders.done);
@@ -78,6 +81,8 @@ PeerProcess::PeerProcess(uid_t uid) {
   ::prctl(PR_SET_DUMPABLE, 1);
 }
 
+uid_t PeerProcess::uid() const { return orders_->uid; }
+
 PeerProcess::~PeerProcess() {
   ::kill(pid_, SIGKILL);
   while (::waitpid(pid_, nullptr, 0) < 0 && errno == EINTR) {
@@ -90,7 +95,7 @@ PacketSocket PeerProcess::connect(const std::string& path) {
   AGNOCAST_CHECK(static_cast<bool>(socket));
   orders_->socket = socket.get();
   orders_->address = unix_address(path).value();
-  const std::uint32_t before = orders_->done;
+  const std::uint32_t before = __atomic_load_n(&orders_->done, __ATOMIC_SEQ_CST);
   Orders::advance(orders_->given);
   Orders::wait(orders_->done, before);
   AGNOCAST_CHECK(orders_->connected);

@@ -9,7 +9,6 @@
 
 #include <sys/types.h>
 
-#include <cstdint>
 #include <string>
 
 namespace agnocast::daemon::fuzz {
@@ -23,6 +22,8 @@ class PeerProcess {
   /// Kills it and waits for its end.
   ~PeerProcess();
 
+  /// Returns its user: that of this process where it may not have another one.
+  uid_t uid() const;
   /// Connects to the listener at `path`: its end knows this process, not ours.
   PacketSocket connect(const std::string& path);
 

@@ -65,6 +65,7 @@ struct Process {
   PacketSocket connection;               // none after it has ended
   std::uint64_t packet_count = 0;        // received on it
   bool greeted = false;                  // on it
+  bool hung_up = false;                  // the daemon has ended it
   Mapping region;                        // its own
   std::optional<ClientIndex> client;
   std::uint64_t generation = 0;

@@ -176,7 +176,7 @@ void Scenario::say_open_window(Process& process) {
 
 BroughtWindow Scenario::draw_former_window(const Process& process) {
   const std::uint64_t base = arena_base + up_to(window_count - 1) * window_bytes;
-  const std::uint32_t uid = rarely() ? 1 - process.uid : process.uid;
+  const std::uint32_t uid = rarely() ? process.uid ^ 1 : process.uid;
   return {&former_window(base, uid), base, uid};
 }
 
