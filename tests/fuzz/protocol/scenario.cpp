@@ -223,7 +223,7 @@ void Scenario::say_create(Process& process) {
   const bool publisher = kind % 2 == 1;
   qos.ignore_local = publisher ? kind == 15 : kind >= 10;
   body.qos = abi::pack_qos(qos);
-  body.topic = name_of("/" + std::to_string(up_to(1)));
+  body.topic = name_of("/t" + std::to_string(up_to(1)));
   body.type = name_of("type");
   std::uint64_t id = 0;
   if (!process.own.empty() && up_to(15) == 0) id = process.own.back().creation;
