@@ -181,8 +181,13 @@ TEST(Client, TheHeapGrowsUnderAReader) {
   ASSERT_EQ(publisher.ask("pub /grow 1"), "ok");
   for (int round = 1; round <= 12; ++round) {
     ASSERT_EQ(publisher.ask("publish 1 " + std::to_string(100000 * round)), "ok");
-    ASSERT_EQ(subscriber.ask("wait 10000"), "news");
-    ASSERT_EQ(subscriber.ask("take"), std::to_string(round));
+    // A take finds nothing while its process does not know the window yet; then it is woken again.
+    std::string taken = "none";
+    for (int i = 0; i < 3 && taken == "none"; ++i) {
+      ASSERT_EQ(subscriber.ask("wait 10000"), "news");
+      taken = subscriber.ask("take");
+    }
+    ASSERT_EQ(taken, std::to_string(round));
     if (round % 3 == 0) {
       for (int i = 0; i < 3; ++i) ASSERT_EQ(subscriber.ask("release"), "ok");
     }
