@@ -145,17 +145,15 @@ TEST_F(HeapReturns, ASpikeBesideTrafficThatKeepsItsMemory) {
       for (int i = 0; i < 10; ++i) go_on();
       return returned > 0 && returned == before_that;
     })) << "the purge has an end";
-    // The traffic uses a few places in turn. Where a busy machine makes a turn longer than memory
-    // may be idle, some of them are returned.
-    Clock::duration longest{};
-    auto last = Clock::now();
-    for (const auto end = last + std::chrono::seconds(8); last < end;) {
-      go_on();
-      const auto now = Clock::now();
-      longest = std::max(longest, now - std::exchange(last, now));
+    // The traffic uses a few places in turn. On a busy machine it uses more of them for a moment;
+    // those are idle afterwards, and returned.
+    bool keeps = false;
+    for (int i = 0; i < 2 && !keeps; ++i) {
+      const std::uint64_t before_that = usage().punch_count;
+      for (const auto end = Clock::now() + 8s; Clock::now() < end;) go_on();
+      keeps = usage().punch_count == before_that;
     }
-    EXPECT_TRUE(usage().punch_count == returned || longest >= std::chrono::milliseconds(300))
-        << "nothing that the traffic frees and takes again: " << usage().punch_count - returned;
+    EXPECT_TRUE(keeps) << "memory that the traffic frees and takes again";
   }));
 }
 
