@@ -4,7 +4,8 @@
 // daemon into a wrong state. Method: the input is a list of steps of five processes of two users,
 // which connect to the broker of agnocastd in this process, with its listener, its threads and its
 // quotas. An oracle beside it knows only the packets: what each process was notified of and has
-// not acknowledged.
+// not acknowledged. From the tables it learns only of a revocation that a process without a
+// connection cannot hear of.
 //   rule RU   no place, extent, process index or window is reused while a process that was
 //             notified of the previous one has not acknowledged its end
 //   board     agrees with the tables about every endpoint
