@@ -95,7 +95,7 @@ bool DaemonLoop::has_errands() const {
 
 // A round may end with an answer of an errand that the next one finds.
 void DaemonLoop::run_until_quiet() {
-  std::array<bool, 5> were_greeted{}, were_revoked{};
+  Flags were_greeted{}, were_revoked{};
   for (std::size_t i = 0; i < processes_.size(); ++i) {
     were_greeted[i] = processes_[i].greeted;
     were_revoked[i] = processes_[i].revoked;
@@ -117,8 +117,7 @@ void DaemonLoop::run_until_quiet() {
 // A process without a connection does not hear of it. Nobody has to ask where a process seems to
 // hold more than it may: stores and lost connections bring that about. But the daemon looks for
 // seconds first (daemon/death/hold_watch.hpp).
-void DaemonLoop::judge_revocations(const std::array<bool, 5>& were_greeted,
-                                   const std::array<bool, 5>& were_revoked) {
+void DaemonLoop::judge_revocations(const Flags& were_greeted, const Flags& were_revoked) {
   constexpr std::chrono::milliseconds looks_at_least{3'900};  // four seconds, by rounded clocks
   for (std::size_t i = 0; i < processes_.size(); ++i) {
     Process& process = processes_[i];

@@ -75,8 +75,8 @@ class DaemonLoop final {
   [[nodiscard]] bool connect(Process& process);
   static void close(Process& process);
   void run_until_quiet();
-  void judge_revocations(const std::array<bool, 5>& were_greeted,
-                         const std::array<bool, 5>& were_revoked);
+  using Flags = std::array<bool, std::tuple_size_v<Processes>>;  // one for each process
+  void judge_revocations(const Flags& were_greeted, const Flags& were_revoked);
   bool has_errands() const;
   /// Reads what the daemon has sent. Returns whether there was anything.
   bool hear();
