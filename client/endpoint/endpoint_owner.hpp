@@ -3,8 +3,8 @@
 
 namespace agnocast {
 
-/// What an endpoint belongs to: a session of this process (client/session/), which outlives it. An
-/// endpoint only tells it from another one.
+/// The session (client/session/) that an endpoint belongs to. It outlives the endpoint, which only
+/// tells it from another one.
 class EndpointOwner {
  protected:
   EndpointOwner() = default;

@@ -1,7 +1,7 @@
 // SPDX-License-Identifier: Apache-2.0
 //
-// Peer process: see the header. It has this process's thread-local data, errno among it, so it runs
-// system calls alone, which fail only where a later one would not be understood either.
+// Peer process: see the header. It has this process's thread-local data, so it makes system calls
+// and nothing else. One that fails overwrites this process's errno.
 
 #include <tests/fuzz/protocol/peer_process.hpp>
 
