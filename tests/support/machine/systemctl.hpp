@@ -3,23 +3,18 @@
 // Units of a systemd, as a user sees them, for programs that run inside of systemd_machine.sh.
 #pragma once
 
+#include <tests/support/processes/shell.hpp>
+
 #include <sys/types.h>
 
-#include <array>
-#include <cstdio>
 #include <cstdlib>
-#include <memory>
 #include <string>
 
 namespace agnocast::test {
 
 /// Runs a command in a shell. Returns what it wrote, without newlines at the end.
 inline std::string output_of(const std::string& command) {
-  const std::unique_ptr<std::FILE, int (*)(std::FILE*)> pipe(::popen(command.c_str(), "re"),
-                                                             &::pclose);
-  std::string text;
-  std::array<char, 256> part{};
-  while (std::fgets(part.data(), part.size(), pipe.get()) != nullptr) text += part.data();
+  std::string text = run_in_shell(command).text;
   while (!text.empty() && text.back() == '\n') text.pop_back();
   return text;
 }

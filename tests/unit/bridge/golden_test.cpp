@@ -8,6 +8,7 @@
 #include <bridge/cdr/cdr.hpp>
 #include <bridge/dds/names.hpp>
 #include <tests/support/messages/random_message.hpp>
+#include <tests/support/processes/shell.hpp>
 #include <tests/unit/bridge/golden_sample.hpp>
 #include <tests/unit/bridge/pieces.hpp>
 
@@ -18,7 +19,6 @@
 #endif
 
 #include <algorithm>
-#include <cstdio>
 #include <functional>
 #include <map>
 #include <sstream>
@@ -163,15 +163,10 @@ std::map<std::string, Bytes> big_endian_bytes() {
   for (const auto& folder : {test::own_samples(), test::recorded_samples()}) {
     if (!folder.empty()) command += " '" + folder.string() + "'";
   }
-  std::string lines;
-  if (std::FILE* const output = ::popen(command.c_str(), "r")) {
-    char part[4096];
-    while (const std::size_t count = std::fread(part, 1, sizeof part, output))
-      lines.append(part, count);
-    EXPECT_EQ(::pclose(output), 0) << command;
-  }
+  const auto encoded = test::run_in_shell(command);
+  EXPECT_EQ(encoded.status, 0) << command;
   std::map<std::string, Bytes> all;
-  std::istringstream words(lines);
+  std::istringstream words(encoded.text);
   for (std::string name, hex; words >> name >> hex;) all[name] = test::bytes_of_hex(hex);
   return all;
 }

@@ -3,6 +3,8 @@
 // Goal: remedies are safe commands whatever names they contain, and the doctor names exactly one
 // reason why the daemon is out of reach. Method: the functions alone, with invented facts.
 
+#include <tests/support/processes/shell.hpp>
+
 #include <agnocast/error.hpp>
 #include <ctl/doctor/doctor_facts.hpp>
 
@@ -11,10 +13,8 @@
 #include <unistd.h>
 
 #include <cerrno>
-#include <cstdio>
 #include <filesystem>
 #include <fstream>
-#include <memory>
 #include <stdexcept>
 #include <string>
 #include <string_view>
@@ -23,12 +23,9 @@ namespace agnocast::ctl {
 namespace {
 
 std::string said_by_shell(const std::string& word) {
-  std::FILE* const shell =
-      ::popen(("bash -c \"$(cat <<'END'\nprintf %s " + word + "\nEND\n)\"").c_str(), "r");
-  std::string said;
-  for (int c = 0; shell != nullptr && (c = std::fgetc(shell)) != EOF;) said += static_cast<char>(c);
-  EXPECT_EQ(::pclose(shell), 0) << word;
-  return said;
+  const auto said = test::run_in_shell("bash -c \"$(cat <<'END'\nprintf %s " + word + "\nEND\n)\"");
+  EXPECT_EQ(said.status, 0) << word;
+  return said.text;
 }
 
 TEST(DoctorFill, QuotesAnyTextAsOneWord) {

@@ -9,13 +9,13 @@
 #include <agnocast/abi/fingerprint.hpp>
 #include <tests/support/machine/raised_limits.hpp>
 #include <tests/support/processes/daemon_process.hpp>
+#include <tests/support/processes/shell.hpp>
 #include <tests/support/wire/listen_at.hpp>
 #include <tests/support/wire/proxy_without_descriptors.hpp>
 #include <tests/support/wire/wire_client.hpp>
 
 #include <gtest/gtest.h>
 #include <sys/resource.h>
-#include <sys/wait.h>
 #include <unistd.h>
 
 #include <array>
@@ -31,27 +31,15 @@ namespace {
 constexpr const char* small_windows =
     "[daemon]\nsocket_mode = \"0666\"\n[heap]\nwindow_bytes = \"64MiB\"\narena_bytes = \"64GiB\"\n";
 
-struct Outcome {
-  int status;
-  std::string text;  // stdout and stderr
-};
-
 /// Runs the node with these arguments; `environment` beside AGNOCAST_SOCKET.
-Outcome node(const std::string& socket, const std::string& arguments,
-             const std::string& environment = "LD_PRELOAD=" AGNOCAST_HOOK) {
+ShellResult node(const std::string& socket, const std::string& arguments,
+                 const std::string& environment = "LD_PRELOAD=" AGNOCAST_HOOK) {
   const std::string command = "timeout 60 env AGNOCAST_SOCKET=" + socket + " " + environment +
                               " " AGNOCAST_NODE " " + arguments + " 2>&1";
-  std::FILE* const pipe = ::popen(command.c_str(), "r");
-  Outcome outcome{-1, {}};
-  std::array<char, 4096> buffer;
-  while (pipe != nullptr && std::fgets(buffer.data(), buffer.size(), pipe) != nullptr)
-    outcome.text += buffer.data();
-  const int status = pipe != nullptr ? ::pclose(pipe) : -1;
-  outcome.status = WIFEXITED(status) ? WEXITSTATUS(status) : -1;
-  return outcome;
+  return run_in_shell(command);
 }
-Outcome node(const DaemonProcess& daemon, const std::string& arguments,
-             const std::string& environment = "LD_PRELOAD=" AGNOCAST_HOOK) {
+ShellResult node(const DaemonProcess& daemon, const std::string& arguments,
+                 const std::string& environment = "LD_PRELOAD=" AGNOCAST_HOOK) {
   return node(daemon.socket_path(), arguments, environment);
 }
 
@@ -60,13 +48,13 @@ std::string replaced(const std::string& text, const std::string& pattern, const 
 }
 
 /// Expects status 1 and exactly these two lines, spelt "program: what: why" and "hint: command".
-void expect_refusal(const Outcome& outcome, const std::string& why, Errc code) {
+void expect_refusal(const ShellResult& outcome, const std::string& why, Errc code) {
   EXPECT_EQ(outcome.status, 1);
   EXPECT_EQ(outcome.text, std::string("node: ") + sentence_of(code) + ": " + why +
                               "\nhint: " + remedy_of(code) + "\n");
 }
 /// The same for publish, which answers with a code.
-void expect_unpublished(const Outcome& outcome, Errc code) {
+void expect_unpublished(const ShellResult& outcome, Errc code) {
   EXPECT_EQ(outcome.status, 1);
   EXPECT_EQ(outcome.text, std::string("node: publish: ") + sentence_of(code) +
                               "\nhint: " + remedy_of(code) + "\n");
@@ -86,7 +74,7 @@ TEST(BadInput, AnIneffectiveHookIsNamedWithTheLibraryInItsPlace) {
   DaemonProcess daemon;
   const char* const why = "malloc comes from " AGNOCAST_OTHER_MALLOC ", not from " AGNOCAST_HOOK;
   const char* const preload = "LD_PRELOAD=" AGNOCAST_OTHER_MALLOC ":" AGNOCAST_HOOK;
-  const Outcome once = node(daemon, "pub", preload);
+  const ShellResult once = node(daemon, "pub", preload);
   expect_refusal(once, why, Errc::hook_ineffective);
   EXPECT_EQ(node(daemon, "insist pub", preload).text, once.text + once.text)
       << "the next attempt gets the same text";
@@ -108,7 +96,7 @@ TEST(BadInput, ADaemonThatDoesNotRunIsNamedWithItsSocket) {
 TEST(BadInput, AStoppedDaemonIsWaitedForAndNamed) {
   DaemonProcess daemon;
   ASSERT_EQ(::kill(daemon.pid(), SIGSTOP), 0);
-  const Outcome outcome = node(daemon, "sub");
+  const ShellResult outcome = node(daemon, "sub");
   ::kill(daemon.pid(), SIGCONT);
   expect_refusal(outcome, daemon.socket_path() + ": no answer from agnocastd within 5 s",
                  Errc::daemon_not_running);
@@ -159,7 +147,7 @@ TEST(BadInput, BothSidesReportAnotherLayout) {
     ASSERT_TRUE(answer);
     ASSERT_TRUE((*library)->send(std::span(buffer).first(answer->bytes)));
   });
-  const Outcome outcome = node(path, "sub");
+  const ShellResult outcome = node(path, "sub");
   between.join();
   char ours[32];
   std::snprintf(ours, sizeof ours, "0x%016jx", std::uintmax_t{abi::fingerprint()});
@@ -195,7 +183,7 @@ TEST(BadInput, ATypeMismatchIsReportedToBothSidesAndInTheLog) {
     return replaced(replaced(text, "process [0-9]+", "process PID"),
                     "test/Text \\(layout 0x[0-9a-f]{16}\\)", "test/Text (layout HASH)");
   };
-  Outcome outcome = node(daemon, "topic=/typed sub");
+  ShellResult outcome = node(daemon, "topic=/typed sub");
   const std::string why =
       "test/Text (layout HASH) is asked for by process PID, "
       "test/Other (layout 0x0000000000000abc) is the type of /typed";
@@ -211,7 +199,7 @@ TEST(BadInput, ATypeMismatchIsReportedToBothSidesAndInTheLog) {
 
 TEST(BadInput, TheSameTypeWithAnotherLayoutIsNamedWithBothHashes) {
   DaemonProcess daemon;
-  Outcome outcome = node(daemon, "topic=/typed pub type=wide pub");
+  ShellResult outcome = node(daemon, "topic=/typed pub type=wide pub");
   std::smatch hashes;
   ASSERT_TRUE(std::regex_search(outcome.text, hashes,
                                 std::regex("layout (0x[0-9a-f]{16}).*layout (0x[0-9a-f]{16})")))
@@ -362,7 +350,7 @@ TEST(BadInput, AMovedFromOrForeignLoanIsRefused) {
 
 TEST(BadInput, AForkedChildGetsAnErrorAndTheParentsLoanStaysValid) {
   DaemonProcess daemon;
-  const Outcome outcome = node(daemon, "pub fork");
+  const ShellResult outcome = node(daemon, "pub fork");
   EXPECT_EQ(outcome.status, 0);
   const std::string sentence = sentence_of(Errc::shut_down), remedy = remedy_of(Errc::shut_down);
   EXPECT_EQ(
@@ -384,7 +372,7 @@ TEST(BadInput, ASubscriberThatLocksItsMemoryUnderALimitWorks) {
   });
   EXPECT_TRUE(daemon.wait_for_log("endpoint created kind=subscription"));
   EXPECT_EQ(node(daemon, "pub publish=1000000").text, "published, 0 bytes adopted\n");
-  const Outcome outcome = subscriber.get();
+  const ShellResult outcome = subscriber.get();
   EXPECT_EQ(outcome.status, 0);
   EXPECT_EQ(outcome.text, "received 1000000 bytes\n");
 }
@@ -403,7 +391,7 @@ TEST(BadInput, ASubscriberThatLocksItsMemoryAndHasMappingsInTheArenaWorks) {
   });
   EXPECT_TRUE(daemon.wait_for_log("endpoint created kind=subscription"));
   EXPECT_EQ(node(daemon, "pub publish=1000000").text, "published, 0 bytes adopted\n");
-  const Outcome outcome = subscriber.get();
+  const ShellResult outcome = subscriber.get();
   EXPECT_EQ(outcome.status, 0);
   EXPECT_EQ(outcome.text, "received 1000000 bytes\n");
 }
@@ -415,7 +403,7 @@ TEST(BadInput, APublisherThatLocksItsMemoryUnderALimitWorks) {
   if (limit.rlim_max < (64u << 20) && !may_raise_limits())
     GTEST_SKIP() << "needs a hard limit of 64 MiB of locked memory, or CAP_SYS_RESOURCE";
   DaemonProcess daemon;
-  const Outcome outcome =
+  const ShellResult outcome =
       node(daemon, "memlock=67108864 uid=65534 lock sub pub publish=5000000 take=5000000");
   EXPECT_EQ(outcome.status, 0);
   EXPECT_EQ(outcome.text, "published, 0 bytes adopted\nreceived 5000000 bytes\n");
@@ -424,7 +412,7 @@ TEST(BadInput, APublisherThatLocksItsMemoryUnderALimitWorks) {
 TEST(BadInput, ALockLimitThatIsTooSmallIsNamedWithItsValueAndTheNeed) {
   if (::geteuid() != 0) GTEST_SKIP() << "needs root to drop the right to lock any amount";
   DaemonProcess daemon;
-  Outcome outcome = node(daemon, "memlock=8388608 uid=65534 lock pub");
+  ShellResult outcome = node(daemon, "memlock=8388608 uid=65534 lock pub");
   outcome.text = replaced(outcome.text, "[0-9]+ are locked", "N are locked");
   expect_refusal(outcome,
                  "RLIMIT_MEMLOCK is 8388608 bytes, N are locked and 27262976 more are needed",
@@ -448,7 +436,7 @@ TEST(BadInput, AnyLimitOfAddressesIsEnoughOrNamed) {
   ASSERT_EQ(run(enough).text, "published, 0 bytes adopted\nreceived 5000000 bytes\n");
   while (enough - too_small > mib) {
     const std::uint64_t limit = (enough + too_small) / 2;
-    Outcome outcome = run(limit);
+    ShellResult outcome = run(limit);
     (outcome.status == 0 ? enough : too_small) = limit;
     if (outcome.status == 0) continue;
     outcome.text = replaced(outcome.text, "[0-9]+ more", "N more");

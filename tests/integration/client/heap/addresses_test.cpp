@@ -13,14 +13,13 @@
 #include <tests/support/processes/client_tool.hpp>
 #include <tests/support/processes/daemon_process.hpp>
 #include <tests/support/processes/plain_node.hpp>
+#include <tests/support/processes/shell.hpp>
 
 #include <gmock/gmock.h>
 
 #include <unistd.h>
 
-#include <array>
 #include <cstdint>
-#include <cstdio>
 #include <cstdlib>
 #include <deque>
 #include <future>
@@ -198,14 +197,7 @@ namespace {
 
 /// Returns the output of a bad_input_node that subscribes and gets one message.
 std::string read_one(const std::string& arguments) {
-  std::FILE* const pipe =
-      ::popen(("timeout 60 " AGNOCAST_NODE " " + arguments + " 2>&1").c_str(), "r");
-  std::array<char, 256> buffer;
-  std::string text;
-  while (pipe != nullptr && std::fgets(buffer.data(), buffer.size(), pipe) != nullptr)
-    text += buffer.data();
-  if (pipe != nullptr) ::pclose(pipe);
-  return text;
+  return test::run_in_shell("timeout 60 " AGNOCAST_NODE " " + arguments + " 2>&1").text;
 }
 
 // Either its object lies in the previous window, or the object lies in the new one and its target

@@ -5,12 +5,10 @@
 // Method: run them as a user would, against the real daemon; check exit status and text.
 
 #include <tests/support/processes/daemon_process.hpp>
+#include <tests/support/processes/shell.hpp>
 
 #include <gmock/gmock.h>
-#include <sys/wait.h>
 
-#include <array>
-#include <cstdio>
 #include <cstdlib>
 #include <fstream>
 #include <future>
@@ -23,20 +21,8 @@ namespace {
 using testing::HasSubstr;
 using testing::MatchesRegex;
 
-struct Outcome {
-  int status;
-  std::string text;  // stdout and stderr
-};
-
-Outcome run(const std::string& command) {
-  std::FILE* const pipe = ::popen(("timeout 60 " + command + " 2>&1").c_str(), "r");
-  Outcome outcome{-1, {}};
-  std::array<char, 4096> buffer;
-  while (pipe != nullptr && std::fgets(buffer.data(), buffer.size(), pipe) != nullptr)
-    outcome.text += buffer.data();
-  const int status = pipe != nullptr ? ::pclose(pipe) : -1;
-  outcome.status = WIFEXITED(status) ? WEXITSTATUS(status) : -1;
-  return outcome;
+test::ShellResult run(const std::string& command) {
+  return test::run_in_shell("timeout 60 " + command + " 2>&1");
 }
 
 std::string example(const std::string& name, const test::DaemonProcess& daemon, bool with_hook) {
@@ -55,26 +41,26 @@ TEST(Examples, EveryCloudArrivesIntactAtTwoSubscribers) {
   ASSERT_TRUE(
       daemon.wait_for_log("endpoint created kind=subscription topic=/points "
                           "type=sensor_msgs/msg/PointCloud2 client=1"));
-  const Outcome published = run(example("cloud_publisher", daemon, true) +
-                                " --count 40 --rate 200 --points 20000 --verbose");
+  const test::ShellResult published = run(example("cloud_publisher", daemon, true) +
+                                          " --count 40 --rate 200 --points 20000 --verbose");
   EXPECT_EQ(published.status, 0) << published.text;
   EXPECT_THAT(published.text, HasSubstr("published 40: 400000 bytes, 0 adopted"));
   for (auto* subscriber : {&first, &second}) {
-    const Outcome received = subscriber->get();
+    const test::ShellResult received = subscriber->get();
     EXPECT_EQ(received.status, 0) << received.text;
     EXPECT_THAT(received.text, HasSubstr("40 received, 0 wrong, 0 lost"));
   }
 }
 
 /// Publishes `published`, and a subscriber that expects `expected` checks three clouds of it.
-Outcome replay(const std::string& published, const std::string& expected) {
+test::ShellResult replay(const std::string& published, const std::string& expected) {
   test::DaemonProcess daemon({.config = "", .uid = {}, .arguments = {"--log-level", "debug"}});
   auto subscriber = std::async(std::launch::async, [&] {
     return run(example("cloud_subscriber", daemon, false) + " --count 3 --scan " + expected);
   });
   EXPECT_TRUE(daemon.wait_for_log("endpoint created kind=subscription topic=/points"));
-  const Outcome publisher = run(example("cloud_publisher", daemon, true) +
-                                " --count 3 --rate 100 --verbose --scan " + published);
+  const test::ShellResult publisher = run(example("cloud_publisher", daemon, true) +
+                                          " --count 3 --rate 100 --verbose --scan " + published);
   EXPECT_EQ(publisher.status, 0) << publisher.text;
   EXPECT_THAT(publisher.text, HasSubstr("published 3: "));
   EXPECT_THAT(publisher.text, HasSubstr(" bytes, 0 adopted"));
@@ -95,10 +81,10 @@ TEST(Examples, AReplayedScanIsComparedWithTheFile) {
   const std::string directory = test::make_directory();
   const std::string scan = scan_file(directory, "scan", 0),
                     other = scan_file(directory, "other", 1);
-  const Outcome same = replay(scan, scan);
+  const test::ShellResult same = replay(scan, scan);
   EXPECT_EQ(same.status, 0) << same.text;
   EXPECT_THAT(same.text, HasSubstr("3 received, 0 wrong"));
-  const Outcome different = replay(scan, other);
+  const test::ShellResult different = replay(scan, other);
   EXPECT_EQ(different.status, 1) << different.text;
   EXPECT_THAT(different.text, HasSubstr("3 received, 3 wrong"));
   test::remove_directory(directory);
@@ -118,14 +104,15 @@ TEST(Examples, AScanOfKittiHasFourFields) {
   EXPECT_EQ(replay(four, four).status, 0);
   EXPECT_EQ(replay(four, four + " --fields 4").status, 0);
   EXPECT_EQ(replay(either + " --fields 4", either + " --fields 4").status, 0);
-  const Outcome other = replay(either + " --fields 4", either + " --fields 5");
+  const test::ShellResult other = replay(either + " --fields 4", either + " --fields 5");
   EXPECT_EQ(other.status, 1) << "the same bytes, but other points";
   EXPECT_THAT(other.text, HasSubstr("3 received, 3 wrong"));
   EXPECT_EQ(replay(neither + " --fields 3", neither + " --fields 3").status, 0);
 
   test::DaemonProcess daemon;
   const auto refused = [&](const std::string& arguments) {
-    const Outcome outcome = run(example("cloud_publisher", daemon, true) + " --scan " + arguments);
+    const test::ShellResult outcome =
+        run(example("cloud_publisher", daemon, true) + " --scan " + arguments);
     EXPECT_NE(outcome.status, 0) << arguments;
     return outcome.text;
   };
@@ -140,16 +127,17 @@ TEST(Examples, ARealLidarScanArrivesIntact) {
   const char* const directory = std::getenv("AGNOCAST_DATA_DIR");
   if (directory == nullptr) GTEST_SKIP() << "AGNOCAST_DATA_DIR is not set";
   const std::string scan = std::string(directory) + "/lidar_top_nuscenes.bin";
-  const Outcome received = replay(scan + " --fields 5", scan + " --fields 5");
+  const test::ShellResult received = replay(scan + " --fields 5", scan + " --fields 5");
   EXPECT_EQ(received.status, 0) << received.text;
 }
 
 #if AGNOCAST_HAS_ADD_TWO_INTS
 TEST(Examples, TwoIntsAreAdded) {
   test::DaemonProcess daemon;
-  const Outcome both = run("sh -c '" + example("add_two_ints_server", daemon, true) +
-                           " & server=$!; " + example("add_two_ints_client", daemon, true) +
-                           " -7 49 || exit 8; kill -TERM $server; wait $server || exit 9'");
+  const test::ShellResult both =
+      run("sh -c '" + example("add_two_ints_server", daemon, true) + " & server=$!; " +
+          example("add_two_ints_client", daemon, true) +
+          " -7 49 || exit 8; kill -TERM $server; wait $server || exit 9'");
   EXPECT_EQ(both.status, 0) << both.text;
   EXPECT_THAT(both.text, HasSubstr("Ready to add two ints.\n"));
   EXPECT_THAT(both.text, HasSubstr("Incoming request: a: -7 b: 49, sending back: 42\n"));
@@ -158,7 +146,7 @@ TEST(Examples, TwoIntsAreAdded) {
 
 TEST(Examples, AddTwoIntsPrintsItsUsage) {
   for (const char* name : {"add_two_ints_server", "add_two_ints_client"}) {
-    const Outcome help = run(std::string(AGNOCAST_EXAMPLES "/") + name + " --help");
+    const test::ShellResult help = run(std::string(AGNOCAST_EXAMPLES "/") + name + " --help");
     EXPECT_EQ(help.status, 0) << help.text;
     EXPECT_THAT(help.text, HasSubstr(std::string("usage: ") + name));
   }
@@ -169,7 +157,7 @@ TEST(Examples, AddTwoIntsPrintsItsUsage) {
 
 TEST(Examples, HelpNamesEveryOption) {
   for (const char* name : {"talker", "listener", "cloud_publisher", "cloud_subscriber"}) {
-    const Outcome help = run(std::string(AGNOCAST_EXAMPLES "/") + name + " --help");
+    const test::ShellResult help = run(std::string(AGNOCAST_EXAMPLES "/") + name + " --help");
     EXPECT_EQ(help.status, 0) << name;
     for (const char* option : {"--topic", "--count", "--rate", "--verbose"})
       EXPECT_THAT(help.text, HasSubstr(option)) << name;
@@ -179,12 +167,12 @@ TEST(Examples, HelpNamesEveryOption) {
 TEST(Examples, WrongOptionsAreWrongUsage) {
   for (const char* options : {"--bogus 1", "--count", "--count -1", "--count many", "--rate 0",
                               "--rate nan", "--rate -3", "--depth x", "--points 5"}) {
-    const Outcome outcome = run(std::string(AGNOCAST_EXAMPLES "/listener ") + options);
+    const test::ShellResult outcome = run(std::string(AGNOCAST_EXAMPLES "/listener ") + options);
     EXPECT_EQ(outcome.status, 2) << options;
     EXPECT_THAT(outcome.text, MatchesRegex("listener: --[a-z]+: [^\n]+\nhint: listener --help\n"))
         << options;
   }
-  const Outcome too_many = run(AGNOCAST_EXAMPLES "/cloud_publisher --points 214748365");
+  const test::ShellResult too_many = run(AGNOCAST_EXAMPLES "/cloud_publisher --points 214748365");
   EXPECT_EQ(too_many.status, 2);
   EXPECT_THAT(too_many.text, HasSubstr("--points: a cloud has at most 214748364 points"));
 }
@@ -200,7 +188,7 @@ TEST(Examples, AnInterruptedSubscriberPrintsItsCounts) {
     });
     ASSERT_TRUE(daemon.wait_for_log("endpoint created kind=subscription topic=/points"));
     EXPECT_EQ(run(example("cloud_publisher", daemon, true) + " --count 1 --points 10").status, 0);
-    const Outcome received = subscriber.get();
+    const test::ShellResult received = subscriber.get();
     EXPECT_EQ(received.status, 0) << signal << received.text;
     EXPECT_EQ(received.text, "1 received, 0 wrong, 0 lost\n") << signal;
   }
@@ -213,7 +201,7 @@ TEST(Examples, AListenerReceivesFromATalker) {
   });
   ASSERT_TRUE(daemon.wait_for_log("endpoint created kind=subscription topic=/chatter"));
   EXPECT_EQ(run(example("talker", daemon, true) + " --count 5 --rate 100").status, 0);
-  const Outcome heard = listener.get();
+  const test::ShellResult heard = listener.get();
   EXPECT_EQ(heard.status, 0) << heard.text;
   EXPECT_THAT(heard.text, HasSubstr("I heard: 'Hello World: 5'"));
   EXPECT_THAT(heard.text, HasSubstr("5 received, 0 wrong"));
@@ -231,18 +219,20 @@ TEST(Examples, AreRenamedAndRemappedByTheCommandLine) {
                 " -r other:chatter:=/nowhere -- --count 5 --rate 100")
                 .status,
             0);
-  const Outcome heard = listener.get();
+  const test::ShellResult heard = listener.get();
   EXPECT_EQ(heard.status, 0) << heard.text;
   EXPECT_THAT(heard.text, HasSubstr("5 received, 0 wrong"));
-  const Outcome bad_rule = run(example("talker", daemon, true) + " --ros-args -r nonsense");
+  const test::ShellResult bad_rule =
+      run(example("talker", daemon, true) + " --ros-args -r nonsense");
   EXPECT_EQ(bad_rule.status, 1);
   EXPECT_THAT(bad_rule.text, HasSubstr("\"nonsense\": a remap rule is from:=to"));
 }
 
 TEST(Examples, NameTheRosArgumentsThatHaveNoEffect) {
   test::DaemonProcess daemon;
-  const Outcome said = run(example("talker", daemon, true) +
-                           " --count 1 --ros-args -p rate:=10 --params-file /f.yaml -r a:=b");
+  const test::ShellResult said =
+      run(example("talker", daemon, true) +
+          " --count 1 --ros-args -p rate:=10 --params-file /f.yaml -r a:=b");
   EXPECT_EQ(said.status, 0) << said.text;
   EXPECT_THAT(said.text, HasSubstr("talker: warning: -p rate:=10: this argument has no effect\n"));
   EXPECT_THAT(said.text, HasSubstr("--params-file /f.yaml: this argument has no effect"));
@@ -251,19 +241,20 @@ TEST(Examples, NameTheRosArgumentsThatHaveNoEffect) {
 
 TEST(Examples, NameTheirErrors) {
   test::DaemonProcess daemon;
-  const Outcome no_hook = run(example("talker", daemon, false) + " --count 1");
+  const test::ShellResult no_hook = run(example("talker", daemon, false) + " --count 1");
   EXPECT_EQ(no_hook.status, 0) << "it copies its messages\n" << no_hook.text;
-  const Outcome no_daemon =
+  const test::ShellResult no_daemon =
       run("env AGNOCAST_SOCKET=/nonexistent/socket " AGNOCAST_EXAMPLES "/listener --count 1");
   EXPECT_EQ(no_daemon.status, 1);
   EXPECT_THAT(no_daemon.text, HasSubstr("agnocastd does not answer"));
-  const Outcome unknown = run(example("listener", daemon, false) + " --bogus 1");
+  const test::ShellResult unknown = run(example("listener", daemon, false) + " --bogus 1");
   EXPECT_EQ(unknown.status, 2);
   EXPECT_THAT(unknown.text, HasSubstr("--bogus: unknown option"));
-  const Outcome bad_topic = run(example("listener", daemon, false) + " --topic /a//b");
+  const test::ShellResult bad_topic = run(example("listener", daemon, false) + " --topic /a//b");
   EXPECT_EQ(bad_topic.status, 1);
   EXPECT_THAT(bad_topic.text, HasSubstr("a name is not a ROS 2 name"));
-  const Outcome bad_scan = run(example("cloud_publisher", daemon, true) + " --scan /etc/passwd");
+  const test::ShellResult bad_scan =
+      run(example("cloud_publisher", daemon, true) + " --scan /etc/passwd");
   EXPECT_EQ(bad_scan.status, 1);
   EXPECT_THAT(bad_scan.text, testing::AnyOf(HasSubstr("not a scan of 4 or 5 float32 per point"),
                                             HasSubstr("its size fits 4 and 5")));

@@ -10,13 +10,12 @@
 #include <tests/support/machine/temporary_directory.hpp>
 #include <tests/support/messages/random_message.hpp>
 #include <tests/support/processes/child.hpp>
+#include <tests/support/processes/shell.hpp>
 
 #include <gmock/gmock.h>
 
-#include <sys/wait.h>
 #include <unistd.h>
 
-#include <cstdio>
 #include <filesystem>
 #include <fstream>
 #include <memory>
@@ -131,22 +130,11 @@ TEST(Generic, AForkedChildOfAProcessWithoutEndpointsMayLookForTypes) {
 
 // --- where a type is found: in a separate process
 
-struct Answer {
-  int status;
-  std::string text;
-};
 /// Runs the finder with these variables and no others.
-Answer find(const std::vector<std::string>& variables, const std::string& arguments) {
+test::ShellResult find(const std::vector<std::string>& variables, const std::string& arguments) {
   std::string command = "env -i ";
   for (const std::string& variable : variables) command += "'" + variable + "' ";
-  std::FILE* const pipe = ::popen((command + AGNOCAST_TYPE_FINDER + " " + arguments).c_str(), "r");
-  Answer answer{};
-  char letters[4096];
-  for (std::size_t count; (count = std::fread(letters, 1, sizeof letters, pipe)) > 0;)
-    answer.text.append(letters, count);
-  const int status = ::pclose(pipe);
-  answer.status = WIFEXITED(status) ? WEXITSTATUS(status) : -1;
-  return answer;
+  return test::run_in_shell(command + AGNOCAST_TYPE_FINDER + " " + arguments);
 }
 std::string environment(const char* name) {
   const char* const value = std::getenv(name);
@@ -175,7 +163,7 @@ TEST(Generic, TypesAreFoundAlongEachKindOfPath) {
   if (std::getenv("LD_LIBRARY_PATH") != nullptr) {
     EXPECT_EQ(find({environment("LD_LIBRARY_PATH")}, "sensor_msgs/msg/PointCloud2").text, found);
   }
-  const Answer nowhere = find({"AMENT_PREFIX_PATH=/nowhere:"}, "sensor_msgs/PointCloud2 /here");
+  const auto nowhere = find({"AMENT_PREFIX_PATH=/nowhere:"}, "sensor_msgs/PointCloud2 /here");
   EXPECT_EQ(nowhere.status, 1);
   EXPECT_EQ(nowhere.text, std::string("there is no support for a message type of this name: "
                                       "sensor_msgs/msg/PointCloud2: no ") +
@@ -186,7 +174,7 @@ TEST(Generic, TheFirstLibraryCountsEvenIfItIsBroken) {
   if (directories().empty()) GTEST_SKIP() << "AMENT_PREFIX_PATH is not set";
   const test::TemporaryDirectory directory;
   std::ofstream(directory.path(library)) << "no library";
-  const Answer answer =
+  const auto answer =
       find({environment("AMENT_PREFIX_PATH")}, "sensor_msgs/msg/PointCloud2 " + directory.path());
   EXPECT_EQ(answer.status, 1);
   EXPECT_THAT(answer.text, AllOf(StartsWith("there is no support"),
@@ -208,7 +196,7 @@ TEST(Generic, AMissingDependencyOfALibraryIsNamed) {
   if (directories().empty()) GTEST_SKIP() << "AMENT_PREFIX_PATH is not set";
   const test::TemporaryDirectory directory;
   std::filesystem::copy_file(library_path(), directory.path(library));
-  const Answer answer = find({}, "sensor_msgs/msg/PointCloud2 " + directory.path());
+  const auto answer = find({}, "sensor_msgs/msg/PointCloud2 " + directory.path());
   EXPECT_EQ(answer.status, 1);
   EXPECT_THAT(answer.text, HasSubstr("geometry_msgs"));
   EXPECT_EQ(find({"LD_LIBRARY_PATH=" + directory.path()}, "sensor_msgs/msg/PointCloud2").text,
@@ -228,7 +216,7 @@ TEST(Generic, ATypeThatWasNotFoundIsSearchedAgain) {
     links += "/bin/ln -s " + path.substr(1, path.size() - 2) + " " + link + "; ";
     paths += " " + link;
   }
-  const Answer answer = find({}, "--then '" + links + "' sensor_msgs/msg/PointCloud2" + paths);
+  const auto answer = find({}, "--then '" + links + "' sensor_msgs/msg/PointCloud2" + paths);
   EXPECT_EQ(answer.status, 0);
   // The list of directories is cut where the environment has many.
   EXPECT_THAT(answer.text,
@@ -241,7 +229,7 @@ TEST(Generic, ALibraryThatCouldNotBeLoadedIsTriedAgain) {
   const test::TemporaryDirectory directory;
   const std::string broken = directory.path(library);
   std::ofstream(broken) << "no library";
-  const Answer answer =
+  const auto answer =
       find({environment("AMENT_PREFIX_PATH")},
            "--then '/bin/rm " + broken + "' sensor_msgs/msg/PointCloud2 " + directory.path());
   EXPECT_EQ(answer.status, 0);
