@@ -7,6 +7,7 @@
 // integration_daemon_limits checks the counting within one user.
 
 #include <tests/hostile/hostile_node.hpp>
+#include <tests/support/processes/lowered_limit.hpp>
 
 #include <sys/resource.h>
 
@@ -281,17 +282,7 @@ TEST(HostileQuotas, ADaemonWithoutMemoryRefusesRequests) {
   AGNOCAST_NEEDS_TWO_USERS();
   Stage stage({.quota = ""});
   const pid_t pid = stage.daemon().pid();
-  std::uint64_t data = 0;
-  {
-    std::ifstream status("/proc/" + std::to_string(pid) + "/status");
-    for (std::string line; std::getline(status, line);) {
-      if (line.rfind("VmData:", 0) == 0) data = std::stoull(line.substr(7)) * 1024;
-    }
-  }
-  ASSERT_GT(data, 0u);
-  rlimit before{};
-  const rlimit small{data, RLIM_INFINITY};
-  ASSERT_EQ(::prlimit(pid, RLIMIT_DATA, &small, &before), 0);
+  LoweredLimit limit(pid, RLIMIT_DATA, data_bytes(pid));
   Attacker attacker([&](Attack& attack) {
     HostileNode node(stage.socket_path());
     const auto refused = [&](const Incoming& answer) {
@@ -315,7 +306,7 @@ TEST(HostileQuotas, ADaemonWithoutMemoryRefusesRequests) {
   stage.honest_goes_on();
   EXPECT_EQ(stage.daemon().pid(), pid) << stage.daemon().log();
   attacker.kill();
-  ASSERT_EQ(::prlimit(pid, RLIMIT_DATA, &before, nullptr), 0);
+  limit.lift();
   EXPECT_TRUE(
       eventually([&] { return stage.publisher().ask("create /after").rfind("ok", 0) == 0; }));
   stage.honest_is_served();

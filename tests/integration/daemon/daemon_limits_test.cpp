@@ -6,6 +6,7 @@
 
 #include <agnocast/abi/client_region.hpp>
 #include <tests/integration/daemon/raw_node.hpp>
+#include <tests/support/processes/lowered_limit.hpp>
 
 #include <gtest/gtest.h>
 #include <sys/resource.h>
@@ -494,17 +495,14 @@ TEST(DaemonLimits, RepeatsAnAnnouncementThatItHadNoDescriptorFor) {
   ASSERT_EQ(publisher->create_publisher("/topic").opcode(), Opcode::endpoint_created);
   const Incoming doorbells = subscriber->open_wait_set();
   ASSERT_EQ(doorbells.opcode(), Opcode::wait_set_opened);
-  rlimit before{};
-  ASSERT_EQ(::prlimit(daemon.pid(), RLIMIT_NOFILE, nullptr, &before), 0);
-  const rlimit none{3, before.rlim_max};
-  ASSERT_EQ(::prlimit(daemon.pid(), RLIMIT_NOFILE, &none, nullptr), 0);
+  LoweredLimit limit(daemon.pid(), RLIMIT_NOFILE, 3);
   ASSERT_EQ(subscriber->create_subscription("/topic").opcode(), Opcode::endpoint_created);
   const auto first = publisher->expect<wire::Announcement>(Opcode::announce);
   EXPECT_EQ(first.doorbell_count, 0u);
   ASSERT_TRUE(daemon.wait_for_log("announcement waits"));
   publisher->unlinked(first.kind, first.topic, first.index, first.generation);
 
-  ASSERT_EQ(::prlimit(daemon.pid(), RLIMIT_NOFILE, &before, nullptr), 0);
+  limit.lift();
   std::vector<UniqueFd> fds;
   const auto again = publisher->expect<wire::Announcement>(Opcode::announce, &fds);
   EXPECT_EQ(again.generation, first.generation);

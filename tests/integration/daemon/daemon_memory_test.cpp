@@ -11,14 +11,13 @@
 #include <tests/integration/daemon/raw_node.hpp>
 #include <tests/support/memory/failing_memory.hpp>
 #include <tests/support/processes/ctl.hpp>
+#include <tests/support/processes/lowered_limit.hpp>
 
 #include <agnocast/abi/observe.hpp>
 
 #include <sys/mman.h>
-#include <sys/resource.h>
 
 #include <algorithm>
-#include <fstream>
 #include <functional>
 #include <memory>
 #include <optional>
@@ -334,17 +333,7 @@ TEST(DaemonMemory, RequestsAreRefusedWhileTheSystemGivesNone) {
   const pid_t pid = daemon.pid();
   RawNode node(daemon);
   ASSERT_EQ(node.wire.open_window(0).opcode(), Opcode::window_opened);
-  std::uint64_t data = 0;
-  {
-    std::ifstream status("/proc/" + std::to_string(pid) + "/status");
-    for (std::string line; std::getline(status, line);) {
-      if (line.rfind("VmData:", 0) == 0) data = std::stoull(line.substr(7)) * 1024;
-    }
-  }
-  ASSERT_GT(data, 0u);
-  rlimit before{};
-  const rlimit small{data, RLIM_INFINITY};
-  ASSERT_EQ(::prlimit(pid, RLIMIT_DATA, &small, &before), 0);
+  LoweredLimit limit(pid, RLIMIT_DATA, data_bytes(pid));
   std::uint64_t made = 0;
   bool refused = false;
   while (!refused && made < 20'000) {
@@ -359,7 +348,7 @@ TEST(DaemonMemory, RequestsAreRefusedWhileTheSystemGivesNone) {
     }
   }
   EXPECT_TRUE(refused);
-  ASSERT_EQ(::prlimit(pid, RLIMIT_DATA, &before, nullptr), 0);
+  limit.lift();
   EXPECT_TRUE(eventually(
       [&] { return node.wire.create_publisher("/after").opcode() == Opcode::endpoint_created; }));
   EXPECT_EQ(daemon.pid(), pid);

@@ -5,6 +5,7 @@
 // Method: as bridge_ctl_test.cpp.
 
 #include <tests/integration/bridge/status/bridge_ctl.hpp>
+#include <tests/support/processes/lowered_limit.hpp>
 
 namespace agnocast::bridge {
 namespace {
@@ -80,10 +81,7 @@ TEST_F(BridgeCtl, ALackOfMemoryCostsOneStatusAndTheNextIsAnswered) {
 TEST_F(BridgeCtl, ABridgeWithoutDescriptorsSleepsUntilItHasSome) {
   const auto running = bridge(domain->id());
   const std::string process = "/proc/" + std::to_string(running->pid());
-  rlimit before{};
-  ASSERT_EQ(::prlimit(running->pid(), RLIMIT_NOFILE, nullptr, &before), 0);
-  const rlimit none{3, before.rlim_max};
-  ASSERT_EQ(::prlimit(running->pid(), RLIMIT_NOFILE, &none, nullptr), 0);
+  test::LoweredLimit limit(running->pid(), RLIMIT_NOFILE, 3);
   const UniqueFd client(::socket(AF_UNIX, SOCK_STREAM | SOCK_CLOEXEC, 0));
   ASSERT_EQ(
       ::connect(client.get(), unix_address(socket_of(domain->id()))->get(), UnixAddress::size()),
@@ -101,7 +99,7 @@ TEST_F(BridgeCtl, ABridgeWithoutDescriptorsSleepsUntilItHasSome) {
   const std::uint64_t at_first = used_ns();
   std::this_thread::sleep_for(3s);
   EXPECT_LT(used_ns() - at_first, 300'000'000u);
-  ASSERT_EQ(::prlimit(running->pid(), RLIMIT_NOFILE, &before, nullptr), 0);
+  limit.lift();
   char first = 0;
   EXPECT_EQ(::read(client.get(), &first, 1), 1) << "the client has waited";
 }

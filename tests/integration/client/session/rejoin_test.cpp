@@ -9,11 +9,11 @@
 #include <tests/support/crash/crash_control.hpp>
 #include <tests/support/processes/client_tool.hpp>
 #include <tests/support/processes/daemon_process.hpp>
+#include <tests/support/processes/lowered_limit.hpp>
 #include <tests/support/wire/foreign_socket.hpp>
 #include <tests/support/wire/wire_dump.hpp>
 
 #include <gtest/gtest.h>
-#include <sys/resource.h>
 #include <unistd.h>
 
 #include <cerrno>
@@ -217,43 +217,27 @@ TEST(Rejoin, AProcessThatCannotBeMappedKeepsNoPlace) {
   std::ifstream("/proc/" + std::to_string(subscriber.pid()) + "/statm") >> pages;
   // Enough for everything but another process's region.
   const std::uint64_t bytes = pages * static_cast<std::uint64_t>(::getpagesize()) + (64 << 20);
-  const rlimit limit{bytes, RLIM_INFINITY};
-  ASSERT_EQ(::prlimit(subscriber.pid(), RLIMIT_AS, &limit, nullptr), 0);
+  const test::LoweredLimit limit(subscriber.pid(), RLIMIT_AS, bytes);
   ASSERT_EQ(publisher.ask("pub /t 1"), "ok");
   EXPECT_EQ(subscriber.ask("links"), "0");
   publisher.kill();
   EXPECT_TRUE(eventually([&] { return wire_dump(daemon.socket_path()).processes.size() == 1; }));
 }
 
-/// No descriptor is free in a process as long as this lives.
-class NoDescriptorLeft {
- public:
-  explicit NoDescriptorLeft(pid_t pid) : pid_(pid) {
-    EXPECT_EQ(::prlimit(pid, RLIMIT_NOFILE, nullptr, &before_), 0);
-    rlimit none = before_;
-    const std::string directory = "/proc/" + std::to_string(pid) + "/fd/";
-    for (none.rlim_cur = 0;
-         ::access((directory + std::to_string(none.rlim_cur)).c_str(), F_OK) == 0 ||
-         errno != ENOENT;
-         ++none.rlim_cur) {
-    }
-    EXPECT_EQ(::prlimit(pid, RLIMIT_NOFILE, &none, nullptr), 0);
-  }
-  ~NoDescriptorLeft() { ::prlimit(pid_, RLIMIT_NOFILE, &before_, nullptr); }
-  NoDescriptorLeft(const NoDescriptorLeft&) = delete;
-  NoDescriptorLeft& operator=(const NoDescriptorLeft&) = delete;
-
- private:
-  pid_t pid_;
-  rlimit before_{};
-};
+/// No descriptor is free in a process as long as the result lives.
+test::LoweredLimit no_descriptor_left(pid_t pid) {
+  const std::string directory = "/proc/" + std::to_string(pid) + "/fd/";
+  rlim_t free = 0;
+  while (::access((directory + std::to_string(free)).c_str(), F_OK) == 0 || errno != ENOENT) ++free;
+  return test::LoweredLimit(pid, RLIMIT_NOFILE, free);
+}
 
 TEST(Rejoin, APacketThatAProcessHadNoDescriptorForIsRepeated) {
   DaemonProcess daemon;
   ClientTool publisher(daemon.socket_path()), subscriber(daemon.socket_path());
   ASSERT_EQ(subscriber.ask("sub /t 100"), "ok");
   {
-    const NoDescriptorLeft full(subscriber.pid());
+    const test::LoweredLimit full = no_descriptor_left(subscriber.pid());
     ASSERT_EQ(publisher.ask("pub /t 1"), "ok");
     ASSERT_EQ(publisher.ask("publish 1 100"), "ok");
     EXPECT_EQ(subscriber.ask("links"), "0");
@@ -262,7 +246,7 @@ TEST(Rejoin, APacketThatAProcessHadNoDescriptorForIsRepeated) {
   // A megabyte each, all unread: more than the first window of 64 MiB.
   constexpr int count = 90;
   {
-    const NoDescriptorLeft full(subscriber.pid());
+    const test::LoweredLimit full = no_descriptor_left(subscriber.pid());
     for (int i = 1; i < count; ++i) ASSERT_EQ(publisher.ask("publish 1 130000"), "ok") << i;
   }
   std::string heard, expected;
@@ -280,7 +264,7 @@ TEST(Rejoin, AProcessWithoutADescriptorForAnAnswerGetsAnError) {
   ClientTool process(daemon.socket_path());
   ASSERT_EQ(process.ask("sub /t 1"), "ok");
   {
-    const NoDescriptorLeft full(process.pid());
+    const test::LoweredLimit full = no_descriptor_left(process.pid());
     const std::string refused = process.ask("pub /t 1");
     EXPECT_TRUE(refused.starts_with("error " + std::to_string(static_cast<int>(Errc::os_failure))))
         << refused;
