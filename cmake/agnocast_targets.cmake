@@ -37,7 +37,8 @@ target_compile_options(agnocast_warnings INTERFACE
   $<$<CXX_COMPILER_ID:GNU>:-Wduplicated-cond -Wlogical-op>
   # False alarms of GCC 12: it takes atomics at computed addresses for out of bounds, and the moves
   # and concatenations of std::string for overlapping or too long.
-  $<$<CXX_COMPILER_ID:GNU>:-Wno-array-bounds -Wno-stringop-overflow -Wno-stringop-overread -Wno-restrict>
+  $<$<CXX_COMPILER_ID:GNU>:-Wno-array-bounds -Wno-stringop-overflow -Wno-stringop-overread
+  -Wno-restrict>
   $<$<BOOL:${AGNOCAST_WARNINGS_AS_ERRORS}>:-Werror>)
 
 add_library(agnocast_sanitizers INTERFACE)

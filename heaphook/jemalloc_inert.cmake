@@ -1,8 +1,8 @@
 # Makes jemalloc_inert.o: Debian's libjemalloc_pic.a as one object file that is inert until it is
 # called.
 #
-#   cmake -DARCHIVE=libjemalloc_pic.a -DOUTPUT=jemalloc_inert.o -DCOMPILER=… -DAR=… -DNM=… -DOBJCOPY=…
-#     -P jemalloc_inert.cmake
+#   cmake -DARCHIVE=libjemalloc_pic.a -DOUTPUT=jemalloc_inert.o -DCOMPILER=… -DAR=… -DNM=…
+#     -DOBJCOPY=… -P jemalloc_inert.cmake
 #
 # A separate jemalloc library would take over malloc of the whole process, start in a constructor
 # and read the user's MALLOC_CONF. Here

@@ -1,9 +1,10 @@
 #!/usr/bin/env python3
 # SPDX-License-Identifier: Apache-2.0
-"""CDR (XCDR1) of the values in golden samples, from their own schemas: independent of bridge/, to test it.
+"""CDR (XCDR1) of the values in golden samples, from their own schemas: independent of bridge/, to
+test it.
 
   encode.py --check FILE…        checks that each file's bytes encode its value
-  encode.py --big-endian FILE…   prints a line for each: its name, and its value as big-endian bytes
+  encode.py --big-endian FILE…   prints a line for each: its name, its value as big-endian bytes
   encode.py --fill FILE…         writes length and cdr_hex into files that have schema and value
 
 A folder stands for each *.json in it that has a schema. Format: docs/bridge.md.
@@ -14,8 +15,21 @@ import re
 import struct
 import sys
 
-FORMATS = {"bool": "?", "byte": "B", "char": "B", "uint8": "B", "int8": "b", "uint16": "H", "int16": "h", "uint32": "I",
-           "int32": "i", "uint64": "Q", "int64": "q", "float32": "f", "float64": "d"}
+FORMATS = {
+    "bool": "?",
+    "byte": "B",
+    "char": "B",
+    "uint8": "B",
+    "int8": "b",
+    "uint16": "H",
+    "int16": "h",
+    "uint32": "I",
+    "int32": "i",
+    "uint64": "Q",
+    "int64": "q",
+    "float32": "f",
+    "float64": "d",
+}
 
 
 class Encoder:
@@ -68,7 +82,10 @@ def as_text(sample):
     lines = []
     for key, value in sample.items():
         if key == "schema":
-            types = ",\n".join("    %s: %s" % (json.dumps(name), json.dumps(fields)) for name, fields in value.items())
+            types = ",\n".join(
+                "    %s: %s" % (json.dumps(name), json.dumps(fields))
+                for name, fields in value.items()
+            )
             lines.append('  "schema": {\n%s\n  }' % types)
         else:
             lines.append("  %s: %s" % (json.dumps(key), json.dumps(value)))
@@ -79,8 +96,11 @@ def main():
     if len(sys.argv) < 3 or sys.argv[1] not in ("--check", "--big-endian", "--fill"):
         sys.exit(__doc__)
     mode = sys.argv[1]
-    paths = [path for name in map(pathlib.Path, sys.argv[2:])
-             for path in (sorted(name.glob("*.json")) if name.is_dir() else [name])]
+    paths = [
+        path
+        for name in map(pathlib.Path, sys.argv[2:])
+        for path in (sorted(name.glob("*.json")) if name.is_dir() else [name])
+    ]
     count = wrong = 0
     for path in paths:
         sample = json.loads(path.read_text())
@@ -96,7 +116,9 @@ def main():
             path.write_text(as_text(sample))
         elif raw.hex() != sample["cdr_hex"] or len(raw) != sample["length"]:
             wrong += 1
-            print("%s: %s is written, the value makes %s" % (path.name, sample["cdr_hex"], raw.hex()))
+            print(
+                "%s: %s is written, the value makes %s" % (path.name, sample["cdr_hex"], raw.hex())
+            )
     if mode == "--check":
         print("%d of %d samples are what their values make" % (count - wrong, count))
     sys.exit(1 if wrong or not count else 0)

@@ -21,7 +21,9 @@ errors = []
 
 def run(*arguments, status, environment=None):
     variables = {**os.environ, **(environment or {})}
-    ran = subprocess.run([program, *arguments], capture_output=True, text=True, timeout=200, env=variables)
+    ran = subprocess.run(
+        [program, *arguments], capture_output=True, text=True, timeout=200, env=variables
+    )
     if ran.returncode != status:
         errors.append(f"{' '.join(arguments)}: status {ran.returncode}, not {status}: {ran.stderr}")
     return ran
@@ -32,9 +34,14 @@ def document_of(ran):
     try:
         document = json.loads(ran.stdout)
     except ValueError as error:
-        errors.append(f"{' '.join(ran.args[1:])}: standard output is no JSON document: {error}: {ran.stdout[:300]}")
+        errors.append(
+            f"{' '.join(ran.args[1:])}: standard output is no JSON document: {error}: "
+            f"{ran.stdout[:300]}"
+        )
         return {}
-    errors.extend(f"{' '.join(ran.args[1:])}: {error.message[:300]}" for error in rules.iter_errors(document))
+    errors.extend(
+        f"{' '.join(ran.args[1:])}: {error.message[:300]}" for error in rules.iter_errors(document)
+    )
     return document
 
 
@@ -51,7 +58,10 @@ for arguments, wanted in (
     (["alloc", "--rounds", "0"], "--rounds"),
     (["alloc", "--period", "1ms"], "alloc does not take --period"),
     (["memory", "--systems", "agnocast-executor"], "memory does not take --systems"),
-    (["throughput", "--systems", "floor-eventfd"], "throughput does not take --systems floor-eventfd"),
+    (
+        ["throughput", "--systems", "floor-eventfd"],
+        "throughput does not take --systems floor-eventfd",
+    ),
     (["death", "--sizes", "1K,1M"], "death does not take more than one of --sizes"),
     (["throughput", "--sizes", "100"], "throughput has messages of 64 B and 1 MiB only"),
     (["pipeline", "--rounds", "2"], "pipeline does not take --rounds"),
@@ -79,7 +89,10 @@ if document.get("results") != [] or "build the package agnocast_rclcpp" not in l
 # --- standard output, with processes of all kinds
 ran = run("latency", "alloc", "--small", "--rounds", "1", "--json", "-", status=0)
 document = document_of(ran)
-if {result["case"] for result in document.get("results", [])} != {"latency", "alloc"} or "failed" in document:
+if {result["case"] for result in document.get("results", [])} != {
+    "latency",
+    "alloc",
+} or "failed" in document:
     errors.append(f"results: {document.get('failed')}")
 
 print("\n".join(errors))

@@ -30,7 +30,9 @@ with tempfile.TemporaryDirectory() as name:
     directory.chmod(0o755)  # for what goes across users
     results = directory / "results.json"
     command = [program, case, "--small", "--json", str(results)]
-    has_matplotlib = importlib.util.find_spec("matplotlib") is not None  # the plotter is run by the same Python
+    has_matplotlib = (
+        importlib.util.find_spec("matplotlib") is not None
+    )  # the plotter is run by the same Python
     if has_matplotlib:
         command += ["--plot", str(directory / "plots")]
     temporary = directory / "temporary"
@@ -49,7 +51,11 @@ with tempfile.TemporaryDirectory() as name:
     count = sum(map(has_figure, document["results"]))
     if count < int(minimum):
         errors.append(f"{count} results with figures, at least {minimum} are wanted")
-    errors += [f"a result of another case: {result['case']}" for result in document["results"] if result["case"] != case]
+    errors += [
+        f"a result of another case: {result['case']}"
+        for result in document["results"]
+        if result["case"] != case
+    ]
     if has_matplotlib:
         if not document["plots"]:
             errors.append("there are no plots")

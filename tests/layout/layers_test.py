@@ -19,7 +19,8 @@ loader.exec_module(layers)
 
 class Layers(unittest.TestCase):
     def found(self, files, change=lambda text: text, check=layers.check):
-        """Returns the problems of a tree of these files with the real ARCHITECTURE.md, changed by `change`."""
+        """Returns the problems of a tree of these files with the real ARCHITECTURE.md, changed by
+        `change`."""
         with open(os.path.join(ROOT, "docs/ARCHITECTURE.md"), encoding="utf-8") as document:
             files = dict(files, **{"docs/ARCHITECTURE.md": change(document.read())})
         with tempfile.TemporaryDirectory() as tree:
@@ -34,9 +35,14 @@ class Layers(unittest.TestCase):
         self.assertEqual(layers.check_for_use(ROOT), [])
 
     def test_includes(self):
-        below = {"base/text/text.hpp": "", "dataplane/core.hpp": "", "client/session/context.hpp": "", "journal/x.hpp": "",
-                 "ros2/agnocast_rclcpp/include/agnocast_rclcpp/options.hpp": "",
-                 "ros2/agnocastlib/include/agnocastlib/core.hpp": ""}
+        below = {
+            "base/text/text.hpp": "",
+            "dataplane/core.hpp": "",
+            "client/session/context.hpp": "",
+            "journal/x.hpp": "",
+            "ros2/agnocast_rclcpp/include/agnocast_rclcpp/options.hpp": "",
+            "ros2/agnocastlib/include/agnocastlib/core.hpp": "",
+        }
         for path, line, allowed in [
             ("region/a.hpp", "#include <base/text/text.hpp>", True),
             ("base/a.hpp", "#include <region/a.hpp>", False),
@@ -60,7 +66,10 @@ class Layers(unittest.TestCase):
                 self.assertEqual([p.split(":")[0] for p in problems], [] if allowed else [path])
 
     def test_declarations(self):
-        context = {"client/session/context.hpp": "class Context : public Base {\n};\n", "client/session/aligned.hpp": "struct alignas(64) Aligned {\n};\n"}
+        context = {
+            "client/session/context.hpp": "class Context : public Base {\n};\n",
+            "client/session/aligned.hpp": "struct alignas(64) Aligned {\n};\n",
+        }
         for path, line, allowed in [
             ("client/endpoint/a.hpp", "class Context;", False),
             ("client/endpoint/a.hpp", "struct Elsewhere;", True),
@@ -83,17 +92,27 @@ class Layers(unittest.TestCase):
 
     def test_a_row_that_points_upward(self):
         def upward(text):
-            return text.replace("| `views.hpp` | `base/`", "| `views.hpp` | `client/session/`, `base/`")
-        self.assertIn("region/ may include client/session/, which is not a row above it", self.found({}, upward)[0])
+            return text.replace(
+                "| `views.hpp` | `base/`", "| `views.hpp` | `client/session/`, `base/`"
+            )
+
+        self.assertIn(
+            "region/ may include client/session/, which is not a row above it",
+            self.found({}, upward)[0],
+        )
 
     def test_a_row_that_allows_more_than_is_used(self):
-        problem = "docs/ARCHITECTURE.md: no file of region/ includes one of base/, which its row allows"
+        problem = (
+            "docs/ARCHITECTURE.md: no file of region/ includes one of base/, which its row allows"
+        )
         self.assertIn(problem, self.found({}, check=layers.check_for_use))
         files = {"base/a.hpp": "", "region/a.hpp": "#include <base/a.hpp>\n"}
         self.assertNotIn(problem, self.found(files, check=layers.check_for_use))
 
     def test_another_picture(self):
-        self.assertIn("picture", self.found({}, lambda text: text.replace("  ctl --> journal\n", ""))[0])
+        self.assertIn(
+            "picture", self.found({}, lambda text: text.replace("  ctl --> journal\n", ""))[0]
+        )
 
 
 if __name__ == "__main__":

@@ -25,7 +25,8 @@ for number in 0 -1 x 1x 1000000 ""; do
 done
 expect 2 "--repeat wants" "$scripts/test" --repeat
 for number in -1 x 1000 ""; do
-  expect 2 "--load wants a number from 0 to 999, not '$number'" "$scripts/test" --repeat 1 --load "$number"
+  expect 2 "--load wants a number from 0 to 999, not '$number'" \
+    "$scripts/test" --repeat 1 --load "$number"
 done
 expect 2 "--load goes with --repeat" "$scripts/test" --load 2
 
@@ -49,6 +50,7 @@ add_test(alternates sh -c "echo run >>'$work/runs'; test \$((\$(wc -l <'$work/ru
 add_test(sees_load bash "$work/sees_load")
 END
 expect 1 "alternates: failed in run 2 4" "$repeat" 4 2 "$work/built"
-grep -q "passes: failed\|sees_load: failed" "$work/said" && fail "a test that passed counts as failed"
+grep -q "passes: failed\|sees_load: failed" "$work/said" &&
+  fail "a test that passed counts as failed"
 expect 0 "no test failed" "$repeat" 2 0 "$work/built" -R passes
 expect 1 "(ctest): failed in run 1" "$repeat" 1 0 "$work/built" -R nothing_has_this_name

@@ -19,7 +19,8 @@ def text(path):
 
 
 def column(header, number):
-    """Returns the words of a column of the tables in the comment at the beginning; of the answers, also of further lines."""
+    """Returns the words of a column of the tables in the comment at the beginning; of the answers,
+    also of further lines."""
     found = set()
     for line in text(f"{ABI}/{header}.hpp").split("#pragma once")[0].splitlines():
         if row := re.match(r"//   (\S.*)", line):
@@ -32,8 +33,12 @@ def column(header, number):
 
 class WireLists(unittest.TestCase):
     def setUp(self):
-        enumeration = re.search(r"enum class Opcode[^{]*\{(.*?)\};", text(f"{ABI}/wire.hpp"), re.S).group(1)
-        self.numbers = {name: int(number) for name, number in re.findall(r"(\w+) = (\d+)", enumeration)}
+        enumeration = re.search(
+            r"enum class Opcode[^{]*\{(.*?)\};", text(f"{ABI}/wire.hpp"), re.S
+        ).group(1)
+        self.numbers = {
+            name: int(number) for name, number in re.findall(r"(\w+) = (\d+)", enumeration)
+        }
         self.opcodes = set(self.numbers)
         self.requests = {name for name, number in self.numbers.items() if number < 100}
         self.assertGreater(len(self.requests), 20)
@@ -42,8 +47,11 @@ class WireLists(unittest.TestCase):
     def test_the_fingerprint_has_every_opcode_and_packet(self):
         fingerprint = text(f"{ABI}/fingerprint.hpp")
         self.assertEqual(self.opcodes - set(re.findall(r"\bOpcode::(\w+)", fingerprint)), set())
-        packets = {name for header in ("wire", "observe")
-                   for name in re.findall(r"^struct (\w+) \{", text(f"{ABI}/{header}.hpp"), re.M)}
+        packets = {
+            name
+            for header in ("wire", "observe")
+            for name in re.findall(r"^struct (\w+) \{", text(f"{ABI}/{header}.hpp"), re.M)
+        }
         packets.remove("Name")  # name_bytes
         self.assertGreater(len(packets), 40)
         self.assertEqual(packets - set(re.findall(r"sizeof\(wire::(\w+)\)", fingerprint)), set())
@@ -55,7 +63,11 @@ class WireLists(unittest.TestCase):
         self.assertEqual(answers - column("wire", 2) - column("observe", 2), set())
 
     def test_the_decoder_and_the_fuzz_target_have_every_request(self):
-        rows = set(re.findall(r"\{(?:wire::)?Opcode::(\w+), *sizeof", text("daemon/transport/request_reading.cpp")))
+        rows = set(
+            re.findall(
+                r"\{(?:wire::)?Opcode::(\w+), *sizeof", text("daemon/transport/request_reading.cpp")
+            )
+        )
         self.assertEqual(self.requests - rows, set())
         rows = set(re.findall(r"\{Opcode::(\w+), sizeof", text("tests/fuzz/protocol/scenario.cpp")))
         # Without its descriptor it would only be refused.

@@ -3,7 +3,8 @@
 # and agnocast-run.
 . "$(dirname "$0")/support.sh"
 unset AMENT_PREFIX_PATH COLCON_PREFIX_PATH
-cmake -S "$here/consumer" -B "$work/build" -DCMAKE_PREFIX_PATH="$PREFIX" >"$work/log" 2>&1 || { cat "$work/log"; fail "configure"; }
+cmake -S "$here/consumer" -B "$work/build" -DCMAKE_PREFIX_PATH="$PREFIX" >"$work/log" 2>&1 ||
+  { cat "$work/log"; fail "configure"; }
 cmake --build "$work/build" >"$work/log" 2>&1 || { cat "$work/log"; fail "build"; }
 use_prefix "$PREFIX"
 start_daemon

@@ -16,7 +16,9 @@ build=$1 source=$2 node=$3
 skip() { echo "SKIPPED: $1"; exit 77; }
 [ "$(id -u)" -eq 0 ] || skip "needs root: it boots a systemd"
 [ -x /usr/lib/systemd/systemd ] || skip "needs systemd"
-for tool in lintian dpkg cpack unshare nsenter pivot_root setpriv; do command -v "$tool" >/dev/null || skip "needs $tool"; done
+for tool in lintian dpkg cpack unshare nsenter pivot_root setpriv; do
+  command -v "$tool" >/dev/null || skip "needs $tool"
+done
 # In a sandbox root may lack the right to mount.
 unshare --mount --pid --fork true 2>/dev/null || skip "needs the right to make namespaces"
 
@@ -25,14 +27,16 @@ trap 'machine_stop "$dir"; rm -rf "$dir"' EXIT
 here=$dir/files/opt/agnocast
 mkdir -p "$here/lib"
 mkdir "$here/first" "$here/next"
-cpack --config "$build/CPackConfig.cmake" -B "$dir/cpack" >"$dir/log" 2>&1 || { cat "$dir/log"; exit 1; }
+cpack --config "$build/CPackConfig.cmake" -B "$dir/cpack" >"$dir/log" 2>&1 ||
+  { cat "$dir/log"; exit 1; }
 mv "$dir"/cpack/*.deb "$here/first"
 # The next version differs by its number alone: it takes a second instead of as long again.
 for package in "$here"/first/*.deb; do
   rm -rf "$dir/unpacked"
   dpkg-deb -R "$package" "$dir/unpacked"
   grep -l 0upstream1 "$dir"/unpacked/DEBIAN/* | xargs sed -i 's/-0upstream1/-0upstream2/g'
-  dpkg-deb -Znone -b "$dir/unpacked" "$here/next/$(basename "${package/-0upstream1/-0upstream2}")" >/dev/null
+  dpkg-deb -Znone -b "$dir/unpacked" \
+    "$here/next/$(basename "${package/-0upstream1/-0upstream2}")" >/dev/null
 done
 lintian --allow-root --no-cfg --fail-on error,warning "$here"/first/*.deb
 
@@ -42,9 +46,13 @@ lintian --allow-root --no-cfg --fail-on error,warning "$here"/first/*.deb
 files_of() { sed -E '/\/$/d; s,^\./(usr/)?,,; s,^lib/[^/]*-linux-gnu[^/]*/,lib/,' | sort -u; }
 DESTDIR=$dir/plain cmake --install "$build" --prefix /usr >/dev/null
 (cd "$dir/plain" && find . ! -type d) | files_of >"$dir/installed"
-for package in "$here"/first/*.deb; do dpkg-deb --fsys-tarfile "$package" | tar t; done | files_of >"$dir/packaged"
-forgotten=$(comm -23 "$dir/installed" "$dir/packaged" |
-  grep -vxE 'bin/(talker|listener|cloud_(publisher|subscriber)|add_two_ints_(server|client)|agnocast-bench(-plot)?)|lib/agnocast/(talker|listener|cloud_(publisher|subscriber)|add_two_ints_(server|client))|share/agnocast/schemas/bench-1.json|libexec/agnocast/(agnocast_)?demo.*|share/doc/agnocast/LICENSE') || true
+for package in "$here"/first/*.deb; do dpkg-deb --fsys-tarfile "$package" | tar t; done |
+  files_of >"$dir/packaged"
+forgotten=$(comm -23 "$dir/installed" "$dir/packaged" | grep -vxE \
+  -e '(bin|lib/agnocast)/(talker|listener|cloud_(publisher|subscriber))' \
+  -e '(bin|lib/agnocast)/add_two_ints_(server|client)' -e 'bin/agnocast-bench(-plot)?' \
+  -e 'share/agnocast/schemas/bench-1.json' -e 'libexec/agnocast/(agnocast_)?demo.*' \
+  -e 'share/doc/agnocast/LICENSE') || true
 [ -z "$forgotten" ] || { echo "FAILED: in no package: $forgotten"; exit 1; }
 
 # A user's files: a workspace, and message packages that are no packages of Debian yet.
@@ -58,4 +66,5 @@ cp "$source"/tests/package/{debian_inside,support}.sh "$here/"
 chmod -R a+rX "$here"
 
 machine_start "$dir"
-machine_run "$dir" env -i PATH=/usr/sbin:/usr/bin:/sbin:/bin LANG=C.UTF-8 bash /opt/agnocast/debian_inside.sh "$build" "$source"
+machine_run "$dir" env -i PATH=/usr/sbin:/usr/bin:/sbin:/bin LANG=C.UTF-8 \
+  bash /opt/agnocast/debian_inside.sh "$build" "$source"

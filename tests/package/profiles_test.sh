@@ -9,13 +9,15 @@ for file in apparmor/agnocast apparmor/usr.bin.agnocastd selinux/agnocast.te sel
 done
 export PATH=$PATH:/usr/sbin:/sbin
 for tool in apparmor_parser checkmodule semodule_package strace; do
-  command -v $tool >/dev/null || { echo "SKIPPED: $tool is not installed (scripts/install-dependencies)"; exit 77; }
+  command -v $tool >/dev/null ||
+    { echo "SKIPPED: $tool is not installed (scripts/install-dependencies)"; exit 77; }
 done
 
 # --- they compile; and a wrong rule does not
 compiles() { apparmor_parser --skip-kernel-load --skip-cache "$1" 2>"$work/parser"; }
 node_profile() {
-  printf 'abi <abi/3.0>,\ninclude <tunables/global>\nprofile node /usr/bin/node {\n  include <abstractions/base>\n  include "%s"\n}\n' "$1"
+  printf '%s\n' 'abi <abi/3.0>,' 'include <tunables/global>' 'profile node /usr/bin/node {' \
+    '  include <abstractions/base>' "  include \"$1\"" '}'
 }
 node_profile "$share/apparmor/agnocast" >"$work/node"
 sed 's/type=seqpacket/type=seqpackets/' "$share/apparmor/agnocast" >"$work/misspelt"
@@ -25,22 +27,29 @@ for profile in "$work/node" "$share/apparmor/usr.bin.agnocastd"; do
 done
 ! compiles "$work/wrong" || fail "a wrong rule compiles"
 # As doctor's remedy adds it to a profile that lacks it.
-printf 'include <tunables/global>\nprofile node /usr/bin/node {\n  include <abstractions/base>\n}\n' >"$work/mended"
+printf '%s\n' 'include <tunables/global>' 'profile node /usr/bin/node {' \
+  '  include <abstractions/base>' '}' >"$work/mended"
 sed -i "\\|node.*{|a include \"$share/apparmor/agnocast\"" "$work/mended"
-grep -q "apparmor/agnocast" "$work/mended" && compiles "$work/mended" || fail "the remedy of doctor makes a profile that does not compile"
+grep -q "apparmor/agnocast" "$work/mended" && compiles "$work/mended" ||
+  fail "the remedy of doctor makes a profile that does not compile"
 
 module() { checkmodule -M -m -o "$work/agnocast.mod" "$1" >"$work/checkmodule" 2>&1; }
-module "$share/selinux/agnocast.te" || { cat "$work/checkmodule" >&2; fail "agnocast.te does not compile"; }
-semodule_package -o "$work/agnocast.pp" -m "$work/agnocast.mod" -f "$share/selinux/agnocast.fc" || fail "agnocast.fc"
+module "$share/selinux/agnocast.te" ||
+  { cat "$work/checkmodule" >&2; fail "agnocast.te does not compile"; }
+semodule_package -o "$work/agnocast.pp" -m "$work/agnocast.mod" -f "$share/selinux/agnocast.fc" ||
+  fail "agnocast.fc"
 [ -s "$work/agnocast.pp" ] || fail "there is no module"
-sed 's/agnocastd_tmpfs_t : file {/no_such_t : file {/' "$share/selinux/agnocast.te" >"$work/agnocast.te"
+sed 's/agnocastd_tmpfs_t : file {/no_such_t : file {/' "$share/selinux/agnocast.te" \
+  >"$work/agnocast.te"
 ! module "$work/agnocast.te" || fail "a wrong rule compiles"
 
 # --- the rules cover every file that the programs open
-strace -o "$work/probe" true 2>"$work/probe.log" || { echo "SKIPPED: strace may not trace here"; exit 77; }
+strace -o "$work/probe" true 2>"$work/probe.log" ||
+  { echo "SKIPPED: strace may not trace here"; exit 77; }
 use_prefix "$PREFIX"
 export AGNOCAST_SOCKET=$work/agnocast/agnocastd.sock
-strace -f -qq -y -e trace=%file,%desc,%network -o "$work/daemon.trace" agnocastd --socket "$AGNOCAST_SOCKET" --fd-store=none 2>"$work/daemon.log" &
+strace -f -qq -y -e trace=%file,%desc,%network -o "$work/daemon.trace" \
+  agnocastd --socket "$AGNOCAST_SOCKET" --fd-store=none 2>"$work/daemon.log" &
 tracer=$!
 wait_for "$work/daemon.log" " ready "
 daemon=$(sed -n 's/.* ready pid=\([0-9]*\) .*/\1/p' "$work/daemon.log")
@@ -50,8 +59,8 @@ start_tool() {
   local name=$1 line
   shift
   mkfifo "$work/$name.in"
-  strace -f -qq -y -e trace=%file,%desc,%network -o "$work/$name.trace" "$BUILT/tests/integration/client/client_tool" \
-    <"$work/$name.in" >"$work/$name.out" 2>&1 &
+  strace -f -qq -y -e trace=%file,%desc,%network -o "$work/$name.trace" \
+    "$BUILT/tests/integration/client/client_tool" <"$work/$name.in" >"$work/$name.out" 2>&1 &
   exec {to}>"$work/$name.in"
   for line in "$@"; do echo "$line" >&"$to"; done
 }
@@ -77,8 +86,8 @@ rules_in, work = sys.argv[1:]
 
 def pattern(glob):
     """AppArmor's globs as a regular expression."""
-    for name, value in {"@{PROC}": "/proc", "@{pids}": "[0-9]*", "@{pid}": "[0-9]*", "@{tid}": "[0-9]*",
-                        "@{multiarch}": "*-linux-gnu*"}.items():
+    for name, value in {"@{PROC}": "/proc", "@{pids}": "[0-9]*", "@{pid}": "[0-9]*",
+                        "@{tid}": "[0-9]*", "@{multiarch}": "*-linux-gnu*"}.items():
         glob = glob.replace(name, value)
     out, depth = "", 0
     for part in re.findall(r"\*\*|\[[^]]*\]\*|.", glob):
@@ -112,15 +121,20 @@ def opened(name):
         elif what in ("connect", "bind") and "AF_UNIX" in rest and 'sun_path="' in rest:
             yield re.search(r'sun_path="([^"]*)"', rest)[1], "rw"
         elif what == "mmap" and "MAP_SHARED" in rest and "memfd:" in rest:
-            yield re.search(r"<(/memfd:[^>]*)>", rest)[1].replace(" (deleted)", ""), "rw" if "PROT_WRITE" in rest else "r"
+            yield (re.search(r"<(/memfd:[^>]*)>", rest)[1].replace(" (deleted)", ""),
+                   "rw" if "PROT_WRITE" in rest else "r")
             if "PROT_EXEC" in rest: yield "memory for code", "m"
         elif what == "fcntl" and "OFD_SETLK" in rest:
             yield re.search(r"<(/memfd:[^>]*)>", rest)[1].replace(" (deleted)", ""), "k"
 
 # Common to all programs: abstractions/base has them. (Python's own files are not in the traces.)
-common = re.compile(r"/(usr/)?lib\d*/|/etc/(ld\.so|localtime|nsswitch|group|passwd|gcrypt)|/usr/share/(zoneinfo|locale)|/dev/(null|urandom)|/etc/selinux|/sys/fs/selinux|/proc/sys/crypto|/proc/filesystems|/proc/mounts|/proc/thread-self|/(usr|lib|etc|run|var|sys|dev)?\Z")
+common = re.compile(r"/(usr/)?lib\d*/|/etc/(ld\.so|localtime|nsswitch|group|passwd|gcrypt)"
+                    r"|/usr/share/(zoneinfo|locale)|/dev/(null|urandom)|/etc/selinux"
+                    r"|/sys/fs/selinux|/proc/sys/crypto|/proc/filesystems|/proc/mounts"
+                    r"|/proc/thread-self|/(usr|lib|etc|run|var|sys|dev)?\Z")
 missing, count = set(), 0
-for program, profile in (("publisher", "agnocast"), ("subscriber", "agnocast"), ("daemon", "usr.bin.agnocastd")):
+for program, profile in (("publisher", "agnocast"), ("subscriber", "agnocast"),
+                         ("daemon", "usr.bin.agnocastd")):
     allowed = rules(profile)
     assert allowed, profile
     for path, rights in opened(program):
@@ -134,7 +148,8 @@ for program, profile in (("publisher", "agnocast"), ("subscriber", "agnocast"), 
         count += 1
         having = "".join(letters for rule, letters in allowed if rule.match(path))
         if not set(rights) <= set(having): missing.add((program, path, rights))
-for program, path, rights in sorted(missing): print(f"{program} opens {path} ({rights}), and no rule allows it")
+for program, path, rights in sorted(missing):
+    print(f"{program} opens {path} ({rights}), and no rule allows it")
 print(f"{count} accesses")
 sys.exit(1 if missing or count < 20 else 0)
 PYTHON

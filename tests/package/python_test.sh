@@ -9,7 +9,8 @@
 . "$(dirname "$0")/support.sh"
 sources=$1
 modules="import ament_package, catkin_pkg, lark, em"
-/usr/bin/python3 -c "$modules" 2>/dev/null || { echo "SKIPPED: /usr/bin/python3 has no modules of ament and rosidl"; exit 77; }
+/usr/bin/python3 -c "$modules" 2>/dev/null ||
+  { echo "SKIPPED: /usr/bin/python3 has no modules of ament and rosidl"; exit 77; }
 
 # As that of a virtual environment: without the system's packages.
 mkdir "$work/first"
@@ -31,6 +32,7 @@ configured preset --preset dev -DAGNOCAST_BUILD_TESTS=OFF -DAGNOCAST_BUILD_BENCH
 configured messages -S interfaces/rosidl_default_generators -G Ninja
 
 ln -s /usr/bin/python3 "$work/named"
-cmake -S . -B "$work/own" -G Ninja -DAGNOCAST_BUILD_TESTS=OFF -DPython3_EXECUTABLE="$work/named" >"$work/log" 2>&1 ||
+cmake -S . -B "$work/own" -G Ninja -DAGNOCAST_BUILD_TESTS=OFF \
+  -DPython3_EXECUTABLE="$work/named" >"$work/log" 2>&1 ||
   { cat "$work/log"; fail "cmake with a named Python"; }
 [ "$(chosen own)" = "$work/named" ] || fail "the named Python is not used, but '$(chosen own)'"

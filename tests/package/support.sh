@@ -6,7 +6,10 @@ here=$(dirname "$(readlink -f "$0")")
 work=$(mktemp -d)
 daemon=
 finish() {
-  if [ -n "$daemon" ]; then kill "$daemon" 2>/dev/null || true; wait "$daemon" 2>/dev/null || true; fi
+  if [ -n "$daemon" ]; then
+    kill "$daemon" 2>/dev/null || true
+    wait "$daemon" 2>/dev/null || true
+  fi
   rm -rf "$work"
 }
 trap finish EXIT

@@ -12,7 +12,8 @@ else
 fi
 cp -r "$here/workspace" "$work/workspace"
 cd "$work/workspace"
-colcon --log-base log build --event-handlers console_direct+ --cmake-args -DPython3_EXECUTABLE=/usr/bin/python3 >"$work/log" 2>&1 ||
+colcon --log-base log build --event-handlers console_direct+ \
+  --cmake-args -DPython3_EXECUTABLE=/usr/bin/python3 >"$work/log" 2>&1 ||
   { cat "$work/log"; fail "colcon build"; }
 grep -E "warning:|CMake Warning" "$work/log" && fail "building it warns"
 set +u; . install/setup.bash; set -u
@@ -28,4 +29,5 @@ status=0
 wait $counter || status=$?
 cat "$work/counter.out"
 [ $status -eq 0 ] || fail "counter ended with $status"
-grep -qx "25 clouds and 25 names are right" "$work/counter.out" || fail "counter did not receive everything"
+grep -qx "25 clouds and 25 names are right" "$work/counter.out" ||
+  fail "counter did not receive everything"

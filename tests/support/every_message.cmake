@@ -19,7 +19,8 @@ foreach(package builtin_interfaces std_msgs geometry_msgs sensor_msgs unique_ide
   # ROS 1 has packages of these names without such a target.
   if(NOT TARGET ${package}::${package}__rosidl_typesupport_introspection_cpp)
     message(STATUS
-      "tests of every message: left out, ${package} is not found; run scripts/install-dependencies and build interfaces/ first")
+      "tests of every message: left out, ${package} is not found; "
+      "run scripts/install-dependencies and build interfaces/ first")
     return()
   endif()
   set(part rest)
@@ -58,7 +59,8 @@ foreach(package builtin_interfaces std_msgs geometry_msgs sensor_msgs unique_ide
     endif()
     foreach(type ${names})
       string(APPEND ${part}_visits
-        "  see(static_cast<${package}::${kind}::${type}*>(nullptr), \"${package}/${kind}/${type}\");\n")
+        "  see(static_cast<${package}::${kind}::${type}*>(nullptr), "
+        "\"${package}/${kind}/${type}\");\n")
       string(APPEND every_message_names "    \"${package}/${kind}/${type}\",\n")
     endforeach()
   endforeach()

@@ -26,13 +26,15 @@ for tool in unshare nsenter pivot_root; do command -v "$tool" >/dev/null || skip
 dir=$(mktemp -d)
 trap 'machine_stop "$dir"; rm -rf "$dir"' EXIT
 mkdir "$dir/files"
-DESTDIR=$dir/files cmake --install "$build" --prefix /usr >"$dir/install" || { cat "$dir/install"; exit 1; }
+DESTDIR=$dir/files cmake --install "$build" --prefix /usr >"$dir/install" ||
+  { cat "$dir/install"; exit 1; }
 # Files that only the test needs: the machine cannot see the build directory.
 mkdir "$dir/files/opt" "$dir/files/opt/agnocast"
 cp "$inside" "$node" "$other" "$dir/files/opt/agnocast/"
 mkdir "$dir/files/opt/agnocast/lib"
 if [ -x "$dir/files/usr/bin/talker" ]; then
-  ldd "$dir/files/usr/bin/talker" | awk '$1 !~ "^libagnocast" && $3 ~ "^/" && $3 !~ "^/(usr/)?lib" { print $3 }' |
+  ldd "$dir/files/usr/bin/talker" |
+    awk '$1 !~ "^libagnocast" && $3 ~ "^/" && $3 !~ "^/(usr/)?lib" { print $3 }' |
     xargs -r cp -L -t "$dir/files/opt/agnocast/lib"
 fi
 chmod -R a+rX "$dir/files/opt/agnocast"

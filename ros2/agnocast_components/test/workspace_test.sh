@@ -31,7 +31,10 @@ stop() {
   local pid
   kill -INT "${pids[@]}" || true  # one may have ended: its status is looked at below
   for pid in "${pids[@]}"; do
-    if ! timeout "$patience_s" tail --pid="$pid" -f /dev/null; then echo "a program did not end"; exit 1; fi
+    if ! timeout "$patience_s" tail --pid="$pid" -f /dev/null; then
+      echo "a program did not end"
+      exit 1
+    fi
     wait "$pid" || { echo "FAILED: a program ended with status $?"; tail -n 3 "$log"/*; exit 1; }
   done
   pids=()
@@ -56,8 +59,14 @@ stop
 
 # Components, without the preloaded hook: the containers have it linked.
 unset LD_PRELOAD
-container_of() { echo "$(IFS=:; for p in $AMENT_PREFIX_PATH; do
-  if [ -x "$p/lib/agnocast_components/$1" ]; then echo "$p/lib/agnocast_components/$1"; break; fi; done)"; }
+container_of() {
+  echo "$(IFS=:; for p in $AMENT_PREFIX_PATH; do
+    if [ -x "$p/lib/agnocast_components/$1" ]; then
+      echo "$p/lib/agnocast_components/$1"
+      break
+    fi
+  done)"
+}
 for container in agnocast_component_container agnocast_component_container_mt \
     agnocast_component_container_cie; do
   start $container "$(container_of $container)"

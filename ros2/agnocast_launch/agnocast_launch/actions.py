@@ -21,7 +21,8 @@ class HeapHook:
         if getattr(self, "shell", False):
             # A shell would take the words in front for a part of its first command.
             raise ValueError(
-                f"{self.process_description.final_name}: shell=True does not go with the heap hook\n"
+                f"{self.process_description.final_name}: shell=True does not go with the heap "
+                "hook\n"
                 "hint: use launch's own action, with agnocast-run in front of the program in cmd")
         # Here substitutions are performed and the environment is known. The name of the process,
         # in front of each line of its output, stays that of the program.

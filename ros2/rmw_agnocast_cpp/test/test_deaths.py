@@ -47,7 +47,8 @@ class DeathsTest(unittest.TestCase):
                   ("action_tutorials_cpp", "fibonacci_action_server"),
                   ("action_tutorials_py", "fibonacci_action_client")]
         with node("demo_nodes_cpp", "talker", "--ros-args", "-r", "__node:=stays") as talker, \
-                node("demo_nodes_py", "listener", "--ros-args", "-r", "__node:=hears") as listener, \
+                node("demo_nodes_py", "listener", "--ros-args", "-r",
+                     "__node:=hears") as listener, \
                 node("demo_nodes_cpp", "add_two_ints_server", "--ros-args", "-r",
                      "__node:=serves") as server:
             listener.wait_for("I heard")

@@ -16,7 +16,8 @@ dir=$(mktemp -d)
 for page in "$@"; do
   # mandoc looks for other pages where they are installed: these are not yet, those of the system
   # may not be.
-  complaints=$(mandoc -Tlint "$page" 2>&1 | grep -v -e 'referenced manual not found' -e 'outdated mandoc.db') || true
+  complaints=$(mandoc -Tlint "$page" 2>&1 |
+    grep -v -e 'referenced manual not found' -e 'outdated mandoc.db') || true
   [ -z "$complaints" ] || fail "mandoc complains: $complaints"
 done
 
@@ -29,17 +30,20 @@ export PATH=$dir/bin:$PATH
 
 # Prints bash's completions of these words, the last one as far as it is typed.
 bash_offers() {
-  bash --norc -c '. "$1"; shift; COMP_WORDS=(agnocast-ctl "$@"); COMP_CWORD=$#; _agnocast_ctl; printf "%s\n" "${COMPREPLY[@]}"' \
+  bash --norc -c '. "$1"; shift; COMP_WORDS=(agnocast-ctl "$@"); COMP_CWORD=$#
+    _agnocast_ctl; printf "%s\n" "${COMPREPLY[@]}"' \
     bash "$completions/agnocast-ctl.bash" "$@"
 }
 # The same for zsh: a completion function ends in compadd.
 zsh_offers() {
-  zsh -f -c 'compadd() { shift 1; print -l -- "$@" }; file=$1; shift; words=(agnocast-ctl "$@"); CURRENT=$(($# + 1)); . "$file"' \
+  zsh -f -c 'compadd() { shift 1; print -l -- "$@" }
+    file=$1; shift; words=(agnocast-ctl "$@"); CURRENT=$(($# + 1)); . "$file"' \
     zsh "$completions/_agnocast-ctl" "$@"
 }
 for shell in bash zsh; do
   [ "$(${shell}_offers topic ty | tr '\n' ' ')" = "type " ] || fail "$shell does not know the verbs"
-  [ "$(${shell}_offers explain hook_m | tr '\n' ' ')" = "hook_missing " ] || fail "$shell does not know the codes"
+  [ "$(${shell}_offers explain hook_m | tr '\n' ' ')" = "hook_missing " ] ||
+    fail "$shell does not know the codes"
   said=$(${shell}_offers topic info / 2>&1 | tr -d '\n')
   [ -z "$said" ] || fail "$shell offers words without a daemon: $said"
 done

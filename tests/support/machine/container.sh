@@ -23,7 +23,8 @@ if [ -z "$CONTAINER_INSIDE" ]; then
   # The user may have no access to this file's directory.
   again=(unshare --mount --ipc --pid --uts --net --fork --kill-child)
   inside=(bash -c "$(cat "$0")" "$0" "$@")
-  [ -z "$CONTAINER_USER_NAMESPACE" ] || exec "${as_user[@]}" "${again[@]}" --user --map-root-user -- "${inside[@]}"
+  [ -z "$CONTAINER_USER_NAMESPACE" ] ||
+    exec "${as_user[@]}" "${again[@]}" --user --map-root-user -- "${inside[@]}"
   exec "${again[@]}" -- "${inside[@]}"
 fi
 

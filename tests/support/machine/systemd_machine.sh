@@ -20,7 +20,8 @@ mkdir "$dir/machine"
 mount -t tmpfs machine "$dir/machine"
 mkdir "$dir"/machine/{written,work,root}
 root=$dir/machine/root
-mount -t overlay machine -o "lowerdir=/,upperdir=$dir/machine/written,workdir=$dir/machine/work" "$root"
+mount -t overlay machine \
+  -o "lowerdir=/,upperdir=$dir/machine/written,workdir=$dir/machine/work" "$root"
 cp -a "$dir/files/." "$root/"
 mkdir -p "$root"/{proc,sys,dev,tmp,run}
 mount --rbind /sys "$root/sys"
@@ -38,15 +39,17 @@ mkdir -p former
 pivot_root . former
 cd /
 umount -l /former
-exec env -i container=test PATH=/usr/sbin:/usr/bin:/sbin:/bin /usr/lib/systemd/systemd --system --log-level=warning \
-  --log-target=console --unit=basic.target
+exec env -i container=test PATH=/usr/sbin:/usr/bin:/sbin:/bin /usr/lib/systemd/systemd --system \
+  --log-level=warning --log-target=console --unit=basic.target
 INIT
   chmod +x "$dir/init"
-  setsid unshare --pid --mount --uts --ipc --cgroup --fork --kill-child "$dir/init" "$dir" >"$dir/log" 2>&1 </dev/null &
+  setsid unshare --pid --mount --uts --ipc --cgroup --fork --kill-child "$dir/init" "$dir" \
+    >"$dir/log" 2>&1 </dev/null &
   echo $! >"$dir/outer"
   for i in $(seq 150); do
     # PID 1 of the machine, by its number outside.
-    cat "/proc/$(cat "$dir/outer")/task/$(cat "$dir/outer")/children" 2>/dev/null | tr -d ' ' >"$dir/pid"
+    cat "/proc/$(cat "$dir/outer")/task/$(cat "$dir/outer")/children" 2>/dev/null |
+      tr -d ' ' >"$dir/pid"
     if [ -s "$dir/pid" ] && [ "$(cat "/proc/$(cat "$dir/pid")/comm" 2>/dev/null)" = systemd ]; then
       state=$(machine_run "$dir" systemctl is-system-running 2>/dev/null || true)
       case $state in running | degraded) return 0 ;; esac

@@ -14,8 +14,10 @@ build=$1
 
 skip() { echo "SKIPPED: $1"; exit 77; }
 command -v ros2 >/dev/null || skip "needs ROS 2: source the setup file of a workspace before ctest"
-ros2 pkg prefix rmw_cyclonedds_cpp >/dev/null 2>&1 || skip "needs rmw_cyclonedds_cpp in the sourced workspace"
-ros2 pkg prefix demo_nodes_cpp >/dev/null 2>&1 || skip "needs demo_nodes_cpp in the sourced workspace"
+ros2 pkg prefix rmw_cyclonedds_cpp >/dev/null 2>&1 ||
+  skip "needs rmw_cyclonedds_cpp in the sourced workspace"
+ros2 pkg prefix demo_nodes_cpp >/dev/null 2>&1 ||
+  skip "needs demo_nodes_cpp in the sourced workspace"
 
 dir=$(mktemp -d)
 pids=()
@@ -34,13 +36,19 @@ shows() {
   fail "\"$*\" does not show \"$text\": $said"
 }
 
-start_talker() { start "$1" env LD_PRELOAD="$build/heaphook/libagnocast_heaphook.so" "$build/examples/talker" --rate 10; }
+start_talker() {
+  start "$1" env LD_PRELOAD="$build/heaphook/libagnocast_heaphook.so" \
+    "$build/examples/talker" --rate 10
+}
 
 export RMW_IMPLEMENTATION=rmw_cyclonedds_cpp ROS_DOMAIN_ID=$((20 + $$ % 70))
 export AGNOCAST_SOCKET=$dir/agnocastd.sock ROS2CLI_DISABLE_DAEMON=1
-export CYCLONEDDS_URI="<CycloneDDS><Domain id='any'><General><Interfaces><NetworkInterface name='lo' multicast='false'/></Interfaces>
-  <AllowMulticast>false</AllowMulticast></General><Discovery><ParticipantIndex>auto</ParticipantIndex>
-  <MaxAutoParticipantIndex>50</MaxAutoParticipantIndex><Peers><Peer address='127.0.0.1'/></Peers></Discovery></Domain></CycloneDDS>"
+export CYCLONEDDS_URI="<CycloneDDS><Domain id='any'><General>\
+<Interfaces><NetworkInterface name='lo' multicast='false'/></Interfaces>
+  <AllowMulticast>false</AllowMulticast></General>\
+<Discovery><ParticipantIndex>auto</ParticipantIndex>
+  <MaxAutoParticipantIndex>50</MaxAutoParticipantIndex>\
+<Peers><Peer address='127.0.0.1'/></Peers></Discovery></Domain></CycloneDDS>"
 start agnocastd "$build/daemon/agnocastd" --socket "$AGNOCAST_SOCKET" --foreground
 for _ in $(seq 100); do [ -S "$AGNOCAST_SOCKET" ] && break; sleep 0.1; done
 start bridge "$build/bridge/agnocast-bridge"
@@ -58,19 +66,23 @@ shows "data:" ros2 topic echo --no-daemon --once /chatter
 shows "average rate:" env PYTHONUNBUFFERED=1 timeout -s INT 8 ros2 topic hz /chatter
 
 # ROS 2 → ours. The program itself: ros2 run would leave it behind.
-start demo "$(ros2 pkg prefix demo_nodes_cpp)/lib/demo_nodes_cpp/talker" --ros-args -r chatter:=from_ros
+start demo "$(ros2 pkg prefix demo_nodes_cpp)/lib/demo_nodes_cpp/talker" \
+  --ros-args -r chatter:=from_ros
 # The listener judges our talker's numbers, so it reports that these differ.
-timeout 30 "$build/examples/listener" --topic from_ros --count 3 --verbose >"$dir/listener.log" 2>&1 || true
-grep -qF "I heard: 'Hello World: " "$dir/listener.log" || fail "our listener does not hear ROS's talker"
+timeout 30 "$build/examples/listener" --topic from_ros --count 3 --verbose \
+  >"$dir/listener.log" 2>&1 || true
+grep -qF "I heard: 'Hello World: " "$dir/listener.log" ||
+  fail "our listener does not hear ROS's talker"
 echo "heard each other"
 
 # A node of rclcpp that uses agnocast: its own process announces it in DDS, and the bridge does not.
 if [ -n "${RELAY_PREFIX:-}" ]; then
   export AMENT_PREFIX_PATH=$RELAY_PREFIX:$AMENT_PREFIX_PATH
-  start container "$(ros2 pkg prefix agnocast_rclcpp)/lib/agnocast_rclcpp/agnocast_component_container"
+  start container \
+    "$(ros2 pkg prefix agnocast_rclcpp)/lib/agnocast_rclcpp/agnocast_component_container"
   shows /ComponentManager ros2 node list --no-daemon
-  timeout 60 ros2 component load /ComponentManager agnocast_rclcpp_test_components agnocast_rclcpp::Relay \
-    >"$dir/load.log" 2>&1 || fail "the component is not loaded"
+  timeout 60 ros2 component load /ComponentManager agnocast_rclcpp_test_components \
+    agnocast_rclcpp::Relay >"$dir/load.log" 2>&1 || fail "the component is not loaded"
   shows /in ros2 topic list --no-daemon
   shows /out_ ros2 topic list --no-daemon
   shows /relay ros2 node list --no-daemon

@@ -23,12 +23,14 @@ unshare --mount --pid --fork true 2>/dev/null || skip "needs the right to make n
 dir=$(mktemp -d)
 trap 'machine_stop "$dir"; rm -rf "$dir"' EXIT
 mkdir "$dir/files"
-DESTDIR=$dir/files cmake --install "$build" --prefix /usr >"$dir/install" || { cat "$dir/install"; exit 1; }
+DESTDIR=$dir/files cmake --install "$build" --prefix /usr >"$dir/install" ||
+  { cat "$dir/install"; exit 1; }
 # The machine cannot see the build directory, and message packages are not installed.
 mkdir -p "$dir/files/opt/agnocast/lib" "$dir/files/etc/agnocast"
 cp "$inside" "$dir/files/opt/agnocast/"
-ldd "$inside" | awk '$1 !~ "^libagnocast" && $3 ~ "^/" && $3 !~ "^/(usr/)?lib" { print $3 }' | sort -u |
-  xargs -r cp -L -t "$dir/files/opt/agnocast/lib"
+ldd "$inside" |
+  awk '$1 !~ "^libagnocast" && $3 ~ "^/" && $3 !~ "^/(usr/)?lib" { print $3 }' |
+  sort -u | xargs -r cp -L -t "$dir/files/opt/agnocast/lib"
 chmod -R a+rX "$dir/files/opt/agnocast"
 machine_start "$dir"
 machine_run "$dir" systemd-sysusers

@@ -1,11 +1,13 @@
 #!/usr/bin/env python3
 # SPDX-License-Identifier: Apache-2.0
-"""Compiles a source in which each REFUSED(name, "sentence", body) has to be refused with its sentence.
+"""Compiles a source in which each REFUSED(name, "sentence", body) has to be refused with its
+sentence.
 
   refused_test.py SOURCE SENTENCE COMPILER…
 
-SENTENCE is that of the source as a whole; - if each case has its own. Without -DREFUSED_… among the compiler's arguments the
-source has to compile without a word. Exit status 0: everything is as it has to be."""
+SENTENCE is that of the source as a whole; - if each case has its own. Without -DREFUSED_… among the
+compiler's arguments the source has to compile without a word. Exit status 0: everything is as it
+has to be."""
 
 import re
 import subprocess
@@ -23,7 +25,8 @@ def cases_of(source):
 
 
 def errors_by_line(errors, source):
-    """Returns the errors that each line of the source causes, by itself or as what a template is needed for."""
+    """Returns the errors that each line of the source causes, by itself or as what a template is
+    needed for."""
     causes, found = None, {}
     place = re.compile(re.escape(source) + r":(\d+):\d+: +(required from here|error: )")
     for line in errors.splitlines():
@@ -36,7 +39,13 @@ def errors_by_line(errors, source):
 
 def main():
     source, common, command = sys.argv[1], sys.argv[2], sys.argv[3:]
-    compiled = subprocess.run([*command, source], capture_output=True, text=True, check=False, env={"LC_ALL": "C", "PATH": "/usr/bin:/bin"})
+    compiled = subprocess.run(
+        [*command, source],
+        capture_output=True,
+        text=True,
+        check=False,
+        env={"LC_ALL": "C", "PATH": "/usr/bin:/bin"},
+    )
     if not any(word.startswith("-DREFUSED_") for word in command):
         print(compiled.stderr)
         return 0 if compiled.returncode == 0 and not compiled.stderr else 1
@@ -44,7 +53,9 @@ def main():
         print(compiled.stderr)
         return 0 if re.search("error: .*agnocast: .*" + re.escape(common), compiled.stderr) else 1
     errors = errors_by_line(compiled.stderr, source)
-    active = subprocess.run([*command, "-E", "-fdirectives-only", source], capture_output=True, text=True, check=False).stdout
+    active = subprocess.run(
+        [*command, "-E", "-fdirectives-only", source], capture_output=True, text=True, check=False
+    ).stdout
     wrong = count = 0
     with open(source, encoding="utf-8") as text:
         cases = list(cases_of(text))
