@@ -2,6 +2,8 @@
 # reproducibly. agnocast_manual_date is the date for generated pages: that of the build, or of
 # SOURCE_DATE_EPOCH.
 string(TIMESTAMP agnocast_manual_date "%B %d, %Y" UTC)
+# As mdoc(7) writes a day below the tenth.
+string(REPLACE " 0" " " agnocast_manual_date "${agnocast_manual_date}")
 find_program(GZIP_PROGRAM gzip REQUIRED)
 
 function(agnocast_manual page)
