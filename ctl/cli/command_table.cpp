@@ -112,13 +112,13 @@ constexpr Command table[] = {
      "The row of process list, every endpoint, every heap window, and recent refusals.",
      "agnocast-ctl process info 4711\nagnocast-ctl process info lidar"},
     {"process", "revoke", "end the session of a running process", about<s::process>, {}, revoke_process,
-     "For all other processes it has died then. The daemon notifies it, and it has to be restarted to take part again. Allowed to root, the "
-     "daemon's user and the owner of the process.",
+     "Other processes then see it as dead: its endpoints end, and messages that it still holds may be overwritten. The process keeps running "
+     "but takes no part until it is restarted; the daemon notifies it. Allowed to root, the daemon's user and the owner of the process.",
      "agnocast-ctl process revoke 4711\nagnocast-ctl process revoke 3.17 --json"},
     {"thread", "list", "the threads that run callbacks, and their scheduling", {},
      these<o::verbose, o::domain, o::all_domains>, list_threads,
      "Each thread of an executor with the nodes and callback groups that it runs. Policy, priority or nice value, processors and time on "
-     "the processor are what the kernel says now; SET BY is the rule of the daemon's configuration, and its state unless it was applied. "
+     "the processor are what the kernel says now; SET BY is the rule of the daemon's configuration that matches, and, if it is not in force, why. "
      "With -v every callback group.",
      "agnocast-ctl thread list\nagnocast-ctl threads -v --all-domains\nagnocast-ctl threads -j | jq '.threads[] | select(.rule)'"},
     {"heap", "list", "the shared heap windows and their use", {},
@@ -130,8 +130,8 @@ constexpr Command table[] = {
      "agnocast-ctl heap info 4711"},
     {"message", "list", "the messages in the queues, their holders, and who has not taken them", about<s::maybe_topic>,
      these<o::domain, o::all_domains>, list_messages,
-     "Every message that has a slot in its publisher's queue. The time for which a message is held is at most its age: the "
-     "begin of a hold is not recorded.",
+     "Every message that has a slot in its publisher's queue. When a hold began is not recorded; a message is held for no longer "
+     "than its age.",
      "agnocast-ctl message list /points\nagnocast-ctl messages --json"},
     {"monitor", "", "events from now on", {}, these<o::of_topic, o::of_process>, monitor_system,
      "Joins, matches, leaves and deaths, from the daemon's log; lost, copied and refused messages, checked five times a "

@@ -86,6 +86,12 @@ std::string spelling_of(const Option& option) {
 
 std::string meaning_of(const Option& option) {
   std::string text(option.meaning);
+  for (std::string_view words = option.words; !words.empty();) {
+    const std::size_t blank = words.find(' ');
+    text += text.size() == option.meaning.size() ? ": " : ", ";
+    text += words.substr(0, blank);
+    words.remove_prefix(blank == std::string_view::npos ? words.size() : blank + 1);
+  }
   if (!option.otherwise.empty()) text += "; default: " + std::string(option.otherwise);
   return text;
 }
@@ -101,8 +107,8 @@ std::string help_of(std::span<const Command> commands, std::string_view noun) {
     rows.add(usage_of(command), command.summary);
     examples += indented(command.examples.substr(0, command.examples.find('\n')));
   }
-  return "Inspects agnocast: topics, nodes, processes, messages, shared heaps. Inspection never "
-         "disturbs.\n\n"
+  return "Inspects agnocast: topics, nodes, processes, messages, shared heaps. A command "
+         "changes nothing\nand subscribes to nothing unless its description says so.\n\n"
          "Usage: agnocast-ctl NOUN [VERB] [NAME] [OPTION...]\n\n" +
          rows.text() + "\nPlural nouns are short for list: " + plurals + ".\n\nCommon options:\n" +
          options_text(common) + "\nExamples:\n" + examples +

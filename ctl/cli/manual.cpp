@@ -31,9 +31,7 @@ std::string item_of(const Option& option) {
 std::string list_of(std::span<const Option* const> options) {
   std::string text = ".Bl -tag -width Ds\n";
   for (const Option* const option : options) {
-    std::string meaning = meaning_of(*option);
-    if (option->kind == Option::Kind::word) meaning += " (" + std::string(option->words) + ")";
-    text += item_of(*option) + lines_of(meaning + '.');
+    text += item_of(*option) + lines_of(meaning_of(*option) + '.');
   }
   return text + ".El\n";
 }
@@ -65,7 +63,7 @@ std::string manual_of(std::span<const Command> commands, const std::string& date
   text +=
       ".Sh SYNOPSIS\n.Nm\n.Ar noun\n.Op Ar verb\n.Op Ar name ...\n.Op Ar option ...\n"
       ".Sh DESCRIPTION\n.Nm\ninspects topics, nodes, processes, messages and shared heaps.\n"
-      "Inspection never disturbs: a command subscribes only if its description says so.\n"
+      "A command changes nothing and subscribes to nothing unless its description says so.\n"
       "A plural noun is short for its list:\n.Cm topics\nis\n.Cm topic list .\n"
       ".Sh OPTIONS\nAll commands take these options.\n" +
       list_of(common_options()) + ".Sh COMMANDS\n";

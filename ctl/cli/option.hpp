@@ -89,7 +89,7 @@ inline constexpr Option socket{
     Kind::text, "PATH"};
 inline constexpr Option json{"-j", "print one JSON object, indented on a terminal"};
 inline constexpr Option json_form{
-    "--json", "the same, in the given form", Kind::word, "[=FORM]", {}, 0, 0, "short pretty"};
+    "--json", "the same on one line, or indented", Kind::word, "[=FORM]", {}, 0, 0, "short pretty"};
 
 // Options that select.
 inline constexpr Option domain{"--domain", "the ROS domain; default: ROS_DOMAIN_ID, else 0",
@@ -132,11 +132,10 @@ inline constexpr Option sort{"-s,--sort", "the order of the rows",
                              Kind::word,  "COLUMN",
                              "trouble",   0,
                              0,           "trouble topic rate size bandwidth lag hold lost"};
-inline constexpr Option graph_form{"--format", "dot or mermaid", Kind::word, "FORM", "dot", 0,
+inline constexpr Option graph_form{"--format", "the language", Kind::word, "FORM", "dot", 0,
                                    0,          "dot mermaid"};
 inline constexpr Option metrics_form{
-    "--format", "prometheus or openmetrics", Kind::word, "FORM", "prometheus", 0,
-    0,          "prometheus openmetrics"};
+    "--format", "the format", Kind::word, "FORM", "prometheus", 0, 0, "prometheus openmetrics"};
 inline constexpr Option output{
     "-o,--output", "replace this file atomically; default: print to stdout", Kind::text, "FILE"};
 inline constexpr Option every{
