@@ -17,7 +17,8 @@ enum class ConnectionState : std::uint8_t {
   unconnected,   ///< no endpoint was created yet, or this is a forked child
   connected,     ///< the normal state
   reconnecting,  ///< the daemon is away; creations wait for it, five seconds at most
-  orphaned,      ///< orphaned: refused by the daemon; existing matches work; see orphan_reason()
+  orphaned,      ///< refused by the daemon (orphan_reason()); existing matches go on, nothing new
+                 ///< is created
 };
 
 /// The argument of a connection callback (events.hpp).

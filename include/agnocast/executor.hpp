@@ -101,12 +101,13 @@ class AGNOCAST_PUBLIC Executor {
   enum class Readiness { work_ready, armed };
   /// Returns a descriptor for poll(), select() or epoll. It becomes readable when something
   /// arrives after prepare() returned `armed`, and once a second: if a publisher dies between
-  /// committing and ringing while the daemon is down, nothing rings. Never read from it. Constant
-  /// for the executor's life.
+  /// publishing and waking its subscribers while the daemon is down, nobody wakes them. Never read
+  /// from it. Constant for the executor's life.
   int fd() const noexcept;
   /// Returns `work_ready`: call dispatch(); or `armed`: wait for fd(), then call dispatch().
   Readiness prepare() noexcept;
-  /// Clears the doorbells and runs one cycle. Returns the number of callbacks. Never waits.
+  /// Clears what woke this executor and runs one cycle. Returns the number of callbacks. Never
+  /// waits.
   std::size_t dispatch();
 
  protected:

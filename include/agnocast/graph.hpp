@@ -29,7 +29,8 @@ struct EndpointInfo {
   std::uint64_t layout_hash = 0;
   std::string node_name, node_namespace;  ///< "talker", "/ns"
   QoS qos{1};                             ///< as requested by the endpoint
-  std::uint64_t generation = 0;  ///< unique within one incarnation; for a publisher, equal to
+  std::uint64_t generation = 0;  ///< never given twice while the daemon keeps its memory, also
+                                 ///< over its restarts; for a publisher, equal to
                                  ///< MessageInfo::publisher of its messages
   std::uint32_t pid = 0;         ///< in the daemon's pid namespace; 0 if not visible there
   std::uint32_t uid = 0;

@@ -27,8 +27,8 @@
 
 namespace agnocast {
 
-/// Address ranges of shared heap windows, each up to its frontier: for a publisher those that it
-/// may publish from.
+/// Address ranges of shared heap windows, each as far as it is in use: for a publisher those that
+/// it may publish from.
 class WindowSet {
  public:
   static constexpr std::size_t count_max = 8;
