@@ -1,6 +1,7 @@
 // SPDX-License-Identifier: Apache-2.0
 
 #include <client/process/steps.hpp>
+#include <client/session/context.hpp>
 #include <client/session/creations.hpp>
 
 #include <utility>
