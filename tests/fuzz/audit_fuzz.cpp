@@ -244,7 +244,7 @@ class Script {
   std::vector<Message> messages_;
 };
 
-const std::string& socket_path() {
+const std::string& own_socket() {
   static const std::string path = "/tmp/agnocast-fuzz-" + std::to_string(::getpid());
   return path;
 }
@@ -274,10 +274,10 @@ void serve(PacketListener& listener, const UniqueFd& board, const std::vector<Me
 
 extern "C" int LLVMFuzzerTestOneInput(const std::uint8_t* data, std::size_t size) {
   static PacketListener* const listener = [] {
-    ::unlink(socket_path().c_str());
-    auto made = test::listen_at(socket_path());
+    ::unlink(own_socket().c_str());
+    auto made = test::listen_at(own_socket());
     require(made.has_value());
-    (void)std::atexit([] { ::unlink(socket_path().c_str()); });
+    (void)std::atexit([] { ::unlink(own_socket().c_str()); });
     return new PacketListener(std::move(*made));
   }();
   FuzzedDataProvider input(data, size);
@@ -286,7 +286,7 @@ extern "C" int LLVMFuzzerTestOneInput(const std::uint8_t* data, std::size_t size
   const std::vector<Message> messages = script.dump();
   std::thread daemon([&] { serve(*listener, board, messages); });
   {
-    auto observer = ctl::Observer::connect(socket_path());
+    auto observer = ctl::Observer::connect(own_socket());
     require(observer.has_value());
     if (auto system = observer->look({.threads = true})) {
       ctl::Arguments everywhere;
