@@ -62,8 +62,9 @@ std::string manual_of(std::span<const Command> commands, const std::string& date
   std::string text = heading("agnocast-ctl", "1", "inspect and administer agnocast", date);
   text +=
       ".Sh SYNOPSIS\n.Nm\n.Ar noun\n.Op Ar verb\n.Op Ar name ...\n.Op Ar option ...\n"
-      ".Sh DESCRIPTION\n.Nm\ninspects topics, nodes, processes, messages and shared heaps.\n"
-      "A command changes nothing and subscribes to nothing unless its description says so.\n"
+      ".Sh DESCRIPTION\n.Nm\ninspects topics, nodes, processes, messages and shared heaps.\n" +
+      lines_of(
+          "A command changes nothing and subscribes to nothing unless its description says so.") +
       "A plural noun is short for its list:\n.Cm topics\nis\n.Cm topic list .\n"
       ".Sh OPTIONS\nAll commands take these options.\n" +
       list_of(common_options()) + ".Sh COMMANDS\n";
