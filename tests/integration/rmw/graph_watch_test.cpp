@@ -61,7 +61,8 @@ TEST_F(GraphWatches, HaveWhatThisProcessHasJustDone) {
     const int before = changes;
     auto publisher = node.create_publisher<Number>(topic, 1);
     ASSERT_EQ(count(watch, topic), 1) << i;
-    for (const EndpointInfo& endpoint : watch.now()->endpoints) ASSERT_TRUE(endpoint.is_own);
+    const auto now = watch.now();
+    for (const EndpointInfo& endpoint : now->endpoints) ASSERT_TRUE(endpoint.is_own);
     auto subscription = node.create_subscription<Number>(topic, 1);
     ASSERT_EQ(count(watch, topic), 2) << i;
     publisher.reset();
