@@ -91,9 +91,8 @@ agnocast::SubscriptionOptions translate(const SubscriptionOptions& options,
       if (std::exchange(has_warned, true)) return;
       RCLCPP_WARN(logger,
                   "The subscription of topic '%s' keeps as many messages of a publisher as it "
-                  "may, and gets no further one until it releases one. "
-                  "agnocast::SubscriptionOptions().hold_quota(n) lets it keep more of publishers "
-                  "of its own user",
+                  "may, and gets no further one until it releases one. hold_quota of its "
+                  "agnocast::SubscriptionOptions lets it keep more of publishers of its own user",
                   topic.c_str());
     });
   }

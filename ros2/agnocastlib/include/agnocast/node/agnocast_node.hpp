@@ -45,10 +45,10 @@ class Node : public rclcpp::Node {
   std::string get_namespace() const { return rclcpp::Node::get_namespace(); }
   std::string get_fully_qualified_name() const { return rclcpp::Node::get_fully_qualified_name(); }
 
-  /// Return the number of publishers or subscriptions of agnocast on this host, in this ROS
-  /// domain, as it was at most 100 ms ago; those of agnocast-bridge, which stand for DDS, count as
-  /// well. They ask agnocastd and may wait for it. While it has too many observers of this user,
-  /// they return what it said last. Throw Error.
+  /// Return the number of publishers or subscriptions of agnocast on this host, in this ROS domain,
+  /// as agnocast::Graph::wait() has them; those of agnocast-bridge, which stand for DDS, count as
+  /// well. The first call of a process may wait five seconds for agnocastd; while that is away, the
+  /// last state counts. Throw Error.
   std::size_t count_publishers(const std::string& topic_name) const;
   std::size_t count_subscribers(const std::string& topic_name) const;
 
