@@ -39,7 +39,8 @@ class QoS {
   QoS(std::size_t depth) noexcept : depth_(depth) {}
   /// Converts an rclcpp::QoS, or any class with depth(), history(), reliability() and
   /// durability() in rmw's numbers. Keep-all has no depth in ROS 2, so it gets the bound of
-  /// keep_all(); the system's default history without a depth keeps the last message, as in DDS.
+  /// keep_all(). A depth of 0, which rclcpp::SystemDefaultsQoS has, is the system's default in
+  /// ROS 2: the last message, as in DDS.
   /// "Best available" becomes the value that matches every peer without times: a publisher is
   /// reliable, a subscription best effort, and both are volatile, with automatic liveliness and no
   /// times. That depends on the kind of endpoint, not on the endpoints present at its creation.
@@ -113,9 +114,9 @@ class QoS {
   std::chrono::nanoseconds liveliness_lease_duration() const noexcept { return times_.lease; }
 
  private:
-  // rmw/types.h: history system_default and keep_all, reliability best_effort and
-  // best_available, durability transient_local.
-  static constexpr int rmw_default_history = 0;
+  // rmw/types.h: history keep_all, reliability best_effort and best_available, durability
+  // transient_local; depth system_default.
+  static constexpr std::size_t rmw_default_depth = 0;
   static constexpr int rmw_keep_all = 2;
   static constexpr int rmw_best_effort = 2;
   static constexpr int rmw_best_available = 4;
@@ -124,7 +125,7 @@ class QoS {
   static constexpr std::size_t keep_all_bound = 1000;
   static constexpr std::size_t depth_of(std::size_t depth, int history) noexcept {
     if (history == rmw_keep_all) return keep_all_bound;
-    return history == rmw_default_history && depth == 0 ? 1 : depth;
+    return depth == rmw_default_depth ? 1 : depth;
   }
   using Times = detail::QosTimes;
   // rmw/types.h: infinite is the largest number of nanoseconds, best available the one before it.

@@ -407,7 +407,7 @@ TEST_F(Api, BestAvailableMatchesAllQos) {
   })) << "reported afterwards";
 }
 
-// rclcpp::KeepAll has depth 0, and so has rclcpp::SystemDefaultsQoS.
+// rclcpp::KeepAll has depth 0, and so has rclcpp::SystemDefaultsQoS, which Humble makes keep-last.
 TEST_F(Api, ARclcppHistoryWithoutADepthHasDepthOne) {
   const LookAlikeQos all{0, LookAlikeQos::History::KeepAll};
   EXPECT_TRUE(QoS(all).is_keep_all());
@@ -415,11 +415,14 @@ TEST_F(Api, ARclcppHistoryWithoutADepthHasDepthOne) {
   EXPECT_EQ(QoS(LookAlikeQos{10, LookAlikeQos::History::KeepAll}).depth(), QoS(all).depth())
       << "keep-all does not use the depth";
   EXPECT_TRUE(try_create_subscription<Cloud>(node, "keep_all", all));
-  const LookAlikeQos defaults{0, LookAlikeQos::History::SystemDefault};
-  EXPECT_FALSE(QoS(defaults).is_keep_all());
-  EXPECT_EQ(QoS(defaults).depth(), 1u);
-  const LookAlikeQos wrong{0, LookAlikeQos::History::KeepLast};
-  const auto refused = try_create_subscription<Cloud>(node, "keep_last", wrong);
+  for (const auto history :
+       {LookAlikeQos::History::SystemDefault, LookAlikeQos::History::KeepLast}) {
+    const LookAlikeQos defaults{0, history};
+    EXPECT_FALSE(QoS(defaults).is_keep_all());
+    EXPECT_EQ(QoS(defaults).depth(), 1u);
+    EXPECT_TRUE(try_create_subscription<Cloud>(node, "defaults", defaults));
+  }
+  const auto refused = try_create_subscription<Cloud>(node, "keep_last", QoS(0));
   ASSERT_FALSE(refused);
   EXPECT_EQ(refused.error().code, Errc::depth_refused);
 }
