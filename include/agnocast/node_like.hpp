@@ -205,7 +205,7 @@ template <class Names, class Node>
     } catch (const std::bad_alloc&) {
       throw;
     } catch (const std::exception& refused) {  // from rclcpp, for an invalid name
-      return fail_with(Errc::invalid_name, refused.what());
+      return fail_with(Errc::invalid_name, "'" + name + "': " + refused.what());
     }
 #else
     resolved.topic = Names::resolve(names, name);
