@@ -54,7 +54,12 @@ class ExecutorCore {
           source_(std::move(other.source_)) {}
     Claim& operator=(Claim&&) = delete;
     ~Claim() {
-      if (core_ != nullptr) group_->end(*core_, *source_);
+      if (core_ == nullptr) return;
+      const CallbackSource* const ended = source_.get();
+      // Before the end: nobody else runs the callback's destructor, nor later, nor beside others of
+      // the group.
+      source_.reset();
+      group_->end(*core_, ended);
     }
     explicit operator bool() const noexcept { return core_ != nullptr; }
     CallbackSource& source() const noexcept { return *source_; }

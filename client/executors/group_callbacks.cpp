@@ -109,12 +109,12 @@ std::shared_ptr<CallbackSource> GroupCallbacks::begin(const std::shared_ptr<Call
   return source;
 }
 
-void GroupCallbacks::end(const ExecutorCore& executor, const CallbackSource& source) noexcept {
+void GroupCallbacks::end(const ExecutorCore& executor, const CallbackSource* source) noexcept {
   if (is_forked_child()) return;           // the lock may belong to the parent
   std::shared_ptr<const void> to_release;  // after unlocking: its destructor takes locks
   const std::lock_guard lock(mutex_);
   const auto ended = std::find_if(running_.begin(), running_.end(), [&](const Running& running) {
-    return running.source == &source && running.thread == std::this_thread::get_id();
+    return running.source == source && running.thread == std::this_thread::get_id();
   });
   to_release = std::move(ended->until_end);
   running_.erase(ended);

@@ -111,8 +111,8 @@ class GroupCallbacks {
   /// Like begin(), but of the source with work whose last callback began longest ago, in the
   /// smallest cycle. Throws std::bad_alloc (reentrant).
   std::shared_ptr<CallbackSource> begin_oldest(const ExecutorCore& executor, std::uint64_t cycle);
-  /// In the thread that has begun it.
-  void end(const ExecutorCore& executor, const CallbackSource& source) noexcept;
+  /// In the thread that has begun it. `source` is only compared: it may have ended.
+  void end(const ExecutorCore& executor, const CallbackSource* source) noexcept;
   /// Returns whether a callback could begin; otherwise `due` becomes the time of a timer that
   /// comes before it.
   bool has_work(const ExecutorCore& executor,
