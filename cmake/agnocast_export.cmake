@@ -15,3 +15,6 @@ install(FILES package.xml DESTINATION ${CMAKE_INSTALL_DATADIR}/agnocast)
 file(TOUCH ${CMAKE_CURRENT_BINARY_DIR}/ament_index_marker)
 install(FILES ${CMAKE_CURRENT_BINARY_DIR}/ament_index_marker
   DESTINATION ${CMAKE_INSTALL_DATADIR}/ament_index/resource_index/packages RENAME agnocast)
+# colcon.pkg names these: a package with build type cmake is not in AMENT_PREFIX_PATH by itself.
+install(DIRECTORY ${CMAKE_CURRENT_LIST_DIR}/environment
+  DESTINATION ${CMAKE_INSTALL_DATADIR}/agnocast)

@@ -41,8 +41,8 @@ done
 lintian --allow-root --no-cfg --fail-on error,warning "$here"/first/*.deb
 
 # The packages have every file of an ordinary installation, except for examples, demo and
-# benchmark, which need message packages that Debian lacks. Debian has libraries and units
-# elsewhere.
+# benchmark, which need message packages that Debian lacks, and colcon's hooks. Debian has libraries
+# and units elsewhere.
 files_of() { sed -E '/\/$/d; s,^\./(usr/)?,,; s,^lib/[^/]*-linux-gnu[^/]*/,lib/,' | sort -u; }
 DESTDIR=$dir/plain cmake --install "$build" --prefix /usr >/dev/null
 (cd "$dir/plain" && find . ! -type d) | files_of >"$dir/installed"
@@ -52,7 +52,7 @@ forgotten=$(comm -23 "$dir/installed" "$dir/packaged" | grep -vxE \
   -e '(bin|lib/agnocast)/(talker|listener|cloud_(publisher|subscriber))' \
   -e '(bin|lib/agnocast)/add_two_ints_(server|client)' -e 'bin/agnocast-bench(-plot)?' \
   -e 'share/agnocast/schemas/bench-1.json' -e 'libexec/agnocast/(agnocast_)?demo.*' \
-  -e 'share/doc/agnocast/LICENSE') || true
+  -e 'share/doc/agnocast/LICENSE' -e 'share/agnocast/environment/.*') || true
 [ -z "$forgotten" ] || { echo "FAILED: in no package: $forgotten"; exit 1; }
 
 # A user's files: a workspace, and message packages that are no packages of Debian yet.

@@ -1,11 +1,11 @@
 #!/usr/bin/env bash
 # SPDX-License-Identifier: Apache-2.0
 #
-# Goal: real ROS 2 nodes receive from ours and send to ours, and ROS's tools show ours under their
-# own names; a node of rclcpp that uses agnocast is there once; ROS_LOCALHOST_ONLY means the same to
-# the bridge. Method: in a sourced ROS 2 workspace with rmw_cyclonedds and demo_nodes_cpp: its
-# command line and its demo nodes, our examples, the real daemon and bridge, in a domain of their
-# own on the loopback interface.
+# Goal: real ROS 2 nodes receive from ours and send to ours, call ours and serve them, and ROS's
+# tools show ours under their own names and run our programs; a node of rclcpp that uses agnocast is
+# there once; ROS_LOCALHOST_ONLY means the same to the bridge. Method: in a sourced ROS 2 workspace
+# with rmw_cyclonedds and demo_nodes_cpp: its command line and its demo nodes, our examples, the
+# real daemon and bridge, in a domain of their own on the loopback interface.
 #
 #   ros2_test.sh BUILD_DIRECTORY
 # RELAY_PREFIX: where the component of agnocast_rclcpp's tests is; without it, its part is left out.
@@ -75,6 +75,21 @@ grep -qF "I heard: 'Hello World: " "$dir/listener.log" ||
   fail "our listener does not hear ROS's talker"
 echo "heard each other"
 
+# A service each way; our client sends copies.
+start server env LD_PRELOAD="$build/heaphook/libagnocast_heaphook.so" \
+  "$build/examples/add_two_ints_server" --ros-args -r add_two_ints:=of_ours
+shows "sum=5" ros2 service call /of_ours example_interfaces/srv/AddTwoInts "{a: 2, b: 3}"
+start demo_server "$(ros2 pkg prefix demo_nodes_cpp)/lib/demo_nodes_cpp/add_two_ints_server"
+shows "Sum: 5" timeout 15 "$build/examples/add_two_ints_client" 2 3
+echo "served each other"
+
+# Our programs by ROS's command.
+if ros2 pkg prefix agnocast >/dev/null 2>&1; then
+  shows "Hello World: 3" ros2 run agnocast talker --rate 10 --count 3 --verbose \
+    --ros-args -r chatter:=run
+  echo "ros2 run runs them"
+fi
+
 # A node of rclcpp that uses agnocast: its own process announces it in DDS, and the bridge does not.
 if [ -n "${RELAY_PREFIX:-}" ]; then
   export AMENT_PREFIX_PATH=$RELAY_PREFIX:$AMENT_PREFIX_PATH
@@ -93,6 +108,9 @@ if [ -n "${RELAY_PREFIX:-}" ]; then
   out=$(grep -m 1 '^/out_' <<<"$topics")
   start pub ros2 topic pub --rate 10 /in std_msgs/msg/String "data: relayed"
   shows "data: relayed" ros2 topic echo --no-daemon --once "$out" std_msgs/msg/String
+  # ros2 node info knows the topics that its own process announces, agnocast-ctl those of ours.
+  shows /in "$build/ctl/agnocast-ctl" node info /relay
+  shows "$out" "$build/ctl/agnocast-ctl" node info /relay
   echo "the node of rclcpp is there once, and relays"
 fi
 
