@@ -15,6 +15,7 @@
 #include <condition_variable>
 #include <cstddef>
 #include <exception>
+#include <iterator>
 #include <list>
 #include <map>
 #include <memory>
@@ -99,6 +100,9 @@ struct CallbackIsolatedAgnocastExecutor::State {
   std::list<NodeBase::WeakPtr> nodes;
   std::map<Group::WeakPtr, NodeBase::WeakPtr, std::owner_less<Group::WeakPtr>> groups;
   std::list<std::unique_ptr<Child>> children;  // only the thread in spin() adds and erases
+  /// Executors that ended with their context: a function of rclcpp::on_shutdown() may wait for
+  /// spin(), and the destructor of an executor for that function. Only for the thread in spin().
+  std::vector<std::unique_ptr<rclcpp::executors::SingleThreadedExecutor>> parked;
   std::exception_ptr failure;
 
   void wake() {
@@ -116,7 +120,12 @@ struct CallbackIsolatedAgnocastExecutor::State {
   }
   /// Returns the groups that are to have a thread. Destroy the result without the mutex: it may be
   /// the last owner of a node.
-  std::vector<Wanted> wanted_groups() const {
+  std::vector<Wanted> wanted_groups() {
+    for (auto at = groups.begin(); at != groups.end();) {
+      const bool is_gone = at->first.expired() || at->second.expired();
+      at = is_gone ? groups.erase(at) : std::next(at);
+    }
+    nodes.remove_if([](const NodeBase::WeakPtr& node) { return node.expired(); });
     std::vector<Wanted> wanted;
     for (const auto& [weak_group, weak_node] : groups) {
       Wanted one{weak_group.lock(), weak_node.lock()};
@@ -160,6 +169,7 @@ struct CallbackIsolatedAgnocastExecutor::State {
       const Unlocked unlocked(lock);
       for (Child* const child : ended) {
         if (child->thread.joinable()) child->thread.join();
+        if (!rclcpp::ok(context)) parked.push_back(std::move(child->executor));
         child->executor.reset();
       }
     }
@@ -236,6 +246,7 @@ void CallbackIsolatedAgnocastExecutor::spin() {
   if (spinning.exchange(true))
     throw std::runtime_error("CallbackIsolatedAgnocastExecutor: another thread is in spin()");
   State& state = *state_;
+  state.parked.clear();
   std::unique_lock lock(state.mutex);
   state.failure = nullptr;
   while (rclcpp::ok(context_) && spinning && state.failure == nullptr) {

@@ -333,6 +333,22 @@ TEST_F(CallbackIsolated, IsCancelledWhenTheContextIsShutDown) {
   spinning.join();
 }
 
+// rclcpp holds a mutex meanwhile that the destructor of an executor wants.
+TEST_F(CallbackIsolated, ShutdownMayWaitForTheSpin) {
+  const auto node = std::make_shared<rclcpp::Node>("node");
+  agnocast::CallbackIsolatedAgnocastExecutor executor(rclcpp::ExecutorOptions(), 50, 1);
+  std::atomic<int> calls{0};
+  const auto timer = node->create_wall_timer(1ms, [&] { ++calls; });
+  executor.add_node(node);
+  std::thread spinning([&] { EXPECT_NO_THROW(executor.spin()); });
+  const OnShutdown waiting([&] {
+    executor.cancel();
+    spinning.join();
+  });
+  EXPECT_TRUE(eventually([&] { return calls > 0; }));
+  rclcpp::shutdown();
+}
+
 // The executor makes and ends threads all the time.
 TEST_F(CallbackIsolated, ShutdownWhileNodesComeAndGoLeavesNoException) {
   const auto node = std::make_shared<rclcpp::Node>("node");
