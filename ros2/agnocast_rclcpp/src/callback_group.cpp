@@ -2,6 +2,7 @@
 
 #include <agnocast/connection_state.hpp>
 #include <agnocast/error.hpp>
+#include <agnocast/heap.hpp>
 #include <agnocast_rclcpp/callback_group.hpp>
 
 #include "group_waitable.hpp"
@@ -118,6 +119,7 @@ agnocast::CallbackGroup::SharedPtr share_group(const NodeBase::SharedPtr& node,
 agnocast::Result<agnocast::CallbackGroup::SharedPtr> adapt_group(
     const NodeBase::SharedPtr& node, const NodeWaitables::SharedPtr& waitables,
     rclcpp::CallbackGroup::SharedPtr group) {
+  const agnocast::LoanPause pause;  // what it makes outlives any loan of this thread
   // Throws as rclcpp does, also for a group that has endpoints already.
   if (!node->get_context()->is_valid()) rclcpp::GuardCondition after_shutdown(node->get_context());
   if (group == nullptr) group = node->get_default_callback_group();

@@ -7,6 +7,7 @@
 #include <rclcpp/logging.hpp>
 
 #include <algorithm>
+#include <atomic>
 #include <memory>
 #include <string>
 #include <utility>
@@ -52,6 +53,30 @@ void warn_of(bool given, const char* what, const std::string& topic, const rclcp
     RCLCPP_WARN(logger, "%s has no effect on '%s', which agnocast serves", what, topic.c_str());
 }
 
+/// Callbacks that rclcpp has since Iron. Before, these two return false.
+template <class Events>
+auto has_matched(const Events& events, int) -> decltype(bool(events.matched_callback)) {
+  return bool(events.matched_callback);
+}
+template <class Events>
+bool has_matched(const Events&, long) {
+  return false;
+}
+template <class Events>
+auto has_incompatible_type(const Events& events, int)
+    -> decltype(bool(events.incompatible_type_callback)) {
+  return bool(events.incompatible_type_callback);
+}
+template <class Events>
+bool has_incompatible_type(const Events&, long) {
+  return false;
+}
+template <class Events>
+void warn_of_newer(const Events& events, const std::string& topic, const rclcpp::Logger& logger) {
+  warn_of(has_matched(events, 0), "matched_callback", topic, logger);
+  warn_of(has_incompatible_type(events, 0), "incompatible_type_callback", topic, logger);
+}
+
 }  // namespace
 
 SubscriptionOptions::SubscriptionOptions(agnocast::SubscriptionOptions options)
@@ -80,15 +105,16 @@ agnocast::SubscriptionOptions translate(const SubscriptionOptions& options,
     });
   }
   warn_of(events.message_lost_callback != nullptr, "message_lost_callback", topic, logger);
+  warn_of_newer(events, topic, logger);
   warn_of(!options.ros.content_filter_options.filter_expression.empty(), "content_filter_options",
           topic, logger);
   warn_of(rclcpp::detail::resolve_enable_topic_statistics(options.ros, base),
           "collecting topic statistics", topic, logger);
   if (options.ros.ignore_local_publications) translated.ignore_local_publications();
   if (options.own.events().hold_quota == nullptr && options.ros.use_default_callbacks) {
-    translated.hold_quota_callback([topic, logger,
-                                    has_warned = false](agnocast::HoldQuotaInfo&) mutable {
-      if (std::exchange(has_warned, true)) return;
+    const auto has_warned = std::make_shared<std::atomic<bool>>(false);
+    translated.hold_quota_callback([topic, logger, has_warned](agnocast::HoldQuotaInfo&) {
+      if (has_warned->exchange(true)) return;
       RCLCPP_WARN(logger,
                   "The subscription of topic '%s' keeps as many messages of a publisher as it "
                   "may, and gets no further one until it releases one. hold_quota of its "
@@ -139,6 +165,7 @@ agnocast::PublisherOptions translate(const PublisherOptions& options, const std:
           call(status);
         });
   }
+  warn_of_newer(events, topic, logger);
   if (options.own.events().incompatible_qos != nullptr) return translated;
   if (events.incompatible_qos_callback) {
     translated.incompatible_qos_callback(
