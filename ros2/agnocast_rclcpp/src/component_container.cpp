@@ -19,10 +19,19 @@
 
 namespace {
 
-using SingleThreadedExecutor =
-    agnocast_rclcpp::RepairedExecutor<rclcpp::executors::SingleThreadedExecutor>;
-using MultiThreadedExecutor =
-    agnocast_rclcpp::RepairedExecutor<rclcpp::executors::MultiThreadedExecutor>;
+using SingleThreaded = agnocast_rclcpp::RepairedExecutor<rclcpp::executors::SingleThreadedExecutor>;
+using MultiThreaded = agnocast_rclcpp::RepairedExecutor<rclcpp::executors::MultiThreadedExecutor>;
+
+/// ComponentManagerIsolated ends each executor by cancel(), and waits for its spin() to begin
+/// before that: for ever, once the executor has ended with rclcpp::shutdown(). So this one counts
+/// as spinning until it is cancelled.
+class Isolated : public SingleThreaded {
+ public:
+  void spin() override {
+    SingleThreaded::spin();
+    spinning.store(true);
+  }
+};
 
 int refuse(const std::string& what) {
   std::fprintf(stderr,
@@ -53,13 +62,13 @@ int main(int argc, char** argv) {
       return refuse("unknown argument '" + words[i] + "'");
     }
   }
-  std::shared_ptr<rclcpp::Executor> executor = std::make_shared<SingleThreadedExecutor>();
+  std::shared_ptr<rclcpp::Executor> executor = std::make_shared<SingleThreaded>();
   std::shared_ptr<rclcpp_components::ComponentManager> manager;
   if (kind == "multi") {
-    executor = std::make_shared<MultiThreadedExecutor>(rclcpp::ExecutorOptions(), threads);
+    executor = std::make_shared<MultiThreaded>(rclcpp::ExecutorOptions(), threads);
     manager = std::make_shared<rclcpp_components::ComponentManager>(executor);
   } else if (kind == "isolated") {
-    manager = std::make_shared<rclcpp_components::ComponentManagerIsolated<>>(executor);
+    manager = std::make_shared<rclcpp_components::ComponentManagerIsolated<Isolated>>(executor);
   } else if (kind == "single") {
     manager = std::make_shared<rclcpp_components::ComponentManager>(executor);
   } else {
