@@ -24,8 +24,8 @@ namespace {
 
 constexpr std::uint64_t end_number = 0;
 constexpr std::uint32_t once = EPOLLIN | EPOLLONESHOT;
-// Intervals of asking every group: usually, and when the program has closed a descriptor of ours.
-constexpr std::chrono::milliseconds look_interval{1'000}, polling_interval{10};
+// Interval of asking every group when the program has closed a descriptor of ours.
+constexpr std::chrono::milliseconds polling_interval{10};
 
 int checked(int result, const char* what) {
   if (result < 0) throw std::system_error(errno, std::generic_category(), what);
@@ -129,10 +129,11 @@ void GuardThread::remove(std::uint64_t number, int fd) noexcept {
 void GuardThread::run() noexcept {
   const ThreadRule rule;
   using Clock = std::chrono::steady_clock;
-  auto next_look = Clock::now() + look_interval;
+  auto last_look = Clock::now();
   while (!is_over_.load(std::memory_order_acquire)) {
     epoll_event events[16];
-    const auto pause = has_lost_descriptor_ ? polling_interval : look_interval;
+    const std::chrono::milliseconds interval = look_interval_;
+    const auto pause = has_lost_descriptor_ ? polling_interval : interval;
     const int count = ::epoll_wait(epoll_, events, 16, static_cast<int>(pause.count()));
     if (count < 0 && errno != EINTR) {
       has_lost_descriptor_.store(true);
@@ -142,9 +143,9 @@ void GuardThread::run() noexcept {
       if (events[i].data.u64 == end_number) continue;  // is_over_ is set
       ring_one(events[i].data.u64);
     }
-    if (Clock::now() < next_look && !has_lost_descriptor_) continue;
+    if (Clock::now() - last_look < interval && !has_lost_descriptor_) continue;
     ring_all();
-    next_look = Clock::now() + look_interval;
+    last_look = Clock::now();
   }
 }
 

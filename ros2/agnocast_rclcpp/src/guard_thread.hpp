@@ -12,6 +12,7 @@
 #include <unistd.h>
 
 #include <atomic>
+#include <chrono>
 #include <cstdint>
 #include <map>
 #include <memory>
@@ -37,6 +38,9 @@ class GuardThread {
   void add(std::uint64_t number, const std::shared_ptr<GroupWaitable>& waitable, int fd);
   void arm(std::uint64_t number, int fd) noexcept;
   void remove(std::uint64_t number, int fd) noexcept;
+  /// How often it asks every group, from its next look on: for tests, whose lost wake-ups must not
+  /// be repaired by that.
+  void look_each(std::chrono::milliseconds interval) noexcept { look_interval_ = interval; }
 
  private:
   /// Closes what it has, which happens only where the constructor of GuardThread fails.
@@ -59,6 +63,7 @@ class GuardThread {
 
   const pid_t owner_ = ::getpid();
   const Descriptor epoll_, ended_;
+  std::atomic<std::chrono::milliseconds> look_interval_{std::chrono::seconds(1)};
   std::atomic<bool> is_over_{false};
   std::atomic<bool> has_lost_descriptor_{false};  // the program has closed one
   std::mutex mutex_;

@@ -5,6 +5,7 @@
 
 #include "test_node.hpp"
 
+#include <agnocast/generic_service.hpp>
 #include <rclcpp_lifecycle/lifecycle_node.hpp>
 #include <std_srvs/srv/trigger.hpp>
 
@@ -258,6 +259,57 @@ TEST_F(EndpointsTest, QosIsOverriddenByParameters) {
   EXPECT_TRUE(spin_until([&] { return late == "234"; })) << late;
 }
 
+TEST_F(EndpointsTest, QosOfSubscriptionsIsOverriddenByParametersToo) {
+  const auto node = std::make_shared<rclcpp::Node>(
+      "overridden", rclcpp::NodeOptions().parameter_overrides(
+                        {{"qos_overrides./sensor.subscription_front.reliability", "best_effort"},
+                         {"qos_overrides./sensor.subscription_front.depth", 3},
+                         {"qos_overrides./wrong.subscription.reliability", "perhaps"},
+                         {"qos_overrides./refused.subscription.depth", 100}}));
+  const auto ignore = [](const Message&) {};
+  rclcpp::SubscriptionOptions options;
+  options.qos_overriding_options = rclcpp::QosOverridingOptions(
+      {rclcpp::QosPolicyKind::Reliability, rclcpp::QosPolicyKind::Depth}, nullptr, "front");
+  const auto subscription =
+      agnocast::create_subscription<String>(node, "sensor", 10, ignore, options);
+  const rclcpp::QoS actual = subscription->get_actual_qos();
+  EXPECT_EQ(actual.reliability(), rclcpp::ReliabilityPolicy::BestEffort);
+  EXPECT_EQ(actual.depth(), 3u);
+
+  // The exceptions are those of rclcpp's own endpoint.
+  const auto exception_of = [&](const char* topic, const auto& create) -> std::string {
+    try {
+      create(topic);
+    } catch (const rclcpp::exceptions::InvalidQosOverridesException& error) {
+      return std::string("overrides: ") + error.what();
+    } catch (const std::exception& error) {
+      return error.what();
+    }
+    return "none";
+  };
+  const auto of_ours = [&](const char* topic) {
+    agnocast::create_subscription<String>(node, topic, 10, ignore, options);
+  };
+  const auto of_ros = [&](const char* topic) {
+    node->create_subscription<String>(
+        topic, 10, [](const String&) {}, options);
+  };
+  options.qos_overriding_options =
+      rclcpp::QosOverridingOptions({rclcpp::QosPolicyKind::Reliability});
+  const std::string wrong = exception_of("wrong", of_ours);
+  EXPECT_NE(wrong, "none");
+  EXPECT_EQ(wrong, exception_of("wrong", of_ros));
+  options.qos_overriding_options =
+      rclcpp::QosOverridingOptions({rclcpp::QosPolicyKind::Depth}, [](const rclcpp::QoS& qos) {
+        rclcpp::QosCallbackResult result;
+        result.successful = qos.depth() < 50;
+        result.reason = "too deep";
+        return result;
+      });
+  EXPECT_THAT(exception_of("refused", of_ours), testing::StartsWith("overrides: "));
+  EXPECT_EQ(exception_of("refused", of_ours), exception_of("refused", of_ros));
+}
+
 TEST_F(EndpointsTest, IncompatibleQosIsToldAsRclcppTellsIt) {
   const Warnings warnings;
   int reported = 0;
@@ -436,7 +488,35 @@ TEST_F(EndpointsTest, NothingIsCreatedAfterShutdown) {
                rclcpp::exceptions::RCLErrorBase);
 }
 
-TEST_F(EndpointsTest, GenericEndpointsFindTypesByName) {
+TEST_F(EndpointsTest, GenericPublishersServicesAndClientsFindTypesByName) {
+  std::string heard;
+  const auto subscription = agnocast::create_subscription<String>(
+      node_, "topic", 10, [&](const String& message) { heard = message.data; });
+  const auto publisher =
+      agnocast::create_generic_publisher(node_, "topic", "std_msgs/msg/String", rclcpp::QoS(10));
+  ASSERT_TRUE(spin_until([&] { return publisher->get_linked_subscription_count() == 1; }));
+  agnocast::GenericLoan loan = publisher->borrow_loaned_message();
+  static_cast<String*>(loan.get())->data = "words";
+  EXPECT_EQ(publisher->publish(std::move(loan)).code, agnocast::Errc::ok);
+  EXPECT_TRUE(spin_until([&] { return heard == "words"; }));
+
+  const auto group = node_->create_callback_group(rclcpp::CallbackGroupType::MutuallyExclusive);
+  const auto service = agnocast::create_generic_service(
+      node_, "service", "std_srvs/srv/Trigger",
+      [](agnocast::GenericMessage, agnocast::GenericLoan& response) {
+        static_cast<Trigger::Response*>(response.get())->message = "done";
+      },
+      rclcpp::ServicesQoS(), group);
+  const auto client = agnocast::create_generic_client(node_, "service", "std_srvs/srv/Trigger");
+  ASSERT_TRUE(client->wait_for_service(30s));
+  std::string answer;
+  (void)client->async_send_request(client->borrow_loaned_request(), [&](auto future) {
+    answer = static_cast<const Trigger::Response*>(future.get().get())->message;
+  });
+  EXPECT_TRUE(spin_until([&] { return answer == "done"; }));
+}
+
+TEST_F(EndpointsTest, GenericSubscriptionsFindTypesByName) {
   std::string heard;
   const auto subscription = agnocast::create_generic_subscription(
       node_, "topic", "std_msgs/msg/String", rclcpp::QoS(10),

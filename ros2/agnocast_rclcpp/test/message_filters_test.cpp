@@ -1,10 +1,10 @@
 // SPDX-License-Identifier: Apache-2.0
 //
 // Goal: upstream's synchronizers give the same sets whether an input is rclcpp's or ours. Method:
-// sequences of stamps, also those of upstream's own test_approximate_time_policy.cpp with what it
-// expects; each message is published on both, and there is a synchronizer for every choice of which
-// inputs are ours. A message is published when every input has the one before, so the order is the
-// sequence's.
+// sequences of stamps, also those of upstream's own test_approximate_time_policy.cpp and
+// test_exact_time_policy.cpp with what they expect; each message is published on both, and there is
+// a synchronizer for every choice of which inputs are ours. A message is published when every input
+// has the one before, so the order is the sequence's.
 
 #include "test_node.hpp"
 
@@ -40,7 +40,7 @@ constexpr std::size_t depth = 50;
 /// What is published, and the sets of one message of each topic that come of it.
 struct Sequence {
   const char* name;
-  std::size_t topics;  // 2 or 4
+  std::size_t topics;  // 2 to 4
   std::uint32_t queue_size;
   double lower_bound;     // in seconds between messages of the first topic; 0: none
   std::string published;  // topic and stamp in seconds, as "A0 B1"
@@ -61,6 +61,12 @@ const Sequence upstream[] = {
     {"early", 4, 10, 0, "A0 B1 C2 D3 A7", "0/1/2/3"},
     {"bound_below_the_rate", 2, 10, 1.5, "A0 B1 A3 B4 A6 B7", "0/1 3/4"},
     {"bound_near_the_rate", 2, 10, 2, "A0 B1 A3 B4 A6 B7", "0/1 3/4 6/7"},
+};
+
+const Sequence upstream_exact[] = {
+    {"multiple_times", 3, 2, 0, "A0 B1 A1 C1", "1/1/1"},
+    {"queue_size", 3, 1, 0, "A0 B0 B1 B0 C0", ""},
+    {"all_three", 3, 1, 0, "A0 B0 C0 C1 B1 A1", "0/0/0 1/1/1"},
 };
 
 /// A topic of both kinds.
@@ -123,6 +129,8 @@ class Collected {
     connect(inputs, std::index_sequence_for<Each...>());
     if constexpr (sizeof...(Each) == 2) {
       synchronizer_.registerCallback(&Collected::note_two, this);
+    } else if constexpr (sizeof...(Each) == 3) {
+      synchronizer_.registerCallback(&Collected::note_three, this);
     } else {
       synchronizer_.registerCallback(&Collected::note_four, this);
     }
@@ -136,6 +144,7 @@ class Collected {
     synchronizer_.connectInput(*inputs[I]...);
   }
   void note_two(const Message& a, const Message& b) { note({a, b}); }
+  void note_three(const Message& a, const Message& b, const Message& c) { note({a, b, c}); }
   void note_four(const Message& a, const Message& b, const Message& c, const Message& d) {
     note({a, b, c, d});
   }
@@ -190,20 +199,40 @@ std::vector<std::string> sets_of_each(const Sequence& sequence) {
 }
 template <template <class...> class PolicyOf>
 std::vector<std::string> sets_of(const Sequence& sequence) {
-  return sequence.topics == 2
-             ? sets_of_each<PolicyOf, Temperature, Temperature>(sequence)
-             : sets_of_each<PolicyOf, Temperature, Temperature, Temperature, Temperature>(sequence);
+  using T = Temperature;
+  switch (sequence.topics) {
+    case 2:
+      return sets_of_each<PolicyOf, T, T>(sequence);
+    case 3:
+      return sets_of_each<PolicyOf, T, T, T>(sequence);
+    default:
+      return sets_of_each<PolicyOf, T, T, T, T>(sequence);
+  }
 }
 
-class UpstreamsSequences : public RclcppTest, public testing::WithParamInterface<Sequence> {};
+class UpstreamsSequences : public RclcppTest, public testing::WithParamInterface<Sequence> {
+ protected:
+  template <template <class...> class PolicyOf>
+  static void expect_its_sets() {
+    const auto sets = sets_of<PolicyOf>(GetParam());
+    ASSERT_EQ(sets.size(), std::size_t{1} << GetParam().topics);
+    for (std::size_t ours = 0; ours < sets.size(); ++ours)
+      EXPECT_EQ(sets[ours], GetParam().sets) << "inputs that are ours: bits of " << ours;
+  }
+};
 
 TEST_P(UpstreamsSequences, GiveItsSetsFromAnyMixtureOfInputs) {
-  const auto sets = sets_of<message_filters::sync_policies::ApproximateTime>(GetParam());
-  ASSERT_EQ(sets.size(), std::size_t{1} << GetParam().topics);
-  for (std::size_t ours = 0; ours < sets.size(); ++ours)
-    EXPECT_EQ(sets[ours], GetParam().sets) << "inputs that are ours: bits of " << ours;
+  expect_its_sets<message_filters::sync_policies::ApproximateTime>();
 }
 
+class UpstreamsExactSequences : public UpstreamsSequences {};
+
+TEST_P(UpstreamsExactSequences, GiveItsSetsFromAnyMixtureOfInputs) {
+  expect_its_sets<message_filters::sync_policies::ExactTime>();
+}
+
+INSTANTIATE_TEST_SUITE_P(ExactTime, UpstreamsExactSequences, testing::ValuesIn(upstream_exact),
+                         [](const auto& info) { return std::string(info.param.name); });
 INSTANTIATE_TEST_SUITE_P(ApproximateTime, UpstreamsSequences, testing::ValuesIn(upstream),
                          [](const auto& info) { return std::string(info.param.name); });
 

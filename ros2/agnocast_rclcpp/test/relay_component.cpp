@@ -1,7 +1,8 @@
 // SPDX-License-Identifier: Apache-2.0
 //
 // A component for components_test: publishes on "/out_0" to "/out_9", by its name, what it hears on
-// "/in". One topic would be full: a user has at most 192 publishers on it.
+// "/in". One topic would be full: a user has at most 192 publishers on it. And one with endpoints
+// of rclcpp alone, to compare with.
 
 #include <agnocast_rclcpp/agnocast_rclcpp.hpp>
 
@@ -42,6 +43,25 @@ class Relay : public rclcpp::Node {
   agnocast::Subscription<std_msgs::msg::String>::SharedPtr subscription_;
 };
 
+class PlainRelay : public rclcpp::Node {
+ public:
+  explicit PlainRelay(const rclcpp::NodeOptions& options) : Node("relay", options) {
+    using std_msgs::msg::String;
+    group_ = create_callback_group(rclcpp::CallbackGroupType::MutuallyExclusive);
+    rclcpp::SubscriptionOptions in_group;
+    in_group.callback_group = group_;
+    publisher_ = create_publisher<String>("/plain_out", 10);
+    subscription_ = create_subscription<String>(
+        "/plain_in", 10, [this](const String& heard) { publisher_->publish(heard); }, in_group);
+  }
+
+ private:
+  rclcpp::CallbackGroup::SharedPtr group_;
+  rclcpp::Publisher<std_msgs::msg::String>::SharedPtr publisher_;
+  rclcpp::Subscription<std_msgs::msg::String>::SharedPtr subscription_;
+};
+
 }  // namespace agnocast_rclcpp
 
+RCLCPP_COMPONENTS_REGISTER_NODE(agnocast_rclcpp::PlainRelay)
 RCLCPP_COMPONENTS_REGISTER_NODE(agnocast_rclcpp::Relay)

@@ -13,15 +13,41 @@
 #include <unistd.h>
 
 #include <atomic>
+#include <cerrno>
+#include <cstdint>
+#include <cstring>
 #include <filesystem>
 #include <fstream>
+#include <functional>
 #include <memory>
+#include <mutex>
 #include <string>
 #include <utility>
 
 namespace agnocast_rclcpp {
 namespace {
 
+/// The kernel's struct sched_attr, sched_setattr(2).
+struct Attributes {
+  std::uint32_t size = sizeof(Attributes), policy = 0;
+  std::uint64_t flags = 0;
+  std::int32_t nice = 0;
+  std::uint32_t priority = 0;
+  std::uint64_t runtime = 0, deadline = 0, period = 0;
+};
+Attributes attributes() {
+  Attributes of_thread;
+  if (::syscall(SYS_sched_getattr, 0, &of_thread, sizeof of_thread, 0) != 0) of_thread.policy = ~0U;
+  return of_thread;
+}
+/// Returns why the kernel refuses this to a thread of this process; 0: it does not.
+int refusal_of(Attributes wanted) {
+  int error = 0;
+  std::thread([&] {
+    if (::syscall(SYS_sched_setattr, 0, &wanted, 0) != 0) error = errno;
+  }).join();
+  return error;
+}
 int policy() { return ::sched_getscheduler(0) & ~SCHED_RESET_ON_FORK; }
 int nice_value() { return ::getpriority(PRIO_PROCESS, static_cast<id_t>(::syscall(SYS_gettid))); }
 
@@ -31,16 +57,16 @@ class Threads : public RclcppTest {
     RclcppTest::SetUp();
     node = std::make_shared<rclcpp::Node>("scheduled");
   }
-  /// Publishes until a callback of this group has run in a thread with this scheduling.
+  /// Publishes until a callback of this group has run in a thread for which this holds.
   bool are_scheduled(rclcpp::Executor& executor, const rclcpp::CallbackGroup::SharedPtr& group,
-                     std::pair<int, int> wanted) {
+                     const std::function<bool()>& is_as_wanted) {
     rclcpp::SubscriptionOptions options;
     options.callback_group = group;
     std::atomic<bool> is_seen{false};
     auto subscription = agnocast::create_subscription<String>(
         node, "topic", 10,
         [&](const String&) {
-          if (std::pair(policy(), nice_value()) == wanted) is_seen = true;
+          if (is_as_wanted()) is_seen = true;
         },
         options);
     auto publisher = agnocast::create_publisher<String>(node, "topic", 10);
@@ -54,16 +80,52 @@ class Threads : public RclcppTest {
     });
   }
 
+  static std::function<bool()> has(int wanted_policy, int wanted_nice) {
+    return [=] { return policy() == wanted_policy && nice_value() == wanted_nice; };
+  }
+
   rclcpp::Node::SharedPtr node;
 };
 
 TEST_F(Threads, TheDefaultGroupHasItsRule) {
-  EXPECT_TRUE(are_scheduled(*single_threaded.make(), nullptr, {SCHED_BATCH, 3}));
+  EXPECT_TRUE(are_scheduled(*single_threaded.make(), nullptr, has(SCHED_BATCH, 3)));
 }
 
 TEST_F(Threads, AnotherGroupHasTheRuleOfTheNode) {
   auto group = node->create_callback_group(rclcpp::CallbackGroupType::Reentrant);
-  EXPECT_TRUE(are_scheduled(*multi_threaded(4).make(), group, {SCHED_OTHER, 8}));
+  EXPECT_TRUE(are_scheduled(*multi_threaded(4).make(), group, has(SCHED_OTHER, 8)));
+}
+
+TEST_F(Threads, APriorityAndProcessorsAreThoseOfTheRule) {
+  Attributes wanted;
+  wanted.policy = SCHED_FIFO;
+  wanted.priority = 4;
+  if (refusal_of(wanted) == EPERM) GTEST_SKIP() << "this user may not have real-time policies";
+  node = std::make_shared<rclcpp::Node>("real_time");
+  EXPECT_TRUE(are_scheduled(*multi_threaded(2).make(), nullptr, [] {
+    const Attributes now = attributes();
+    cpu_set_t processors;
+    return now.policy == SCHED_FIFO && now.priority == 4 &&
+           ::sched_getaffinity(0, sizeof processors, &processors) == 0 &&
+           CPU_COUNT(&processors) == 1 && CPU_ISSET(0, &processors);
+  }));
+}
+
+TEST_F(Threads, ADeadlineIsThatOfTheRule) {
+  Attributes wanted;
+  wanted.policy = SCHED_DEADLINE;
+  wanted.runtime = 2'000'000;
+  wanted.deadline = 20'000'000;
+  wanted.period = 30'000'000;
+  if (const int error = refusal_of(wanted); error != 0)
+    GTEST_SKIP() << "SCHED_DEADLINE needs CAP_SYS_NICE, room and all processors: "
+                 << std::strerror(error);
+  node = std::make_shared<rclcpp::Node>("deadline");
+  EXPECT_TRUE(are_scheduled(*single_threaded.make(), nullptr, [&] {
+    const Attributes now = attributes();
+    return now.policy == SCHED_DEADLINE && now.runtime == wanted.runtime &&
+           now.deadline == wanted.deadline && now.period == wanted.period;
+  }));
 }
 
 TEST_F(Threads, TheThreadThatWakesExecutorsHasAGroupOfItsOwn) {
