@@ -1,7 +1,8 @@
 #!/usr/bin/env bash
 # SPDX-License-Identifier: Apache-2.0
 #
-# Goal: a package that was written for the kernel-module system is found, built, installed and run.
+# Goal: a package that was written for the kernel-module system is found, built, installed and run,
+# and a component over agnocast_rclcpp in it.
 # Method: the package in workspace/ has the CMake lines of that system's samples; its programs and
 # its components, in each container, talk to each other.
 #   workspace_test.sh FOLDER        where to build
@@ -53,7 +54,9 @@ wait_for() { # NAME TEXT
 start talker "$prefix/lib/sample/talker"
 start listener "$prefix/lib/sample/listener"
 start only_listener "$prefix/lib/sample/only_listener"
+start adapter_listener "$prefix/lib/sample/adapter_listener"
 wait_for listener "heard 20"
+wait_for adapter_listener "heard 20"
 wait_for only_listener "heard 20"
 stop
 
@@ -70,9 +73,10 @@ container_of() {
 for container in agnocast_component_container agnocast_component_container_mt \
     agnocast_component_container_cie; do
   start $container "$(container_of $container)"
-  "$prefix/lib/sample/load" sample Talker Listener OnlyListener
+  "$prefix/lib/sample/load" sample Talker Listener OnlyListener AdapterListener
   wait_for $container "\[listener\]: heard 20"
   wait_for $container "only_listener heard 20"
+  wait_for $container "\[adapter_listener\]: heard 20"
   "$prefix/lib/sample/load" --unload
   stop
 done
