@@ -121,10 +121,8 @@ struct CallbackIsolatedAgnocastExecutor::State {
   /// Returns the groups that are to have a thread. Destroy the result without the mutex: it may be
   /// the last owner of a node.
   std::vector<Wanted> wanted_groups() {
-    for (auto at = groups.begin(); at != groups.end();) {
-      const bool is_gone = at->first.expired() || at->second.expired();
-      at = is_gone ? groups.erase(at) : std::next(at);
-    }
+    for (auto at = groups.begin(); at != groups.end();)
+      at = at->first.expired() ? groups.erase(at) : std::next(at);
     nodes.remove_if([](const NodeBase::WeakPtr& node) { return node.expired(); });
     std::vector<Wanted> wanted;
     for (const auto& [weak_group, weak_node] : groups) {
