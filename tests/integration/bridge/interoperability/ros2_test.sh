@@ -8,7 +8,8 @@
 # real daemon and bridge, in a domain of their own on the loopback interface.
 #
 #   ros2_test.sh BUILD_DIRECTORY
-# RELAY_PREFIX: where the component of agnocast_rclcpp's tests is; without it, its part is left out.
+# RELAY_PREFIX: where the component of agnocast_rclcpp's tests is, if agnocast is in the sourced
+# workspace; without it, the parts that need these are left out.
 set -euo pipefail
 build=$1
 
@@ -84,7 +85,7 @@ shows "Sum: 5" timeout 15 "$build/examples/add_two_ints_client" 2 3
 echo "served each other"
 
 # Our programs by ROS's command.
-if ros2 pkg prefix agnocast >/dev/null 2>&1; then
+if [ -n "${RELAY_PREFIX:-}" ]; then
   shows "Hello World: 3" ros2 run agnocast talker --rate 10 --count 3 --verbose \
     --ros-args -r chatter:=run
   echo "ros2 run runs them"
