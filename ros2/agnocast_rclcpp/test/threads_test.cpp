@@ -20,8 +20,8 @@
 #include <fstream>
 #include <functional>
 #include <memory>
-#include <mutex>
 #include <string>
+#include <thread>
 #include <utility>
 
 namespace agnocast_rclcpp {
